@@ -1,0 +1,42 @@
+"""Errors that a user can cause: what is wrong, where, and how to mend it, in one line."""
+
+from pathlib import Path
+
+
+class OffpisteError(Exception):
+    """Base of every error that a user can cause; the command line prints it as one line and exits with 1.
+
+    Args:
+        what: what is wrong, without a full stop.
+        where: the file, topic, row or key it was found at.
+        how: what to do about it.
+    """
+
+    def __init__(self, what: str, *, where: str | Path = "", how: str = "") -> None:
+        self.what, self.where, self.how = what, str(where), how
+        super().__init__(what, where, how)
+
+    def __str__(self) -> str:
+        place = f"{self.where}: " if self.where else ""
+        mend = f"; {self.how}" if self.how else ""
+        return " ".join(f"{place}{self.what}{mend}".split())
+
+
+class LogError(OffpisteError):
+    """A recorded log cannot be read, or lacks what was asked of it."""
+
+
+class RigError(OffpisteError):
+    """A rig file is wrong, or does not fit the log."""
+
+
+class DatasetError(OffpisteError):
+    """A dataset is missing, incomplete, or does not fit what is asked of it."""
+
+
+class RunError(OffpisteError):
+    """A training run is missing, broken, or does not fit what is asked of it."""
+
+
+class TrainingError(OffpisteError):
+    """Training cannot go on, e.g. a value that is not finite."""

@@ -1,0 +1,70 @@
+"""TartanDrive 2.0 folders: one folder a modality, with one `.npy` array and `timestamps.txt`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import LogError
+from offpiste.logs.log import Log, Samples, Topic
+
+
+class TartanDriveLog(Log):
+    """A drive in the post-processed layout of TartanDrive 2.0 (Sivaprakasam et al. 2024).
+
+    Fields are column numbers of the array, "0", "1", ...; a folder without an array has no fields.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._topics = {
+            stamps.parent.name: self._describe(stamps.parent) for stamps in sorted(path.glob("*/timestamps.txt"))
+        }
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Whether a folder has this layout."""
+        return path.is_dir() and any(path.glob("*/timestamps.txt"))
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """One topic a folder."""
+        return self._topics
+
+    def _describe(self, folder: Path) -> Topic:
+        arrays = sorted(folder.glob("*.npy"))
+        if not arrays:
+            return Topic(folder.name, "folder without array", 0, ())
+        array = _load(arrays[0], mapped=True)
+        columns = int(np.prod(array.shape[1:], dtype=int))
+        return Topic(folder.name, arrays[0].name, len(array), tuple(map(str, range(columns))))
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        folder = self.path / topic.name
+        values = _load(folder / topic.type, mapped=False).reshape(topic.count, -1)
+        time = _load_stamps(folder / "timestamps.txt")
+        if len(time) != len(values):
+            raise LogError(
+                f"{len(time)} stamps for {len(values)} samples",
+                where=folder,
+                how="the folder was cut short or mixed; export it again",
+            )
+        return Samples(time, values[:, [int(f) for f in fields]].astype(np.float64))
+
+
+def _load(path: Path, *, mapped: bool) -> np.ndarray:
+    try:
+        array: np.ndarray = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise LogError(f"not a readable array: {error}", where=path, how="export the folder again") from error
+    if array.ndim == 0 or array.dtype.kind not in "fiub":
+        raise LogError(f"holds {array.dtype}, shape {array.shape}, not rows of numbers", where=path)
+    return array
+
+
+def _load_stamps(path: Path) -> Float[np.ndarray, " n"]:
+    try:
+        return np.loadtxt(path, dtype=np.float64, ndmin=1)
+    except (OSError, ValueError) as error:
+        raise LogError(f"stamps are not numbers: {error}", where=path, how="export the folder again") from error
