@@ -41,9 +41,14 @@ class Samples:
 
 
 class Log(ABC):
-    """A recorded drive in any format. Readers are final; `offpiste.logs.open_log` chooses one."""
+    """A recorded drive in any format. Readers are final; `offpiste.logs.open_log` chooses one.
+
+    Attributes:
+        warnings: what a damaged or ambiguous log made the reader leave out or guess, in words.
+    """
 
     path: Path
+    warnings: tuple[str, ...] = ()
 
     @property
     @abstractmethod
