@@ -119,6 +119,20 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_gap: float = 0.5
 
 
+class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics whose common clock drifts against the pose's; the wheels' speed tells by how much.
+
+    Attributes:
+        topics: all topics stamped by that clock.
+        speed: the vehicle's speed by the wheels, among them; several fields are averaged [m/s after conversion].
+        max_lag: lags within half of it are tried, around `delay` of `speed` [s].
+    """
+
+    topics: tuple[str, ...]
+    speed: ChannelSource
+    max_lag: float = 2.0
+
+
 class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How planar motion is estimated where the log has no velocities of its own.
 
@@ -143,6 +157,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     absent: tuple[str, ...] = ()
     clock: Clock = Clock()
     motion: Motion = Motion()
+    alignment: Alignment | None = None
 
     def without_slope(self) -> "Rig":
         """The same rig with flat ground in place of the driven path's slope (an ablation)."""

@@ -1,0 +1,92 @@
+"""The interface of every dynamics model, and the rollout that training, evaluation and planning share."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from offpiste.trajectory import Carry, History, Terrain, TerrainSource, Trajectory
+
+Step = Callable[[Carry, Tensor, Terrain], Carry]
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What a model must know of the vehicle and of its log.
+
+    Attributes:
+        mass: [kg].
+        wheelbase: [m].
+        max_steer: road-wheel angle at a steering command of 1 [rad].
+        control: names (of `conventions.CONTROL`) that the log has.
+        actuators: names (of `conventions.ACTUATORS`) that the log has.
+    """
+
+    mass: float
+    wheelbase: float
+    max_steer: float
+    control: tuple[str, ...]
+    actuators: tuple[str, ...]
+
+
+class Dynamics(nn.Module, ABC):
+    """A model of how the vehicle moves. Subclasses are final; all are batched and run on any device and float type."""
+
+    vehicle: Vehicle
+
+    @abstractmethod
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+        """What the model remembers at the start of a prediction.
+
+        Args:
+            history: the rows before the start.
+            state, actuators: at the start (row t).
+        """
+
+    @abstractmethod
+    def stepper(self) -> Step:
+        """A step with everything that does not change along a rollout computed once."""
+
+    def step(self, carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
+        """One step of `conventions.DT`.
+
+        Args:
+            control: throttle, brake, steer as commanded during the step.
+            terrain: under each wheel now; fields are [B, 4, ...].
+        """
+        return self.stepper()(carry, control, terrain)
+
+
+def rollout(
+    dynamics: Dynamics, carry: Carry, controls: Float[Tensor, "B T 3"], source: TerrainSource
+) -> Trajectory:
+    """Predict T steps.
+
+    Args:
+        carry: from `dynamics.start`.
+        controls: as commanded during each step.
+        source: asked for the ground under the wheels before each step.
+    """
+    step = dynamics.stepper()
+    states, actuators = [], []
+    for t, control in enumerate(controls.unbind(dim=1)):
+        carry = step(carry, control, source.at(t, carry.state))
+        states.append(carry.state)
+        actuators.append(carry.actuators)
+    return Trajectory(torch.stack(states, dim=1), torch.stack(actuators, dim=1))
+
+
+def as_callable(
+    dynamics: Dynamics, source: TerrainSource
+) -> Callable[[Float[Tensor, "B P"], Float[Tensor, "B 3"], int], Float[Tensor, "B P"]]:
+    """The model as `f(packed carry, control, t) -> packed carry`, as pytorch_mppi and similar planners want it."""
+    step = dynamics.stepper()
+
+    def call(packed: Float[Tensor, "B P"], control: Float[Tensor, "B 3"], t: int = 0) -> Float[Tensor, "B P"]:
+        carry = Carry.unpack(packed)
+        return step(carry, control, source.at(t, carry.state)).pack()
+
+    return call

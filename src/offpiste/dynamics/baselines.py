@@ -1,0 +1,122 @@
+"""Models to be better than: constant motion, a kinematic bicycle, and a recurrent network without physics."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.conventions import DT
+from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.base import Dynamics, Step, Vehicle
+from offpiste.dynamics.inputs import body_normal, drive_train, select_present
+from offpiste.dynamics.recurrent import Compensator
+from offpiste.trajectory import Carry, History, Terrain
+
+
+class ConstantMotion(Dynamics):
+    """Constant turn rate and velocity (`ctrv`): vx, vy and yaw rate stay as they are."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
+        self.vehicle = vehicle
+
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+        """Nothing but the state."""
+        nothing = state.new_zeros(len(state), 0)
+        return Carry(state, actuators, nothing, nothing)
+
+    def stepper(self) -> Step:
+        """Integrate the pose."""
+
+        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
+            return Carry(_moved(carry.state, carry.state[:, 3:]), carry.actuators, carry.hidden, carry.cell)
+
+        return step
+
+
+class Kinematic(Dynamics):
+    """Bicycle at constant speed that turns by its geometry (`kinematic`): yaw rate = v tan(delta) / wheelbase.
+
+    A steering angle that the log records follows its command through the fitted delay model, as in every other model.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
+        self.vehicle = vehicle
+        self.actuators = Actuators(vehicle)
+
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+        """Only the actuators' residuals remember anything."""
+        return Carry(state, actuators, *self.actuators.start(history))
+
+    def stepper(self) -> Step:
+        """Integrate the pose along the steered arc."""
+        lags = self.actuators.constants()
+
+        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
+            steer = drive_train(self.vehicle, carry.state, carry.actuators, control).steer
+            vx, vy = carry.state[:, 3], carry.state[:, 4]
+            yaw_rate = vx * torch.tan(steer) / self.vehicle.wheelbase
+            state = _moved(carry.state, torch.stack((vx, vy, yaw_rate), dim=-1))
+            return Carry(state, *self.actuators.step(lags, carry.actuators, control, vx, carry.hidden, carry.cell))
+
+        return step
+
+
+class Recurrent(Dynamics):
+    """An LSTM without physics (`lstm`): the same network as the hybrid's, but it predicts accelerations by itself."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
+        self.vehicle = vehicle
+        self.actuators = Actuators(vehicle)
+        self.network = Compensator(3 + len(vehicle.actuators) + len(vehicle.control) + 3, 3)
+
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+        """The LSTM's state comes from the last 0.2 s."""
+        hidden, cell = self.network.start(self.recorded_inputs(history))
+        others = self.actuators.start(history)
+        return Carry(state, actuators, torch.cat((hidden, others[0]), -1), torch.cat((cell, others[1]), -1))
+
+    def stepper(self) -> Step:
+        """Accelerations from the network, pose by integration."""
+        lags = self.actuators.constants()
+        sizes = [self.network.hidden, self.actuators.hidden]
+
+        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
+            hidden, hidden_lags = carry.hidden.split(sizes, dim=-1)
+            cell, cell_lags = carry.cell.split(sizes, dim=-1)
+            seen = self._inputs(carry.state, carry.actuators, control, terrain)
+            acceleration, hidden, cell = self.network(seen, hidden, cell)
+            state = _moved(carry.state, carry.state[:, 3:] + DT * acceleration)
+            actuators, hidden_lags, cell_lags = self.actuators.step(
+                lags, carry.actuators, control, carry.state[:, 3], hidden_lags, cell_lags
+            )
+            return Carry(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
+
+        return step
+
+    def recorded_inputs(self, history: History) -> Float[Tensor, "B H I"]:
+        """What the network would have seen at recorded rows."""
+        return self._inputs(history.state, history.actuators, history.control, history.terrain)
+
+    def _inputs(
+        self,
+        state: Float[Tensor, "*B 6"],
+        actuators: Float[Tensor, "*B 4"],
+        control: Float[Tensor, "*B 3"],
+        terrain: Terrain,
+    ) -> Float[Tensor, "*B I"]:
+        present = select_present(self.vehicle, actuators, control)
+        return torch.cat(
+            (state[..., 3:], torch.stack(present, dim=-1), body_normal(terrain, state[..., 2])), dim=-1
+        )
+
+
+def _moved(state: Float[Tensor, "B 6"], velocity: Float[Tensor, "B 3"]) -> Float[Tensor, "B 6"]:
+    """The pose carried on with the present velocities for one step, and the next velocities."""
+    px, py, yaw, vx, vy, _ = state.unbind(-1)
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    pose = torch.stack(
+        (px + DT * (cos * vx - sin * vy), py + DT * (sin * vx + cos * vy), yaw + DT * velocity[:, 2]), dim=-1
+    )
+    return torch.cat((pose, velocity), dim=-1)

@@ -1,0 +1,177 @@
+"""The physics of the parametric bicycle, once, as functions of plain scalars (paper, eqs. 1-4).
+
+The elementary functions are passed in: with torch's the functions below are the reference on batches, with SymPy's they
+are expressions from which kernels are derived. docs/method.md lists what differs from the paper as printed, and why.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+Scalar = Any
+"""A number, a tensor of any shape, or a symbol."""
+
+
+class Elementary(NamedTuple):
+    """The functions that the physics is written with."""
+
+    sin: Callable[[Scalar], Scalar]
+    cos: Callable[[Scalar], Scalar]
+    tanh: Callable[[Scalar], Scalar]
+    atan: Callable[[Scalar], Scalar]
+    maximum: Callable[[Scalar, Scalar], Scalar]
+
+
+class Constants(NamedTuple):
+    """Constants of eqs. 1-4 after their constraints (`offpiste.dynamics.constants`), forces in N.
+
+    Attributes:
+        drive_1, drive_2: P(u_th) = drive_1 u + drive_2 u^2, >= 0 and rising on [0, 1] [N].
+        engine_1, engine_2: P(x_rpm) = 1 + engine_1 x + engine_2 x^2, x in 1000 rev/min (or 10 m/s, reduced).
+        brake_1, brake_2: P(x_br) = brake_1 x + brake_2 x^2, >= 0 [N].
+        resistance, resistance_slope: beta(vx) = resistance tanh(resistance_slope vx) [N, s/m].
+        rear_peak, rear_shape, rear_stiffness: D_R > 0 [N], 0 < C_R < pi, B_R > 0.
+        front_peak, front_shape, front_stiffness: D_F, C_F, B_F.
+        rear_length, front_length: L_R, L_F > 0: pose point to axle [m].
+        min_slip_speed: C_max [m/s], bounded below for Euler's sake.
+        yaw_gain: C_r / C_L [1/(m s)]: only the ratio can be identified.
+        yaw_damping: C_{r,d} [1/s].
+        drag_x, drag_y: C_{x,d}, C_{y,d} >= 0 [1/m].
+        gravity_x, gravity_y: C_{x,g}, C_{y,g} > 0 [m/s^2].
+        mass: m, from the rig [kg].
+    """
+
+    drive_1: Scalar
+    drive_2: Scalar
+    engine_1: Scalar
+    engine_2: Scalar
+    brake_1: Scalar
+    brake_2: Scalar
+    resistance: Scalar
+    resistance_slope: Scalar
+    rear_peak: Scalar
+    rear_shape: Scalar
+    rear_stiffness: Scalar
+    front_peak: Scalar
+    front_shape: Scalar
+    front_stiffness: Scalar
+    rear_length: Scalar
+    front_length: Scalar
+    min_slip_speed: Scalar
+    yaw_gain: Scalar
+    yaw_damping: Scalar
+    drag_x: Scalar
+    drag_y: Scalar
+    gravity_x: Scalar
+    gravity_y: Scalar
+    mass: Scalar
+
+
+class Force(NamedTuple):
+    """The vector F of eq. 1: forward and lateral tyre forces [N], yaw acceleration [rad/s^2]."""
+
+    forward: Scalar
+    lateral_front: Scalar
+    lateral_rear: Scalar
+    yaw: Scalar
+
+
+class Rates(NamedTuple):
+    """Time derivatives of the state (eq. 4): m/s, m/s, rad/s, m/s^2, m/s^2, rad/s^2."""
+
+    px: Scalar
+    py: Scalar
+    yaw: Scalar
+    vx: Scalar
+    vy: Scalar
+    yaw_rate: Scalar
+
+
+STANDSTILL = 0.25
+"""Below about this speed [m/s] forces that oppose motion fade out (their tanh(vx / STANDSTILL))."""
+
+
+def slip_angles(
+    vx: Scalar, vy: Scalar, yaw_rate: Scalar, steer: Scalar, c: Constants, f: Elementary
+) -> tuple[Scalar, Scalar]:
+    """Slip angles of the rear and the front tyre [rad] (eqs. 2-3).
+
+    |vx| for vx, and a steering term that fades at standstill: as printed, a parked car with turned wheels drives off.
+    """
+    forward = f.maximum(f.maximum(vx, -vx), c.min_slip_speed)
+    rear = f.atan((vy - c.rear_length * yaw_rate) / forward)
+    front = f.atan((vy + c.front_length * yaw_rate) / forward) - steer * f.tanh(vx / c.min_slip_speed)
+    return rear, front
+
+
+def forces(
+    vx: Scalar,
+    vy: Scalar,
+    yaw_rate: Scalar,
+    brake: Scalar,
+    steer: Scalar,
+    engine: Scalar,
+    throttle: Scalar,
+    normal_z: Scalar,
+    c: Constants,
+    f: Elementary,
+) -> Force:
+    """The force vector F (eq. 1).
+
+    Args:
+        vx, vy: body velocity [m/s].
+        yaw_rate: [rad/s].
+        brake: x_br, brake pressure [0..1].
+        steer: delta, road-wheel angle, + left [rad].
+        engine: x_rpm [1000 rev/min], or its reduced form (`offpiste.dynamics.inputs`).
+        throttle: u_th [0..1].
+        normal_z: eta_z, vertical part of the mean surface normal.
+    """
+    rear_slip, front_slip = slip_angles(vx, vy, yaw_rate, steer, c, f)
+    drive = (1 + c.engine_1 * engine + c.engine_2 * engine * engine) * (
+        c.drive_1 * throttle + c.drive_2 * throttle * throttle
+    )
+    braking = (c.brake_1 * brake + c.brake_2 * brake * brake) * f.tanh(vx / STANDSTILL)
+    rolling = c.resistance * f.tanh(c.resistance_slope * vx)
+    return Force(
+        forward=(drive - braking - rolling) * normal_z,
+        lateral_front=-c.front_peak * f.sin(c.front_shape * f.tanh(c.front_stiffness * front_slip)) * normal_z,
+        lateral_rear=-c.rear_peak * f.sin(c.rear_shape * f.tanh(c.rear_stiffness * rear_slip)) * normal_z,
+        yaw=c.yaw_gain * vx * steer - c.yaw_damping * yaw_rate,
+    )
+
+
+def rates(
+    yaw: Scalar,
+    vx: Scalar,
+    vy: Scalar,
+    yaw_rate: Scalar,
+    steer: Scalar,
+    normal_x: Scalar,
+    normal_y: Scalar,
+    force: Force,
+    c: Constants,
+    f: Elementary,
+) -> Rates:
+    """h(F, x): from forces to the derivatives of the state (eq. 4).
+
+    Args:
+        normal_x, normal_y: eta_x, eta_y of the mean surface normal in the planar body frame; the normal tilts back when
+            the nose goes up, so gravity enters with a plus.
+    """
+    sin_steer, cos_steer = f.sin(steer), f.cos(steer)
+    sin_yaw, cos_yaw = f.sin(yaw), f.cos(yaw)
+    speed_x, speed_y = f.maximum(vx, -vx), f.maximum(vy, -vy)
+    return Rates(
+        px=cos_yaw * vx - sin_yaw * vy,
+        py=sin_yaw * vx + cos_yaw * vy,
+        yaw=yaw_rate,
+        vx=((1 + cos_steer) * force.forward - force.lateral_front * sin_steer) / c.mass
+        - c.drag_x * vx * speed_x
+        + c.gravity_x * normal_x
+        + vy * yaw_rate,
+        vy=(force.lateral_rear + cos_steer * force.lateral_front + force.forward * sin_steer) / c.mass
+        - c.drag_y * vy * speed_y
+        + c.gravity_y * normal_y
+        - vx * yaw_rate,
+        yaw_rate=force.yaw,
+    )

@@ -1,0 +1,96 @@
+"""Angles, quaternions (xyzw), planar rotations and local polynomials. NumPy for rows, torch for batches."""
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """The same angle in [-pi, pi] [rad]; differentiable."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))
+
+
+def rotate_by_minus_yaw(vectors: Float[Tensor, "... 3"], yaw: Float[Tensor, "..."]) -> Float[Tensor, "... 3"]:
+    """World vectors seen from a frame turned by `yaw` [rad] about z (the rotation that eq. 1's normals need)."""
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    x, y, z = vectors.unbind(-1)
+    return torch.stack((cos * x + sin * y, cos * y - sin * x, z), dim=-1)
+
+
+def planar_body_from_world(
+    vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 2"]:
+    """Horizontal world vectors in the planar body frame: turned by minus yaw."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y = vectors.T
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
+
+
+def rotation_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3 3"]:
+    """Rotation matrices `world_from_body` of quaternions xyzw; they need not be normalised."""
+    x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def yaw_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
+    """Heading of the body's x axis in the horizontal plane, unwrapped over the rows [rad]."""
+    forward = rotation_from_quaternion(quaternion)[:, :, 0]
+    return np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
+
+
+def yaw_rate_from_body_rates(
+    quaternion: Float[np.ndarray, "N 4"], rates_body: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, " N"]:
+    """d(yaw)/dt from the gyro: (q sin(roll) + r cos(roll)) / cos(pitch), the kinematics of Euler angles z-y-x [rad/s]."""
+    rotation = rotation_from_quaternion(quaternion)
+    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
+    cos_pitch = np.hypot(rotation[:, 2, 1], rotation[:, 2, 2])
+    return (rates_body[:, 1] * np.sin(roll) + rates_body[:, 2] * np.cos(roll)) / np.maximum(cos_pitch, 1e-6)
+
+
+def local_polynomial(
+    time: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "n k"],
+    at: Float[np.ndarray, " N"],
+    *,
+    window: float,
+    causal: bool,
+    degree: int = 2,
+) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k"]]:
+    """Least-squares polynomials through the samples around each moment, evaluated there.
+
+    The Savitzky-Golay idea (Anal. Chem. 36, 1964) on stamps that need not be even.
+
+    Args:
+        time: stamps, strictly increasing.
+        at: moments to estimate at.
+        window: span of the samples used, [at - window/2, at + window/2], or [at - window, at] if `causal`, in `time`'s unit.
+        causal: look only at samples stamped at or before each moment.
+        degree: of the polynomial.
+
+    Returns:
+        values and their first derivatives; NaN where a window holds fewer than degree + 2 samples.
+    """
+    first, last = (at - window, at) if causal else (at - window / 2, at + window / 2)
+    begin = np.searchsorted(time, first - 1e-9, side="left")
+    end = np.searchsorted(time, last + 1e-9, side="right")
+    width = max(int((end - begin).max(initial=0)), 1)
+    index = begin[:, None] + np.arange(width)
+    inside = index < end[:, None]
+    index = np.minimum(index, len(time) - 1)
+
+    offset = np.where(inside, (time[index] - at[:, None]) / window, 0.0)
+    powers = offset[:, :, None] ** np.arange(degree + 1) * inside[:, :, None]
+    enough = inside.sum(axis=1) >= degree + 2
+    normal = np.einsum("Nwi,Nwj->Nij", powers, powers)
+    normal[~enough] = np.eye(degree + 1)
+    moments = np.einsum("Nwi,Nwk->Nik", powers, values[index])
+    coefficients = np.linalg.solve(normal, moments)
+    coefficients[~enough] = np.nan
+    return coefficients[:, 0], coefficients[:, 1] / window

@@ -1,0 +1,168 @@
+"""Planar motion on a time grid: smoothed without delay for targets, and as known at the time for starts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.geometry import (
+    local_polynomial,
+    planar_body_from_world,
+    rotation_from_quaternion,
+    yaw_from_quaternion,
+    yaw_rate_from_body_rates,
+)
+from offpiste.logs.drive import Channel, Drive
+
+_MOVING = 0.2
+"""Below this speed [m/s] the vehicle stands, and noise is not counted as path."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Planar states at N moments (`offpiste.conventions.STATE`); NaN where the log does not tell.
+
+    Attributes:
+        state: targets; where velocities come from the pose, smoothed with zero phase.
+        state_causal: estimated from samples stamped at or before each moment only.
+    """
+
+    state: Float[np.ndarray, "N 6"]
+    state_causal: Float[np.ndarray, "N 6"]
+
+
+def estimate_motion(drive: Drive, at: Float[np.ndarray, " N"]) -> Motion:
+    """Planar states of a drive at the moments `at` [s].
+
+    The log's own velocities are used where the rig says which frame they are in; otherwise local
+    polynomials through the pose give position, heading and their rates together.
+    """
+    return Motion(_smoothed(drive, at), _causal(drive, at))
+
+
+def heading(drive: Drive) -> Channel:
+    """Yaw at the native stamps, unwrapped [rad]."""
+    if "yaw" in drive.channels:
+        channel = drive.channels["yaw"]
+        yaw = np.unwrap(channel.values[:, 0])
+    else:
+        channel = drive.channels["orientation"]
+        yaw = yaw_from_quaternion(channel.values)
+    return Channel("yaw", "rad", channel.time, yaw[:, None])
+
+
+def driven_slope(
+    position: Float[np.ndarray, "N 3"], speed: Float[np.ndarray, " N"], *, dt: float, length: float
+) -> Float[np.ndarray, " N"]:
+    """Slope of the driven path, dz/ds, the stand-in for the ground's where a log has no map.
+
+    Fitted over metres of path, not over seconds: smoothing over time would let braking dips of the body through.
+
+    Args:
+        position: smoothed positions, z up [m]; rows with NaN give NaN.
+        speed: horizontal speed [m/s].
+        dt: time step of the rows [s].
+        length: metres of path behind one estimate.
+    """
+    known = np.isfinite(position).all(axis=1) & np.isfinite(speed)
+    slope = np.full(len(position), np.nan)
+    if not known.any():
+        return slope
+    step = np.where(known & (speed > _MOVING), np.nan_to_num(speed), 0.0) * dt
+    distance = np.cumsum(step)
+    spacing = 0.1
+    # One elevation a 0.1 m of path: a vehicle at rest must not outweigh the path before and after it.
+    cell = np.round(distance[known] / spacing).astype(int)
+    count = np.bincount(cell)
+    filled = count > 0
+    elevation = np.bincount(cell, weights=position[known, 2])[filled] / count[filled]
+    along = np.flatnonzero(filled) * spacing
+    _, fitted = local_polynomial(along, elevation[:, None], along, window=length, causal=False)
+    fitted = fitted[:, 0]
+    usable = np.isfinite(fitted)
+    slope[known] = np.interp(distance[known], along[usable], fitted[usable]) if usable.any() else 0.0
+    return slope
+
+
+def _smoothed(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
+    gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
+    place, yaw = drive.channels["position"], heading(drive)
+    velocity, rate = _own_velocity(drive), _own_yaw_rate(drive)
+    covered = np.isfinite(place.linear(at, max_gap=gap)[:, 0] + yaw.linear(at, max_gap=gap)[:, 0])
+
+    if velocity is not None:
+        xy, v_world = place.linear(at, max_gap=gap)[:, :2], velocity.linear(at, max_gap=gap)
+    else:
+        xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=False)
+    if rate is not None:
+        psi, psi_rate = yaw.linear(at, max_gap=gap), rate.linear(at, max_gap=gap)
+    else:
+        psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=False)
+    return _assemble(xy, psi, v_world, psi_rate, covered)
+
+
+def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
+    gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
+    place, yaw = drive.channels["position"], heading(drive)
+    velocity, rate = _own_velocity(drive), _own_yaw_rate(drive)
+    covered = np.isfinite(place.hold(at, max_gap=gap)[:, 0] + yaw.hold(at, max_gap=gap)[:, 0])
+
+    if velocity is not None:
+        v_world = velocity.hold(at, max_gap=gap)
+        xy = place.hold(at, max_gap=gap)[:, :2] + _age(place, at)[:, None] * v_world
+    else:
+        xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=True)
+    if rate is not None:
+        psi_rate = rate.hold(at, max_gap=gap)
+        psi = yaw.hold(at, max_gap=gap) + _age(yaw, at)[:, None] * psi_rate
+    else:
+        psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=True)
+    return _assemble(xy, psi, v_world, psi_rate, covered)
+
+
+def _assemble(xy, psi, v_world, psi_rate, covered):  # type: ignore[no-untyped-def]
+    v_body = planar_body_from_world(v_world, psi[:, 0])
+    state = np.concatenate((xy, psi, v_body, psi_rate), axis=1)
+    state[~covered] = np.nan
+    return state
+
+
+def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """Seconds since the last sample."""
+    last = np.maximum(np.searchsorted(channel.time, at, side="right") - 1, 0)
+    return at - channel.time[last]
+
+
+def _own_velocity(drive: Drive) -> Channel | None:
+    """Horizontal world velocity of the log at its native stamps [m/s], if the rig says its frame."""
+    channel = drive.channels.get("linear_velocity")
+    if channel is None:
+        return None
+    frame = drive.rig.channels["linear_velocity"].frame
+    if frame == "unknown":
+        return None
+    if frame == "world":
+        return Channel("velocity", channel.unit, channel.time, channel.values[:, :2])
+    if "orientation" in drive.channels and channel.values.shape[1] == 3:
+        orientation = drive.channels["orientation"].linear(channel.time, max_gap=np.inf)
+        world = np.einsum("Nij,Nj->Ni", rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5)), channel.values)
+        known = np.isfinite(orientation).all(axis=1)
+    else:
+        yaw = heading(drive).linear(channel.time, max_gap=np.inf)[:, 0]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        x, y = channel.values[:, 0], channel.values[:, 1]
+        world, known = np.stack((cos * x - sin * y, sin * x + cos * y), axis=1), np.isfinite(yaw)
+    return Channel("velocity", channel.unit, channel.time[known], world[known, :2])
+
+
+def _own_yaw_rate(drive: Drive) -> Channel | None:
+    """d(yaw)/dt of the log at its native stamps [rad/s], if it has one."""
+    if "yaw_rate" in drive.channels:
+        return drive.channels["yaw_rate"]
+    gyro = drive.channels.get("angular_velocity")
+    if gyro is None or drive.rig.channels["angular_velocity"].frame != "body" or "orientation" not in drive.channels:
+        return None
+    orientation = drive.channels["orientation"].linear(gyro.time, max_gap=np.inf)
+    known = np.isfinite(orientation).all(axis=1)
+    rate = yaw_rate_from_body_rates(orientation[known], gyro.values[known])
+    return Channel("yaw_rate", gyro.unit, gyro.time[known], rate[:, None])
