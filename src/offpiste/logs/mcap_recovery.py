@@ -1,0 +1,142 @@
+"""Messages of an MCAP file that lost its end, or that rosbags refuses: read from its start, without the index."""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Collection, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Schema
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys.msg import normalize_msgtype
+
+from offpiste.errors import LogError
+
+_FORMATS = {
+    "ros1msg": MessageDefinitionFormat.MSG,
+    "ros2msg": MessageDefinitionFormat.MSG,
+    "ros2idl": MessageDefinitionFormat.IDL,
+    "omgidl": MessageDefinitionFormat.IDL,
+}
+_DAMAGE = (McapError, struct.error, ValueError, OverflowError, RuntimeError, zstandard.ZstdError)
+"""What mcap, lz4 and zstandard raise on bytes that are not what they should be."""
+
+
+class StreamedMcap:
+    """The part of rosbags' reader that `BagLog` needs; messages come in the order of the file.
+
+    Attributes:
+        connections: one a channel, with the number of its whole messages.
+        warnings: what is missing, in words.
+
+    Raises:
+        LogError: the file holds no whole record of a channel.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._damaged, self._finished = 0, False
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        counts: Counter[int] = Counter()
+        for record in self._records():
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            else:
+                counts[record.channel_id] += 1
+        if not channels:
+            raise LogError("no whole message in it", where=path, how="record or copy it again")
+        self.connections = [
+            self._connection(channel, schemas.get(channel.schema_id), counts[channel.id])
+            for channel in channels.values()
+        ]
+        self.warnings = self._missing(sum(counts.values()))
+
+    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """Connection, time of arrival [ns] and raw bytes of each whole message."""
+        wanted = {connection.id: connection for connection in connections}
+        for record in self._records():
+            if isinstance(record, Message) and record.channel_id in wanted:
+                yield wanted[record.channel_id], record.log_time, record.data
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+    def _connection(self, channel: Channel, schema: Schema | None, count: int) -> Connection:
+        definition = MessageDefinition(MessageDefinitionFormat.NONE, "")
+        if schema is not None and schema.encoding in _FORMATS:
+            definition = MessageDefinition(_FORMATS[schema.encoding], schema.data.decode("utf-8", "replace"))
+        return Connection(
+            id=channel.id,
+            topic=channel.topic,
+            msgtype=normalize_msgtype(schema.name) if schema is not None else "no type",
+            msgdef=definition,
+            digest="",
+            msgcount=count,
+            ext=ConnectionExtRosbag2(channel.message_encoding, []),
+            owner=self,
+        )
+
+    def _missing(self, kept: int) -> tuple[str, ...]:
+        notes = []
+        if not self._finished:
+            notes.append(
+                f"{self.path}: the MCAP file has no end (the recorder was killed, or the copy cut short);"
+                f" its {kept} whole messages are read; `mcap recover {self.path.name} -o MENDED.mcap` mends it"
+            )
+        if self._damaged:
+            notes.append(f"{self.path}: {self._damaged} damaged records are skipped")
+        return tuple(notes)
+
+    def _records(self) -> Iterator[Schema | Channel | Message]:
+        self._damaged = 0
+        with self.path.open("rb") as file:
+            file.seek(8)  # the magic, which `BagLog` has checked
+            yield from self._walk(file, self.path.stat().st_size)
+
+    def _walk(self, file: BinaryIO, size: int) -> Iterator[Schema | Channel | Message]:
+        while len(head := file.read(9)) == 9:
+            opcode, length = struct.unpack("<BQ", head)
+            self._finished = opcode in (Opcode.DATA_END, Opcode.FOOTER)
+            if self._finished or opcode == 0:  # a crash can leave blocks of zeros at the end
+                return
+            body = file.read(min(length, size))
+            whole = len(body) == length
+            try:
+                if opcode == Opcode.CHUNK:
+                    data = _unpack(Chunk.read(ReadDataStream(BytesIO(body))), whole=whole)
+                    yield from self._walk(BytesIO(data), len(data))
+                elif whole and opcode in _READERS:
+                    yield _READERS[opcode](body)
+            except _DAMAGE:
+                self._damaged += whole
+
+
+def _unpack(chunk: Chunk, *, whole: bool) -> bytes:
+    """What a chunk holds; of one that is cut short, as much as can be decompressed."""
+    data: bytes = chunk.data
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data)
+    elif chunk.compression:
+        raise ValueError(f"unknown compression {chunk.compression}")
+    if whole and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("checksum mismatch")
+    return data
+
+
+_READERS = {
+    Opcode.SCHEMA: lambda body: Schema.read(ReadDataStream(BytesIO(body))),
+    Opcode.CHANNEL: lambda body: Channel.read(ReadDataStream(BytesIO(body))),
+    Opcode.MESSAGE: lambda body: Message.read(ReadDataStream(BytesIO(body)), len(body)),
+}

@@ -1,0 +1,239 @@
+"""Tables: `.csv` and `.parquet`, one row a sample, one column a quantity."""
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from jaxtyping import Float
+
+from offpiste.errors import LogError
+from offpiste.logs.log import Log, Samples, Topic
+
+_SECONDS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Units of time in one second."""
+
+_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time")
+_TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
+
+
+class TableLog(Log):
+    """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
+
+    Of a CSV the separator (comma, semicolon, tab, bar) is found out. Empty cells are NaN; a cell that is no number in a
+    column of numbers is an error once that column is read. Text columns are no fields, but ISO 8601 dates can be stamps.
+
+    Args:
+        path: `.csv` or `.parquet`.
+        clock_column: the column of stamps; "" to guess it from the names, of several the most steadily rising one.
+        clock_unit: its unit: s, ms, us or ns; a column of dates needs none.
+
+    Raises:
+        LogError: the file is empty, damaged, or has no such clock column or unit.
+    """
+
+    def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "s") -> None:
+        if clock_unit not in _SECONDS:
+            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one of: {', '.join(_SECONDS)}")
+        self.path, self._per_second = path, _SECONDS[clock_unit]
+        self._is_csv = path.suffix.lower() == ".csv"
+        notes: list[str] = []
+        self._table = _read_csv(path, notes) if self._is_csv else _read_parquet(path)
+        self._columns = tuple(name for name in self._table.column_names if self._is_numeric(name))
+        self._clock = clock_column or self._guess_clock(notes)
+        if self._clock and self._clock not in self._table.column_names:
+            raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {self._listing()}")
+        self.warnings = tuple(notes)
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Whether a file has a table's ending."""
+        return path.is_file() and path.suffix.lower() in (".csv", ".parquet")
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """The table itself."""
+        kind = "CSV table" if self._is_csv else "Parquet table"
+        return {"": Topic("", kind, self._table.num_rows, self._columns)}
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        if not self._clock:
+            how = f"set clock.column in the rig to one of: {self._listing()}"
+            raise LogError("no column looks like time", where=self.path, how=how)
+        values = np.empty((topic.count, len(fields)))
+        for column, field in enumerate(fields):
+            values[:, column] = self._numbers(field)
+        return Samples(self._stamps(self._clock), values)
+
+    def _listing(self) -> str:
+        return ", ".join(self._table.column_names[:40])
+
+    def _is_numeric(self, name: str) -> bool:
+        """Whether most of the first cells are numbers: one bad cell does not make a column of text."""
+        if not self._is_csv:
+            return True  # others were not read
+        cells = self._table[name].drop_null().slice(0, 100).to_pylist()
+        return 2 * sum(_number(cell) is not None for cell in cells) >= len(cells)
+
+    def _guess_clock(self, notes: list[str]) -> str:
+        names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
+        if len(names) < 2:
+            return "".join(names)
+        guess = max(names, key=lambda name: self._share_rising(name))
+        notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
+        return guess
+
+    def _share_rising(self, name: str) -> float:
+        try:
+            return float(np.mean(np.diff(self._stamps(name)) > 0)) if self._table.num_rows > 1 else 0.0
+        except LogError:
+            return -1.0
+
+    def _stamps(self, name: str) -> Float[np.ndarray, " n"]:
+        """A column of stamps [s]."""
+        column = self._table[name]
+        if pa.types.is_string(column.type):
+            dates = _dates(column)
+            if dates is not None:
+                return dates
+        return self._numbers(name) / (1.0 if _has_time_unit(column.type) else self._per_second)
+
+    def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
+        column = self._table[name]
+        if pa.types.is_string(column.type):
+            return self._parsed(name)
+        if _has_time_unit(column.type):
+            return _floats(column.cast(pa.int64())) / _SECONDS[column.type.unit]
+        return _floats(column)
+
+    def _parsed(self, name: str) -> Float[np.ndarray, " n"]:
+        """A CSV column's cells as numbers."""
+        column = pc.utf8_trim_whitespace(self._table[name])
+        try:
+            return _floats(column)
+        except pa.ArrowInvalid:
+            pass
+        values = np.full(len(column), np.nan)
+        for row, cell in enumerate(column.to_pylist()):
+            if cell is None:
+                continue
+            if (number := _number(cell)) is None:
+                raise LogError(
+                    f"row {row + 1} below the header, column '{name}': '{cell[:40]}' is not a number",
+                    where=self.path,
+                    how="mend or empty that cell",
+                )
+            values[row] = number
+        return values
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return _TEXT_BOOLEANS.get(cell.strip().lower())
+
+
+def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
+    values: np.ndarray = column.cast(pa.float64(), safe=False).to_numpy()
+    return values
+
+
+def _dates(column: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
+    """ISO 8601 dates as seconds since 1970, those without a zone as UTC; None where the cells are something else."""
+    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
+        try:
+            return _floats(column.cast(kind).cast(pa.int64())) / 1e9
+        except pa.ArrowInvalid:
+            continue
+    return None
+
+
+def _has_time_unit(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+
+
+def _is_readable(kind: pa.DataType) -> bool:
+    types = pa.types
+    return bool(
+        types.is_integer(kind)
+        or types.is_floating(kind)
+        or types.is_boolean(kind)
+        or types.is_decimal(kind)
+        or _has_time_unit(kind)
+    )
+
+
+def _read_parquet(path: Path) -> pa.Table:
+    try:
+        with pq.ParquetFile(path) as file:
+            columns = [field.name for field in file.schema_arrow if _is_readable(field.type)]
+            table = file.read(columns=columns)
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
+    _check_columns(path, columns)
+    return table
+
+
+def _read_csv(path: Path, notes: list[str]) -> pa.Table:
+    """All columns as text: what a column is, and where a cell is wrong, is told from the text."""
+    header, first_row = _first_lines(path)
+    delimiter = max(",;\t|", key=header.count)
+    comma = delimiter == ";" and re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", first_row) is not None
+    if delimiter != ",":
+        decimals = ", decimals by ','" if comma else ""
+        notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab"))
+    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    _check_columns(path, names)
+    if all(_number(name) is not None for name in names):
+        raise LogError("no header line", where=path, how="write the names of the columns into the first line")
+    try:
+        table = pa_csv.read_csv(
+            path,
+            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=1),
+            parse_options=pa_csv.ParseOptions(delimiter=delimiter),
+            convert_options=pa_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
+            ),
+        )
+    except (pa.ArrowException, OSError) as error:
+        how = "mend that line; the text must be UTF-8"
+        raise LogError(str(error), where=path, how=how) from error
+    if table.num_rows == 0:
+        raise LogError("no row below the header", where=path, how="record or export it again")
+    if comma:
+        columns = [pc.replace_substring(column, ",", ".") for column in table.columns]
+        table = pa.table(columns, names=names)
+    return table
+
+
+def _first_lines(path: Path) -> tuple[str, str]:
+    try:
+        with path.open("rb") as file:
+            lines = file.readline(1 << 20), file.readline(1 << 20)
+    except OSError as error:
+        raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
+    if not lines[0].strip():
+        raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
+    try:
+        header, first_row = (line.decode("utf-8-sig").rstrip("\r\n") for line in lines)
+    except UnicodeDecodeError as error:
+        raise LogError("the text is not UTF-8", where=path, how="save it as UTF-8") from error
+    if "\0" in header:
+        raise LogError("not a text file", where=path, how="save it as UTF-8 text with a header line")
+    if not lines[1]:
+        raise LogError("no row below the header", where=path, how="record or export it again")
+    return header, first_row
+
+
+def _check_columns(path: Path, names: list[str]) -> None:
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise LogError(f"column '{repeated[0]}' appears twice", where=path, how="give every column its own name")
+    if not names:
+        raise LogError("no column of numbers", where=path, how="export the quantities as numbers")
