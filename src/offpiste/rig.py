@@ -36,6 +36,7 @@ CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "steer_angle": ("rad", (1,)),
     "steer_rate": ("rad/s", (1,)),
     "engine_rpm": ("1000 rev/min", (1,)),
+    "wheel_speed": ("m/s", (1, 2, 4)),
 }
 """Channel name -> (unit inside offpiste, allowed numbers of fields)."""
 

@@ -1,6 +1,7 @@
 """Recorded drives in any format -> named channels in SI units."""
 
-from offpiste.logs.drive import Channel, Drive, read_drive
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive, read_drive
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.logs.open import open_log
 

@@ -4,12 +4,15 @@ Buses and bridges stamp messages when they arrive. In the TartanDrive 2 drives t
 early and 1.5 s late, changing within seconds: a constant delay cannot mend that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.logs.drive import Channel
+from offpiste.geometry import local_polynomial
+from offpiste.logs.channel import Channel, read_channel
+from offpiste.logs.log import Log
+from offpiste.rig import Alignment, Rig
 
 _BIN = 0.1
 """Time step of the lag [s]."""
@@ -34,6 +37,39 @@ class ClockLag:
         before = np.minimum(stamps - stamped[0], 0.0)
         after = np.maximum(stamps - stamped[-1], 0.0)
         return inside + before + after
+
+
+def align_clock(
+    log: Log, rig: Rig, alignment: Alignment, channels: dict[str, Channel]
+) -> tuple[dict[str, Channel], list[str]]:
+    """Move the channels of a drifting clock to the pose's clock; also says by how much, in words.
+
+    The whole drive is used, as in any synchronisation after the fact: a planner on the vehicle has no such lag.
+    """
+    # Wheels are read like a velocity of two components, one a field; their mean is the speed.
+    wheels, _ = read_channel(log, rig, "wheel_speed", alignment.speed)
+    speed = Channel("wheel_speed", wheels.unit, wheels.time, wheels.values.mean(axis=1, keepdims=True))
+    lag = estimate_lag(pose_speed(channels), speed, max_lag=alignment.max_lag)
+    aligned = dict(channels)
+    for name, source in rig.channels.items():
+        if source.topic in alignment.topics:
+            aligned[name] = replace(channels[name], time=lag.happened(channels[name].time))
+    low, middle, high = np.percentile(lag.lag, (5, 50, 95))
+    return aligned, [
+        f"clock of {', '.join(alignment.topics)}: {middle:.2f} s late (5 to 95 %: {low:.2f} to {high:.2f} s); aligned"
+    ]
+
+
+def pose_speed(channels: dict[str, Channel]) -> Channel:
+    """Speed by the pose's clock [m/s]: the length of the log's velocity, which no frame changes, or of the pose's."""
+    velocity = channels.get("linear_velocity")
+    if velocity is not None:
+        return replace(velocity, name="speed", values=np.linalg.norm(velocity.values, axis=1, keepdims=True))
+    place = channels["position"]
+    _, rate = local_polynomial(place.time, place.values[:, :2], place.time, window=0.3, causal=False)
+    known = np.isfinite(rate).all(axis=1)
+    speed = np.linalg.norm(rate[known], axis=1, keepdims=True)
+    return Channel("speed", "m/s", place.time[known], speed)
 
 
 def estimate_lag(

@@ -12,7 +12,8 @@ from offpiste.geometry import (
     yaw_from_quaternion,
     yaw_rate_from_body_rates,
 )
-from offpiste.logs.drive import Channel, Drive
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
 
 _MOVING = 0.2
 """Below this speed [m/s] the vehicle stands, and noise is not counted as path."""
