@@ -105,7 +105,7 @@ class BagLog(Log):
         getters = [_getter(field) for field in fields]
         time, rows = [], []
         for received, message in self._messages(topic.name, topic.type):
-            time.append(((stamps == "header" and _header_stamp(message)) or received) / 1e9)
+            time.append(((stamps == "header" and _header_stamp(message)) or received) / 10**9)  # exact, unlike 1e9
             rows.append([get(message) for get in getters])
         if len(time) < topic.count:
             raise LogError(

@@ -4,9 +4,8 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
-from io import BytesIO
+from io import BufferedReader, BytesIO
 from pathlib import Path
-from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -94,7 +93,7 @@ class StreamedMcap:
                 f" its {kept} whole messages are read; `mcap recover {self.path.name} -o MENDED.mcap` mends it"
             )
         if self._damaged:
-            notes.append(f"{self.path}: {self._damaged} damaged records are skipped")
+            notes.append(f"{self.path}: damaged records that are skipped: {self._damaged}")
         return tuple(notes)
 
     def _records(self) -> Iterator[Schema | Channel | Message]:
@@ -103,7 +102,7 @@ class StreamedMcap:
             file.seek(8)  # the magic, which `BagLog` has checked
             yield from self._walk(file, self.path.stat().st_size)
 
-    def _walk(self, file: BinaryIO, size: int) -> Iterator[Schema | Channel | Message]:
+    def _walk(self, file: BufferedReader | BytesIO, size: int) -> Iterator[Schema | Channel | Message]:
         while len(head := file.read(9)) == 9:
             opcode, length = struct.unpack("<BQ", head)
             self._finished = opcode in (Opcode.DATA_END, Opcode.FOOTER)

@@ -26,7 +26,7 @@ class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
     Of a CSV the separator (comma, semicolon, tab, bar) is found out. Empty cells are NaN; a cell that is no number in a
-    column of numbers is an error once that column is read. Text columns are no fields, but ISO 8601 dates can be stamps.
+    column of numbers is an error once that column is read. Text is no field, but ISO 8601 dates can be stamps.
 
     Args:
         path: `.csv` or `.parquet`.
@@ -183,7 +183,7 @@ def _read_parquet(path: Path) -> pa.Table:
 def _read_csv(path: Path, notes: list[str]) -> pa.Table:
     """All columns as text: what a column is, and where a cell is wrong, is told from the text."""
     header, first_row = _first_lines(path)
-    delimiter = max(",;\t|", key=header.count)
+    delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
     comma = delimiter == ";" and re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", first_row) is not None
     if delimiter != ",":
         decimals = ", decimals by ','" if comma else ""

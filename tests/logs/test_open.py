@@ -1,0 +1,90 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from offpiste.errors import LogError
+from offpiste.logs.bags import BagLog
+from offpiste.logs.open import open_log
+from offpiste.logs.tables import TableLog
+from offpiste.logs.tartandrive import TartanDriveLog
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> dict[str, Path]:
+    odometry = tmp_path / "tartan" / "odom"
+    odometry.mkdir(parents=True)
+    np.save(odometry / "odometry.npy", np.array([[1.0, 2.0]]))
+    (odometry / "timestamps.txt").write_text("5.0\n")
+    (tmp_path / "table.csv").write_text("tick,x\n2000,7\n")
+    bag = tmp_path / "bag" / "bag_0.mcap"
+    bag.parent.mkdir()
+    with bag.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data\n")
+        channel = writer.register_channel("/speed", "cdr", schema)
+        writer.add_message(channel, 10**9, b"\x00\x01\x00\x00" + np.float64(3.5).tobytes(), 10**9)
+        writer.finish()
+    return {"tartan": tmp_path / "tartan", "table": tmp_path / "table.csv", "bag": bag.parent, "mcap": bag}
+
+
+def test_the_reader_fits_the_path(logs: dict[str, Path]) -> None:
+    assert isinstance(open_log(logs["tartan"]), TartanDriveLog)
+    assert isinstance(open_log(logs["table"]), TableLog)
+    assert isinstance(open_log(logs["bag"]), BagLog)
+    assert isinstance(open_log(str(logs["mcap"])), BagLog)
+
+
+def test_real_logs(data_folder: Path) -> None:
+    for path in (data_folder / "bags").glob("*.*"):
+        assert isinstance(open_log(path), BagLog)
+    for path in (data_folder / "tartandrive2" / "drives").iterdir():
+        assert isinstance(open_log(path), TartanDriveLog)
+    for path in (data_folder / "dart").glob("*/*.csv"):
+        assert isinstance(open_log(path), TableLog)
+
+
+def test_clock_reaches_the_table(logs: dict[str, Path]) -> None:
+    samples = open_log(logs["table"], clock_column="tick", clock_unit="ms").read("", ["x"])
+    assert (samples.time.tolist(), samples.values.tolist()) == ([2.0], [[7.0]])
+
+
+def test_bag_without_a_header_is_stamped_on_arrival(logs: dict[str, Path]) -> None:
+    samples = open_log(logs["bag"]).read("/speed", ["data"], stamps="header")
+    assert (samples.time.tolist(), samples.values.tolist()) == ([1.0], [[3.5]])
+
+
+@pytest.mark.parametrize("name", ["tartan", "table", "bag", "mcap"])
+def test_links_and_dots_in_a_path_are_harmless(logs: dict[str, Path], tmp_path: Path, name: str) -> None:
+    path = logs[name]
+    link = tmp_path / f"link{path.suffix}"
+    link.symlink_to(path)
+    around = path.parent / ".." / path.parent.name / path.name
+    plain = open_log(path, clock_column="tick" if name == "table" else "")
+    for other in (link, around):
+        log = open_log(other, clock_column="tick" if name == "table" else "")
+        assert log.topics == plain.topics
+        (topic,) = log.topics.values()
+        np.testing.assert_array_equal(
+            log.read(topic.name, topic.fields).values, plain.read(topic.name, topic.fields).values
+        )
+
+
+def test_dangling_link(tmp_path: Path) -> None:
+    (tmp_path / "a.bag").symlink_to(tmp_path / "gone.bag")
+    with pytest.raises(LogError, match=r"a\.bag: no such file or folder"):
+        open_log(tmp_path / "a.bag")
+
+
+def test_no_such_path(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"drive\.mcap: no such file or folder"):
+        open_log(tmp_path / "drive.mcap")
+
+
+def test_unknown_format(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    for path in (tmp_path, tmp_path / "notes.txt"):
+        with pytest.raises(LogError, match=r"no known log format; give a \.bag, \.mcap, \.db3, \.csv, \.parquet"):
+            open_log(path)

@@ -1,0 +1,121 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.errors import LogError
+from offpiste.logs.tartandrive import TartanDriveLog
+
+
+def modality(drive: Path, name: str, array: np.ndarray, stamps: np.ndarray | None = None) -> Path:
+    folder = drive / name
+    folder.mkdir(parents=True)
+    np.save(folder / "data.npy", array)
+    np.savetxt(folder / "timestamps.txt", np.arange(len(array)) if stamps is None else stamps)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        (
+            "2023-10-26-14-42-35_turnpike_afternoon_fall",
+            {"cmd": 5041, "controls": 25205, "current_position": 5041, "gps_odom": 25205, "novatel_imu": 50410,
+             "shock_pos": 25205, "steering_angle": 5041, "super_odom": 0, "tartanvo_odom": 5041, "wheel_rpm": 25205},
+        ),
+        (
+            "2023-11-02-16-00-43_down_meadows",
+            {"cmd": 2155, "controls": 10775, "current_position": 2155, "gps_odom": 10775, "novatel_imu": 21550,
+             "shock_pos": 10775, "steering_angle": 2155, "super_odom": 21550, "tartanvo_odom": 2155,
+             "wheel_rpm": 10775},
+        ),
+    ],
+)  # fmt: skip
+def test_real_drives(data_folder: Path, name: str, counts: dict[str, int]) -> None:
+    log = TartanDriveLog(data_folder / "tartandrive2" / "drives" / name)
+    assert {topic: log.topics[topic].count for topic in log.topics} == counts
+    odometry = log.topics["gps_odom"]
+    assert (odometry.type, odometry.fields) == ("odometry.npy", tuple(map(str, range(13))))
+    for topic in log.topics.values():
+        if topic.count:
+            assert log.read(topic.name, topic.fields).values.shape == (topic.count, len(topic.fields))
+    quaternions = log.read("gps_odom", ["3", "4", "5", "6"]).values
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-6)
+
+
+def test_folder_without_array_is_an_empty_topic(tmp_path: Path) -> None:
+    modality(tmp_path, "odom", np.zeros((3, 2)))
+    (tmp_path / "odom" / "data.npy").unlink()
+    log = TartanDriveLog(tmp_path)
+    assert (log.topics["odom"].count, log.topics["odom"].fields) == (0, ())
+    with pytest.raises(LogError, match="topic 'odom' is empty; declare its channels absent in the rig"):
+        log.read("odom", ["0"])
+
+
+def test_missing_topic_and_field(tmp_path: Path) -> None:
+    modality(tmp_path, "odom", np.zeros((3, 2)))
+    log = TartanDriveLog(tmp_path)
+    with pytest.raises(LogError, match="no topic 'imu'; it has: odom"):
+        log.read("imu", ["0"])
+    with pytest.raises(LogError, match=r"topic 'odom' \(data\.npy\) has no field '2'; it has: 0, 1"):
+        log.read("odom", ["0", "2"])
+
+
+def test_numbers_and_stamps_pass_through_unchanged(tmp_path: Path) -> None:
+    values = np.array([[1.0, np.nan], [np.inf, 2.0], [-np.inf, 3.0]], dtype=np.float32)
+    modality(tmp_path, "odom", values, np.array([2.0, 1.0, 1.0]))
+    samples = TartanDriveLog(tmp_path).read("odom", ["1", "0"])
+    np.testing.assert_array_equal(samples.values, values[:, ::-1])
+    assert samples.values.dtype == np.float64
+    assert samples.time.tolist() == [2.0, 1.0, 1.0]
+
+
+def test_array_of_scalars_is_one_column(tmp_path: Path) -> None:
+    modality(tmp_path, "angle", np.array([4, 5, 6], dtype=np.int16))
+    log = TartanDriveLog(tmp_path)
+    assert log.topics["angle"].fields == ("0",)
+    assert log.read("angle", ["0"]).values.tolist() == [[4.0], [5.0], [6.0]]
+
+
+def test_pickle_is_refused(tmp_path: Path) -> None:
+    folder = modality(tmp_path, "odom", np.zeros(1))
+    np.save(folder / "data.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(LogError, match=r"data\.npy: not a readable array: .*; export the folder again") as caught:
+        TartanDriveLog(tmp_path)
+    assert "object" in caught.value.what
+
+
+def test_bare_pickle_is_refused(tmp_path: Path) -> None:
+    folder = modality(tmp_path, "odom", np.zeros(1))
+    (folder / "data.npy").write_bytes(b"\x80\x04]\x94.")
+    with pytest.raises(LogError, match=r"data\.npy: not a readable array: .*; export the folder again"):
+        TartanDriveLog(tmp_path)
+
+
+@pytest.mark.parametrize("keep", [0, 4, 60, -1, -1000])
+def test_array_cut_short(tmp_path: Path, keep: int) -> None:
+    path = modality(tmp_path, "odom", np.zeros((200, 2))) / "data.npy"
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(LogError, match=r"data\.npy: not a readable array: .*; export the folder again"):
+        TartanDriveLog(tmp_path)
+
+
+def test_array_of_text(tmp_path: Path) -> None:
+    modality(tmp_path, "names", np.array(["a", "b"]))
+    with pytest.raises(LogError, match=r"data\.npy: holds <U1, shape \(2,\), not rows of numbers"):
+        TartanDriveLog(tmp_path)
+
+
+def test_more_stamps_than_samples(tmp_path: Path) -> None:
+    modality(tmp_path, "odom", np.zeros((3, 2)), np.arange(4))
+    with pytest.raises(
+        LogError, match="odom: 4 stamps for 3 samples; the folder was cut short or mixed; export it again"
+    ):
+        TartanDriveLog(tmp_path).read("odom", ["0"])
+
+
+def test_stamps_that_are_no_numbers(tmp_path: Path) -> None:
+    folder = modality(tmp_path, "odom", np.zeros((2, 2)))
+    (folder / "timestamps.txt").write_text("0.0\nsoon\n")
+    with pytest.raises(LogError, match=r"timestamps\.txt: stamps are not numbers: .*soon.*; export the folder again"):
+        TartanDriveLog(tmp_path).read("odom", ["0"])
