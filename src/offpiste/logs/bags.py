@@ -19,7 +19,8 @@ from offpiste.errors import LogError
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.logs.mcap_recovery import StreamedMcap
 
-_Reader = rosbag1.Reader | rosbag2.Reader | StreamedMcap
+_Indexed = rosbag1.Reader | rosbag2.Reader
+_Reader = _Indexed | StreamedMcap
 _MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
 _MEND = {
     ".bag": "mend it with `rosbag reindex FILE`, or record or copy it again",
@@ -97,7 +98,7 @@ class BagLog(Log):
             if not connections:
                 continue
             decoders = {c.id: _decoder(c, self.path) for c in connections}
-            with _reported(Path(reader.path), f"topic '{name}' is damaged"):
+            with _reported(Path(str(reader.path)), f"topic '{name}' is damaged"):
                 for connection, received, raw in reader.messages(connections):
                     yield received, decoders[connection.id](raw)
 
@@ -133,7 +134,8 @@ def _getter(field: str) -> Callable[[object], float]:
 
 def _fields(store: Typestore, msgtype: str, first: Callable[[], object], prefix: str = "") -> Iterator[str]:
     """Paths of a type's numbers; `first` gives the topic's first message, where there is one."""
-    for name, (kind, detail) in store.get_msgdef(msgtype).fields:
+    entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
+    for name, (kind, detail) in entries:
         path = prefix + name
         if kind == Nodetype.NAME:
             if detail != "std_msgs/msg/Header":
@@ -154,13 +156,14 @@ def _fields(store: Typestore, msgtype: str, first: Callable[[], object], prefix:
             yield from (f"{path}[{i}]" for i in range(size))
 
 
-def _is_ros1(connection: Connection) -> bool:
-    return isinstance(connection.ext, ConnectionExtRosbag1) or connection.ext.serialization_format == "ros1"
+def _encoding(connection: Connection) -> str:
+    ext = connection.ext
+    return "ros1" if isinstance(ext, ConnectionExtRosbag1) else ext.serialization_format
 
 
 def _decoder(connection: Connection, path: Path) -> Callable[[bytes], object]:
     store, msgtype = _typestore_of(connection, path), connection.msgtype
-    deserialize = store.deserialize_ros1 if _is_ros1(connection) else store.deserialize_cdr
+    deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
     return lambda raw: deserialize(raw, msgtype)
 
 
@@ -170,12 +173,12 @@ def _typestore_of(connection: Connection, path: Path) -> Typestore:
     Raises:
         LogError: no definition, one that cannot be parsed, or an encoding that is not ROS.
     """
-    ros1 = _is_ros1(connection)
-    if not ros1 and connection.ext.serialization_format != "cdr":
-        what = f"{connection.msgtype} is encoded as {connection.ext.serialization_format}, which is not read"
+    encoding = _encoding(connection)
+    if encoding not in ("ros1", "cdr"):
+        what = f"{connection.msgtype} is encoded as {encoding}, which is not read"
         raise LogError(what, where=path, how="record it with `ros2 bag record`")
     try:
-        return _typestore(connection.msgtype, connection.msgdef, ros1)
+        return _typestore(connection.msgtype, connection.msgdef, encoding == "ros1")
     except KeyError as error:
         part = "" if error.args == (connection.msgtype,) else f" (its part {error.args[0]})"
         raise LogError(
@@ -252,7 +255,7 @@ def _open_file(path: Path, notes: list[str]) -> _Reader:
     return reader
 
 
-def _opened(kind: Callable[[Path], _Reader], path: Path) -> _Reader:
+def _opened(kind: Callable[[Path], _Indexed], path: Path) -> _Indexed:
     with _reported(path, "cannot be read"):
         reader = kind(path)
         reader.open()

@@ -84,7 +84,7 @@ class TableLog(Log):
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
         if len(names) < 2:
             return "".join(names)
-        guess = max(names, key=lambda name: self._share_rising(name))
+        guess: str = max(names, key=lambda name: self._share_rising(name))
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
 
