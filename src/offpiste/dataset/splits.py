@@ -1,0 +1,140 @@
+"""Which rows train, validate and test: contiguous stretches with a gap, decided once, never by random windows."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.errors import DatasetError
+
+PARTS = ("train", "validation", "test")
+"""Names of the labels 0, 1, 2; -1 is in no part."""
+
+GAP = HISTORY_STEPS + HORIZON_STEPS
+"""Rows left out where the part changes: no window of one part sees a row of another."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """How rows are labelled.
+
+    Attributes:
+        text: the same as a person writes it: "blocks:0.7,0.1,0.2", "fold:2/5", "places:50", "drives:FILE".
+        kind: blocks, fold, places or drives.
+        fractions: of each drive, in the order of time (blocks).
+        fold: number of the fold from 0, and of how many (fold).
+        cell: side of the squares that go to one part [m] (places).
+        drives: part of each drive by its name (drives).
+    """
+
+    text: str
+    kind: str
+    fractions: tuple[float, ...] = ()
+    fold: tuple[int, int] = (0, 1)
+    cell: float = 0.0
+    drives: tuple[tuple[str, str], ...] = ()
+
+    def label(self, drive: str, position: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, " N"]:
+        """Part of each row of a drive, -1 in gaps.
+
+        Args:
+            drive: its name.
+            position: px, py in the world [m], not relative to the drive, so that places agree between drives.
+
+        Raises:
+            DatasetError: a split by drives does not name this one.
+        """
+        rows = len(position)
+        if self.kind == "blocks":
+            if rows * min(f for f in self.fractions if f > 0) < 2 * GAP:
+                return np.zeros(rows, dtype=np.int8)
+            edges = np.round(np.cumsum(self.fractions) * rows)
+            return _with_gaps(np.searchsorted(edges[:-1], np.arange(rows), side="right"))
+        if self.kind == "fold":
+            return _with_gaps(_fold_labels(rows, *self.fold))
+        if self.kind == "places":
+            return _with_gaps(_place_labels(position, self.cell))
+        parts = dict(self.drives)
+        if drive not in parts:
+            raise DatasetError(f"the split names no part for drive '{drive}'", where=self.text, how="add a line for it")
+        return np.full(rows, PARTS.index(parts[drive]), dtype=np.int8)
+
+
+def parse_split(text: str) -> Split:
+    """A split from its text.
+
+    `blocks:TRAIN,VALIDATION,TEST` fractions of each drive by time; `fold:K/N` part K of N blocks tests, half of the next
+    one validates; `places:METRES` squares of the ground, drawn 70 : 10 : 20; `drives:FILE` a line "NAME PART" a drive.
+
+    Raises:
+        DatasetError: unknown kind, fractions that do not sum to one, a file that cannot be read.
+    """
+    kind, _, rest = text.partition(":")
+    usage = "write blocks:0.7,0.1,0.2, fold:0/5, places:50 or drives:FILE"
+    try:
+        if kind == "blocks":
+            fractions = tuple(float(f) for f in rest.split(","))
+            if len(fractions) == 3 and abs(sum(fractions) - 1) < 1e-6 and min(fractions) >= 0 and fractions[0] > 0:
+                return Split(text, kind, fractions=fractions)
+        elif kind == "fold":
+            number, total = (int(f) for f in rest.split("/"))
+            if total >= 3 and 0 <= number < total:
+                return Split(text, kind, fold=(number, total))
+        elif kind == "places":
+            if float(rest) > 0:
+                return Split(text, kind, cell=float(rest))
+        elif kind == "drives":
+            return Split(text, kind, drives=_read_drives(Path(rest)))
+    except ValueError:
+        pass
+    raise DatasetError(f"not a split: '{text}'", how=usage)
+
+
+def window_starts(
+    usable: Bool[np.ndarray, " N"], *, history: int = HISTORY_STEPS, horizon: int = HORIZON_STEPS
+) -> Int[np.ndarray, " n"]:
+    """Rows t at which rows t - history ... t + horizon are all usable."""
+    run = np.concatenate(([0], np.cumsum(usable)))
+    length = history + horizon + 1
+    if len(usable) < length:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(run[length:] - run[:-length] == length) + history
+
+
+def _with_gaps(label: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+    """Rows just after a change of part belong to none."""
+    label = label.astype(np.int8)
+    for change in np.flatnonzero(np.diff(label)) + 1:
+        label[change : change + GAP] = -1
+    return label
+
+
+def _fold_labels(rows: int, number: int, total: int) -> Int[np.ndarray, " N"]:
+    block = np.arange(rows) * total // max(rows, 1)
+    half = np.arange(rows) * 2 * total // max(rows, 1)
+    label = np.zeros(rows, dtype=np.int8)
+    label[half == 2 * ((number + 1) % total)] = PARTS.index("validation")
+    label[block == number] = PARTS.index("test")
+    return label
+
+
+def _place_labels(position: Float[np.ndarray, "N 2"], cell: float) -> Int[np.ndarray, " N"]:
+    """A square's part follows from its place alone, so that every drive agrees (the hash of Teschner et al. 2003)."""
+    square = np.floor(position / cell).astype(np.int64)
+    hashed = (square[:, 0] * 73856093 ^ square[:, 1] * 19349663) % 1000
+    return np.searchsorted([700, 800], hashed, side="right").astype(np.int8)
+
+
+def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
+    try:
+        lines = [line.split() for line in path.read_text("utf-8").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError("cannot read the split", where=path, how="a line 'NAME PART' a drive") from error
+    for number, line in enumerate(lines, start=1):
+        if len(line) != 2 or line[1] not in PARTS:
+            raise DatasetError(
+                f"line {number} is not 'NAME PART'", where=path, how=f"PART is one of {', '.join(PARTS)}"
+            )
+    return tuple((name, part) for name, part in lines)

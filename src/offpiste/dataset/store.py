@@ -1,0 +1,163 @@
+"""The dataset on disk: Zarr v3, one group a drive, written whole or not at all."""
+
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import zarr
+from jaxtyping import Int
+
+from offpiste.dataset.extract import Rows, present_actuators, present_control
+from offpiste.dataset.splits import Split, parse_split
+from offpiste.errors import DatasetError
+from offpiste.rig import Rig
+
+SCHEMA = 1
+_ROWS = ("time", "state", "state_causal", "actuators", "control", "normal", "valid")
+
+
+@dataclass(frozen=True)
+class StoredDrive:
+    """One drive of a dataset."""
+
+    name: str
+    rows: Rows
+    part: Int[np.ndarray, " N"]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """All drives of a dataset, in the order of their names."""
+
+    path: Path
+    rig: Rig
+    split: Split
+    drives: tuple[StoredDrive, ...]
+
+    def relabelled(self, split: Split) -> "Dataset":
+        """The same rows under another split (folds)."""
+        drives = tuple(
+            StoredDrive(d.name, d.rows, split.label(d.name, d.rows.state[:, :2] + d.rows.origin), d.notes)
+            for d in self.drives
+        )
+        return Dataset(self.path, self.rig, split, drives)
+
+
+def create(path: Path, rig: Rig, split: Split) -> None:
+    """Begin a dataset, or go on with one that was made with the same rig and split.
+
+    Raises:
+        DatasetError: there is something else at `path`, or it was made otherwise.
+    """
+    meta = {
+        "schema": SCHEMA,
+        "made_by": f"offpiste {version('offpiste')}",
+        "rig": msgspec.to_builtins(rig),
+        "split": split.text,
+        "split_drives": [list(pair) for pair in split.drives],
+        "absent": {
+            "control": [name for name in ("throttle", "brake", "steer") if name not in present_control(rig)],
+            "actuators": [
+                name for name in ("brake", "steer", "steer_rate", "engine_rpm") if name not in present_actuators(rig)
+            ],
+        },
+        "pca": None,
+    }
+    if path.exists():
+        found = _attributes(path)
+        for key in ("schema", "rig", "split", "split_drives"):
+            if found.get(key) != json.loads(json.dumps(meta[key])):
+                raise DatasetError(
+                    f"already holds a dataset with another {key}", where=path, how="choose another --out, or delete it"
+                )
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write_whole(path, lambda partial: zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3))
+
+
+def drive_names(path: Path) -> list[str]:
+    """Drives that a dataset holds whole."""
+    return sorted(f.name for f in path.iterdir() if (f / "zarr.json").exists() and not f.name.startswith("."))
+
+
+def add_drive(path: Path, name: str, rows: Rows, split: Split, notes: tuple[str, ...]) -> StoredDrive:
+    """Write one drive into a dataset, whole or not at all."""
+    part = split.label(name, rows.state[:, :2] + rows.origin)
+
+    def write(partial: Path) -> None:
+        attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
+        group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
+        for key, values in {**{key: getattr(rows, key) for key in _ROWS}, "part": part}.items():
+            # One uncompressed chunk an array: windows are read with plain offsets.
+            array = group.create_array(key, shape=values.shape, dtype=values.dtype, chunks=values.shape, compressors=None)
+            array[...] = values
+
+    _write_whole(path / name, write)
+    return StoredDrive(name, rows, part, notes)
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """Read a dataset.
+
+    Raises:
+        DatasetError: none there, of another version, without drives, or a drive that is cut short.
+    """
+    path = Path(path)
+    attributes = _attributes(path)
+    if attributes.get("schema") != SCHEMA:
+        raise DatasetError(
+            f"schema {attributes.get('schema')}, this offpiste reads {SCHEMA}", where=path, how="extract it again"
+        )
+    names = drive_names(path)
+    if not names:
+        raise DatasetError("holds no drive", where=path, how="run `offpiste extract` again; it goes on where it stopped")
+    rig = msgspec.convert(attributes["rig"], type=Rig)
+    split = stored_split(attributes["split"], attributes["split_drives"])
+    return Dataset(path, rig, split, tuple(_read_drive(path, name) for name in names))
+
+
+def stored_split(text: str, drives: list[list[str]]) -> Split:
+    """A split as stored: its text, and for a split by drives their parts rather than the file that named them."""
+    if drives:
+        return Split(text, "drives", drives=tuple((name, part) for name, part in drives))
+    return parse_split(text)
+
+
+def _read_drive(path: Path, name: str) -> StoredDrive:
+    try:
+        group = zarr.open_group(path / name, mode="r")
+        arrays = {key: np.asarray(group[key]) for key in (*_ROWS, "part")}
+        attributes: dict[str, Any] = dict(group.attrs)
+        rows = Rows(origin=np.array(attributes["origin"]), **{key: arrays[key] for key in _ROWS})
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise DatasetError(
+            f"drive '{name}' cannot be read ({type(error).__name__}: {error})",
+            where=path,
+            how=f"delete {path / name} and run `offpiste extract` again",
+        ) from error
+    return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]))
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    try:
+        return dict(zarr.open_group(path, mode="r").attrs)
+    except (OSError, ValueError, KeyError) as error:
+        raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
+
+
+def _write_whole(path: Path, write: Any) -> None:
+    """Write a folder beside its place and move it there when it is complete."""
+    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    try:
+        write(partial)
+        os.replace(partial, path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)

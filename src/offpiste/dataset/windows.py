@@ -1,0 +1,139 @@
+"""Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
+from offpiste.dataset.extract import present_actuators, present_control
+from offpiste.dataset.splits import PARTS, window_starts
+from offpiste.dataset.store import Dataset
+from offpiste.errors import DatasetError
+from offpiste.geometry import wrap_angle
+from offpiste.trajectory import History, Terrain
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Windows side by side. Positions are relative to each window's start; yaw there lies in [-pi, pi].
+
+    Attributes:
+        history: rows t-10 ... t-1.
+        state, actuators: at row t, as a prediction starts from them.
+        control: rows t ... t+T-1.
+        terrain: recorded, rows t ... t+T-1.
+        target: states of rows t+1 ... t+T.
+        target_actuators: actuators of the same rows.
+    """
+
+    history: History
+    state: Float[Tensor, "B 6"]
+    actuators: Float[Tensor, "B 4"]
+    control: Float[Tensor, "B T 3"]
+    terrain: Terrain
+    target: Float[Tensor, "B T 6"]
+    target_actuators: Float[Tensor, "B T 4"]
+
+
+class Windows:
+    """All windows of one part of a dataset whose start is fast enough.
+
+    Args:
+        dataset: rows and split.
+        part: "train", "validation" or "test".
+        start: "causal" starts from the estimate that was known at the time, "smoothed" from the target's.
+        min_speed: of the causal estimate at the start [m/s].
+        horizon: predicted steps.
+        device: where batches are made.
+
+    Raises:
+        DatasetError: the part has no such window.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        part: str,
+        *,
+        start: str = "causal",
+        min_speed: float = MIN_JUDGED_SPEED,
+        horizon: int = HORIZON_STEPS,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.part, self.horizon, self.start = part, horizon, start
+        rows = [drive.rows for drive in dataset.drives]
+        self.device = torch.device(device)
+        self._state = self._column([r.state for r in rows])
+        self._start = self._column([r.state_causal if start == "causal" else r.state for r in rows])
+        self._actuators = self._column([r.actuators for r in rows])
+        self._control = self._column([r.control for r in rows])
+        self._normal = self._column([r.normal[0] for r in rows])
+        self.control, self.actuators = present_control(dataset.rig), present_actuators(dataset.rig)
+
+        offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
+        starts, drives = [], []
+        for number, drive in enumerate(dataset.drives):
+            usable = drive.rows.valid & (drive.part == PARTS.index(part))
+            found = window_starts(usable, horizon=horizon)
+            speed = np.hypot(drive.rows.state_causal[found, 3], drive.rows.state_causal[found, 4])
+            found = found[speed > min_speed]
+            starts.append(offset[number] + found)
+            drives.append(np.full(len(found), number))
+        self.rows: Int[np.ndarray, " n"] = np.concatenate(starts)
+        self.drive: Int[np.ndarray, " n"] = np.concatenate(drives)
+        self.drive_names = tuple(d.name for d in dataset.drives)
+        self._offset = offset
+        if not len(self.rows):
+            seconds = horizon * 0.02
+            raise DatasetError(
+                f"the {part} part has no window of {seconds:g} s that starts above {min_speed:g} m/s",
+                where=dataset.path,
+                how="record a longer drive, or choose another --split",
+            )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def every(self, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
+        """Indices of the windows whose row in their drive is `phase` modulo `stride`."""
+        row = self.rows - self._offset[self.drive]
+        return np.flatnonzero(row % stride == phase % stride)
+
+    def row_in_drive(self, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """Row t of windows, counted in their own drive."""
+        return np.asarray(self.rows[index] - self._offset[self.drive[index]])
+
+    def gather(self, index: Int[np.ndarray, " B"]) -> Batch:
+        """A batch of windows by their indices."""
+        t = torch.as_tensor(self.rows[index], device=self.device)
+        past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
+        now = t[:, None] + torch.arange(self.horizon, device=self.device)
+        ahead = now + 1
+        start = self._start[t]
+        place = torch.zeros_like(start)
+        place[:, :2] = start[:, :2]
+        place[:, 2] = start[:, 2] - wrap_angle(start[:, 2])
+        return Batch(
+            history=History(
+                self._start[past] - place[:, None],
+                self._actuators[past],
+                self._control[past],
+                self._terrain(past),
+            ),
+            state=start - place,
+            actuators=self._actuators[t],
+            control=self._control[now],
+            terrain=self._terrain(now),
+            target=self._state[ahead] - place[:, None],
+            target_actuators=self._actuators[ahead],
+        )
+
+    def _terrain(self, rows: Int[Tensor, "B T"]) -> Terrain:
+        normal = self._normal[rows]
+        return Terrain(normal, normal[..., :0])
+
+    def _column(self, arrays: list[np.ndarray]) -> Tensor:
+        return torch.as_tensor(np.concatenate(arrays), device=self.device)
