@@ -110,9 +110,7 @@ def _derivative(channel: Channel, *, window: float) -> Channel:
     return Channel(f"{channel.name} rate", f"{channel.unit}/s", channel.time[known], rate[known])
 
 
-def _slope(
-    drive: Drive, time: Float[np.ndarray, " N"], state: Float[np.ndarray, "N 6"]
-) -> Float[np.ndarray, " N"]:
+def _slope(drive: Drive, time: Float[np.ndarray, " N"], state: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, " N"]:
     """Slope of the driven path, or flat ground where the rig or the log has no elevation."""
     place = drive.channels["position"]
     if drive.rig.motion.normals == "flat" or place.values.shape[1] < 3:

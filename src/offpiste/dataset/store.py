@@ -97,7 +97,9 @@ def add_drive(path: Path, name: str, rows: Rows, split: Split, notes: tuple[str,
         group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
         for key, values in {**{key: getattr(rows, key) for key in _ROWS}, "part": part}.items():
             # One uncompressed chunk an array: windows are read with plain offsets.
-            array = group.create_array(key, shape=values.shape, dtype=values.dtype, chunks=values.shape, compressors=None)
+            array = group.create_array(
+                key, shape=values.shape, dtype=values.dtype, chunks=values.shape, compressors=None
+            )
             array[...] = values
 
     _write_whole(path / name, write)
@@ -118,7 +120,9 @@ def open_dataset(path: str | Path) -> Dataset:
         )
     names = drive_names(path)
     if not names:
-        raise DatasetError("holds no drive", where=path, how="run `offpiste extract` again; it goes on where it stopped")
+        raise DatasetError(
+            "holds no drive", where=path, how="run `offpiste extract` again; it goes on where it stopped"
+        )
     rig = msgspec.convert(attributes["rig"], type=Rig)
     split = stored_split(attributes["split"], attributes["split_drives"])
     return Dataset(path, rig, split, tuple(_read_drive(path, name) for name in names))

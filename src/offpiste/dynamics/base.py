@@ -60,9 +60,7 @@ class Dynamics(nn.Module, ABC):
         return self.stepper()(carry, control, terrain)
 
 
-def rollout(
-    dynamics: Dynamics, carry: Carry, controls: Float[Tensor, "B T 3"], source: TerrainSource
-) -> Trajectory:
+def rollout(dynamics: Dynamics, carry: Carry, controls: Float[Tensor, "B T 3"], source: TerrainSource) -> Trajectory:
     """Predict T steps.
 
     Args:

@@ -92,9 +92,7 @@ class Hybrid(Dynamics):
         force = parametric_forces(
             self.vehicle, self.bicycle(), history.state, history.actuators, history.control, normal
         )
-        return self._inputs(
-            history.state, history.actuators, history.control, normal, force, history.terrain.latent
-        )
+        return self._inputs(history.state, history.actuators, history.control, normal, force, history.terrain.latent)
 
     def _inputs(
         self,

@@ -54,7 +54,9 @@ def drive_train(
         throttle=commands["throttle"] if "throttle" in vehicle.control else nothing,
         brake=brake,
         steer=steer,
-        engine=measured["engine_rpm"] if "engine_rpm" in vehicle.actuators else state[..., 3].abs() / REDUCED_ENGINE_SPEED,
+        engine=measured["engine_rpm"]
+        if "engine_rpm" in vehicle.actuators
+        else state[..., 3].abs() / REDUCED_ENGINE_SPEED,
     )
 
 

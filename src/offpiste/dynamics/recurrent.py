@@ -18,9 +18,7 @@ class Compensator(nn.Module):
         self.cell = nn.LSTMCell(inputs, hidden)
         self.output = nn.Sequential(nn.Linear(hidden + inputs, width), nn.Tanh(), nn.Linear(width, outputs))
         self.init_cell = nn.LSTM(inputs, init_hidden, batch_first=True)
-        self.init_output = nn.Sequential(
-            nn.Linear(init_hidden, width), nn.Tanh(), nn.Linear(width, 2 * hidden)
-        )
+        self.init_output = nn.Sequential(nn.Linear(init_hidden, width), nn.Tanh(), nn.Linear(width, 2 * hidden))
         self.mean: Tensor
         self.scale: Tensor
         self.register_buffer("mean", torch.zeros(inputs))

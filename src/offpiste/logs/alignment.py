@@ -99,9 +99,7 @@ def estimate_lag(
     return ClockLag(time, lags[_cheapest_path(np.abs(misfit), price)])
 
 
-def _cheapest_path(
-    misfit: Float[np.ndarray, "n L"], price: Float[np.ndarray, "L L"]
-) -> Int[np.ndarray, " n"]:
+def _cheapest_path(misfit: Float[np.ndarray, "n L"], price: Float[np.ndarray, "L L"]) -> Int[np.ndarray, " n"]:
     """Viterbi: the sequence of columns with the least misfit plus price[from, to] of its changes."""
     total = misfit[0].copy()
     came_from = np.zeros(misfit.shape, dtype=np.int64)

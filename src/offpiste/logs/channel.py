@@ -73,7 +73,9 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
 
     forward = _increasing(time)
     if not forward.all():
-        notes.append(f"{name}: {(~forward).sum()} of {len(forward)} stamps repeat or go back; those samples were dropped")
+        notes.append(
+            f"{name}: {(~forward).sum()} of {len(forward)} stamps repeat or go back; those samples were dropped"
+        )
     time, values = time[forward], values[forward]
 
     if len(time) < 0.5 * len(forward):

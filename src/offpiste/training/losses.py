@@ -1,7 +1,5 @@
 """The multi-step loss: errors along the whole horizon, each in units of what a kinematic bicycle gets wrong."""
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -10,21 +8,6 @@ from offpiste.geometry import wrap_angle
 
 COMPONENTS = ("position", "yaw", "vx", "vy", "yaw_rate")
 """[m, rad, m/s, m/s, rad/s]"""
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the components, after each is divided by the kinematic bicycle's mean square error."""
-
-    position: float = 1.0
-    yaw: float = 1.0
-    vx: float = 1.0
-    vy: float = 1.0
-    yaw_rate: float = 1.0
-
-    def vector(self) -> Tensor:
-        """In the order of `COMPONENTS`."""
-        return torch.tensor([self.position, self.yaw, self.vx, self.vy, self.yaw_rate])
 
 
 def squared_errors(predicted: Float[Tensor, "B T 6"], target: Float[Tensor, "B T 6"]) -> Float[Tensor, "B T 5"]:
@@ -45,6 +28,6 @@ def summed_loss(
 
     Args:
         scale: mean square error of `kinematic` on the training windows by component, in the components' units squared.
-        weights: `Weights.vector()`.
+        weights: of the components (`offpiste.training.config.Weights.in_order`).
     """
     return (squared_errors(predicted, target).mean(dim=1) * (weights / scale)).sum(dim=-1)

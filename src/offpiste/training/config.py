@@ -1,0 +1,54 @@
+"""Settings of a training, with defaults that are right for a log of some minutes to some hours."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the loss's components, after each is divided by the kinematic bicycle's mean square error."""
+
+    position: float = 1.0
+    yaw: float = 1.0
+    vx: float = 1.0
+    vy: float = 1.0
+    yaw_rate: float = 1.0
+
+    def in_order(self) -> tuple[float, float, float, float, float]:
+        """In the order of `offpiste.training.losses.COMPONENTS`."""
+        return (self.position, self.yaw, self.vx, self.vy, self.yaw_rate)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Settings of a training.
+
+    Attributes:
+        model: name in `offpiste.dynamics.MODELS`.
+        epochs: passes over the training windows for the model itself.
+        bicycle_epochs: passes that fit the bicycle's constants before the network joins in.
+        actuator_epochs: passes that fit the actuator models before they are frozen.
+        batch: windows a step.
+        stride: rows between the windows of one epoch; the phase changes from epoch to epoch, so all rows are used.
+        learning_rate: of Adam for networks.
+        constants_learning_rate: of Adam for the constants of physics.
+        gradient_clip: largest norm of a gradient.
+        start: states that predictions start from, in training as in use.
+        weights: of the loss's components.
+        seed: of the initial weights and the order of the windows.
+        device: "cpu", "cuda", ...
+    """
+
+    model: str = "b"
+    epochs: int = 30
+    bicycle_epochs: int = 8
+    actuator_epochs: int = 8
+    batch: int = 128
+    stride: int = 5
+    learning_rate: float = 3e-3
+    constants_learning_rate: float = 2e-2
+    gradient_clip: float = 1.0
+    start: Literal["causal", "smoothed"] = "causal"
+    weights: Weights = field(default_factory=Weights)
+    seed: int = 0
+    device: str = "cpu"

@@ -1,0 +1,178 @@
+"""One stage of training: Adam on a multi-step loss, a checkpoint an epoch, the best epoch by validation."""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.errors import TrainingError
+from offpiste.progress import track
+from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
+from offpiste.training.config import TrainConfig
+
+MEND = "lower the learning rate; the last good checkpoint is kept, and --resume goes on from it"
+
+Record = Callable[[dict[str, float | int | str]], None]
+"""Takes one line of metrics."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What one stage fits.
+
+    Attributes:
+        name: of the stage and of its files.
+        module: holds the parameters; those that require no gradient stay.
+        loss: of each window of a batch.
+        epochs: passes over the training windows.
+    """
+
+    name: str
+    module: nn.Module
+    loss: Callable[[Batch], Float[Tensor, " B"]]
+    epochs: int
+
+
+def run_stage(
+    stage: Stage, train: Windows, validation: Windows, config: TrainConfig, folder: Path, record: Record
+) -> None:
+    """Fit the stage's module and leave its best weights in it and in `<folder>/<stage>.safetensors`.
+
+    A finished stage is read back; an interrupted one goes on after its last whole epoch, to the same weights as if it
+    had not been interrupted.
+
+    Raises:
+        TrainingError: a loss or a gradient is not finite. The last good checkpoint stays.
+    """
+    done, running = folder / f"{stage.name}.safetensors", folder / f"{stage.name}.checkpoint.safetensors"
+    if done.exists():
+        load_weights(stage.module, load_tensors(done)[0], done)
+        return
+    state = _State(stage, config)
+    if running.exists():
+        state.restore(running)
+    for epoch in range(state.epoch, stage.epochs):
+        began = time.perf_counter()
+        loss = _train_epoch(stage, state, train, config, epoch)
+        score = mean_loss(stage, validation, config)
+        state.keep_if_best(score)
+        state.epoch = epoch + 1
+        state.save(running)
+        record(
+            {
+                "stage": stage.name,
+                "epoch": epoch + 1,
+                "train_loss": loss,
+                "validation_loss": score,
+                "seconds": round(time.perf_counter() - began, 3),
+            }
+        )
+    load_weights(stage.module, state.best, done)
+    save_tensors(done, state.best, validation_loss=state.best_score)
+    running.unlink(missing_ok=True)
+
+
+def mean_loss(stage: Stage, windows: Windows, config: TrainConfig) -> float:
+    """Mean loss over the judged windows of a part, without gradients."""
+    index = windows.every(config.stride)
+    with torch.no_grad():
+        losses = [stage.loss(windows.gather(part)) for part in np.array_split(index, math.ceil(len(index) / 512))]
+    return float(torch.cat(losses).mean())
+
+
+class _State:
+    """What a checkpoint holds: weights, Adam's moments, the best weights so far, the next epoch."""
+
+    def __init__(self, stage: Stage, config: TrainConfig) -> None:
+        self.module = stage.module
+        free = {p: name for name, p in stage.module.named_parameters() if p.requires_grad}
+        self.names: dict[Tensor, str] = dict(free)
+        constants = [p for p, name in free.items() if name.split(".")[-1] == "raw"]
+        networks = [p for p, name in free.items() if name.split(".")[-1] != "raw"]
+        groups = [(networks, config.learning_rate), (constants, config.constants_learning_rate)]
+        self.optimiser = torch.optim.Adam([{"params": p, "lr": lr, "peak": lr} for p, lr in groups if p])
+        self.best, self.best_score, self.epoch = self._weights(), math.inf, 0
+
+    def keep_if_best(self, score: float) -> None:
+        if score < self.best_score:
+            self.best, self.best_score = self._weights(), score
+
+    def save(self, path: Path) -> None:
+        tensors = {f"now.{name}": value for name, value in self._weights().items()}
+        tensors |= {f"best.{name}": value for name, value in self.best.items()}
+        tensors |= adam_tensors(self.optimiser, self.names)
+        save_tensors(path, tensors, epoch=self.epoch, best_score=self.best_score)
+
+    def restore(self, path: Path) -> None:
+        tensors, about = load_tensors(path)
+        load_weights(self.module, _under("now.", tensors), path)
+        self.best, self.best_score, self.epoch = _under("best.", tensors), about["best_score"], about["epoch"]
+        restore_adam(self.optimiser, self.names, tensors)
+
+    def _weights(self) -> dict[str, Tensor]:
+        return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
+
+
+def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int) -> float:
+    # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
+    rng = np.random.default_rng((config.seed, epoch))
+    order = rng.permutation(train.every(config.stride, phase=int(rng.integers(config.stride))))
+    batches = np.array_split(order, math.ceil(len(order) / config.batch))
+    total = 0.0
+    for number, index in enumerate(track(batches, f"{stage.name} {epoch + 1}/{stage.epochs}")):
+        _set_learning_rate(state.optimiser, (epoch + number / len(batches)) / stage.epochs)
+        where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
+        try:
+            loss = stage.loss(train.gather(index)).mean()
+        except TrainingError as error:
+            raise TrainingError(error.what, where=where, how=error.how) from error
+        if not torch.isfinite(loss):
+            raise TrainingError("the loss is not finite", where=where, how=MEND)
+        state.optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        _check_gradients(state, where)
+        nn.utils.clip_grad_norm_(list(state.names), config.gradient_clip)
+        state.optimiser.step()
+        total += loss.item() * len(index)
+    return total / len(order)
+
+
+def _check_gradients(state: _State, where: str) -> None:
+    for parameter, name in state.names.items():
+        if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
+            raise TrainingError(f"the gradient of '{name}' is not finite", where=where, how=MEND)
+
+
+def _set_learning_rate(optimiser: torch.optim.Adam, progress: float) -> None:
+    """Warm up over the first 5 %, then a half cosine down to a hundredth (Loshchilov and Hutter 2017)."""
+    warm = min(1.0, progress / 0.05 + 0.1)
+    factor = warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+    for group in optimiser.param_groups:
+        group["lr"] = group["peak"] * factor
+
+
+def metrics_writer(path: Path, tell: Callable[[str], None]) -> Record:
+    """Appends each line of metrics to `metrics.jsonl` and tells a person."""
+
+    def record(line: dict[str, float | int | str]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        tell(
+            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
+            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
+        )
+
+    return record

@@ -1,0 +1,137 @@
+"""A trained model on disk: what it is, what it was trained on, and its weights."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.dataset.extract import present_actuators, present_control
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset
+from offpiste.dynamics import MODELS, Dynamics, Vehicle
+from offpiste.errors import RunError
+from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_json, save_tensors
+from offpiste.training.config import TrainConfig, Weights
+from offpiste.training.losses import COMPONENTS
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trained model and what it was trained on.
+
+    Attributes:
+        scale: the loss's units (`kinematic_scale`).
+        split: text of the split it was trained under.
+        seen: (drive, first, last) stretches of time [s] that training or validation used.
+    """
+
+    folder: Path
+    dynamics: Dynamics
+    model: str
+    seed: int
+    weights: Weights
+    scale: Float[Tensor, " 5"]
+    split: str
+    seen: tuple[tuple[str, float, float], ...]
+
+
+def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
+    """Read a finished run.
+
+    Raises:
+        RunError: no run there, not finished, damaged, or of another version.
+    """
+    folder = Path(folder)
+    if (folder / "config.json").exists() and not (folder / "model.json").exists():
+        raise RunError("training has not finished", where=folder, how="go on with `offpiste train --resume`")
+    about = load_json(folder / "model.json")
+    try:
+        vehicle = Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in about["vehicle"].items()})
+        dynamics = build(about["model"], vehicle, seed=about["seed"]).to(device)
+        scale = torch.tensor([about["loss"]["scale"][name] for name in COMPONENTS])
+        weights = Weights(**about["loss"]["weights"])
+        seen = tuple((name, first, last) for name, first, last in about["seen"])
+        split, seed = about["split"], about["seed"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"lacks or misstates {error}", where=folder / "model.json", how="train again") from error
+    load_weights(dynamics, load_tensors(folder / "model.safetensors")[0], folder)
+    return Run(folder, dynamics.eval(), about["model"], seed, weights, scale, split, seen)
+
+
+def save_run(
+    folder: Path, dynamics: Dynamics, config: TrainConfig, dataset: Dataset, scale: Float[Tensor, " 5"]
+) -> None:
+    """Write model.safetensors and model.json; a run is finished once the latter is there."""
+    save_tensors(folder / "model.safetensors", dynamics.state_dict())
+    about = {
+        "schema": 1,
+        "model": config.model,
+        "seed": config.seed,
+        "vehicle": asdict(dynamics.vehicle),
+        "loss": {
+            "weights": asdict(config.weights),
+            "scale": dict(zip(COMPONENTS, scale.tolist(), strict=True)),
+        },
+        "train": asdict(config),
+        "dataset": str(dataset.path.resolve()),
+        "split": dataset.split.text,
+        "seen": seen_stretches(dataset),
+    }
+    save_json(folder / "model.json", about)
+
+
+def seen_stretches(dataset: Dataset) -> list[tuple[str, float, float]]:
+    """(drive, first, last) stretches of time [s] in the parts that training and validation read."""
+    stretches = []
+    for drive in dataset.drives:
+        used = np.isin(drive.part, (PARTS.index("train"), PARTS.index("validation")))
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], used, [False])).astype(int)))
+        for first, last in edges.reshape(-1, 2):
+            stretches.append((drive.name, float(drive.rows.time[first]), float(drive.rows.time[last - 1])))
+    return stretches
+
+
+def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
+    """Raise if a part of a dataset holds moments that the run was trained or chosen on.
+
+    Raises:
+        RunError: names the drive and the overlap.
+    """
+    number = PARTS.index(part)
+    for drive in dataset.drives:
+        judged = drive.rows.time[drive.part == number]
+        for name, first, last in run.seen:
+            if name == drive.name and np.any((judged >= first) & (judged <= last)):
+                raise RunError(
+                    f"was trained on {last - first:.0f} s of the {part} part of drive '{name}'",
+                    where=run.folder,
+                    how="judge it on the dataset and split it was trained with, or on another drive",
+                )
+
+
+def vehicle_of(dataset: Dataset) -> Vehicle:
+    """What models must know of the vehicle that a dataset is of."""
+    rig = dataset.rig
+    return Vehicle(
+        mass=rig.vehicle.mass,
+        wheelbase=rig.vehicle.wheelbase,
+        max_steer=rig.vehicle.max_steer,
+        control=present_control(rig),
+        actuators=present_actuators(rig),
+    )
+
+
+def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
+    """An untrained model with initial weights that follow from the seed.
+
+    Raises:
+        RunError: no model of that name.
+    """
+    if model not in MODELS:
+        raise RunError(f"no model '{model}'", how=f"models are: {', '.join(MODELS)}")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return MODELS[model](vehicle)

@@ -1,0 +1,143 @@
+"""Train a model on a dataset: actuators, then the bicycle's constants, then everything along the whole horizon."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from offpiste.conventions import DT, STATE
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics, Hybrid, Kinematic, Parametric, Recurrent, rollout
+from offpiste.errors import RunError, TrainingError
+from offpiste.training.actuators import actuator_loss
+from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.config import TrainConfig
+from offpiste.training.losses import squared_errors, summed_loss
+from offpiste.training.optimise import MEND, Stage, metrics_writer, run_stage
+from offpiste.training.run import build, save_run, vehicle_of
+from offpiste.trajectory import RecordedTerrain, Trajectory
+
+
+def train(
+    dataset: Dataset,
+    config: TrainConfig,
+    folder: Path,
+    *,
+    resume: bool = False,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Dynamics:
+    """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
+
+    Raises:
+        RunError: the folder holds a run already and `resume` is false, or one with other settings.
+        DatasetError: a part has no window.
+        TrainingError: something is not finite; the last good checkpoint stays.
+    """
+    _claim(folder, dataset, config, resume)
+    windows = Windows(dataset, "train", start=config.start, device=config.device)
+    validation = Windows(dataset, "validation", start=config.start, device=config.device)
+    record = metrics_writer(folder / "metrics.jsonl", tell)
+
+    vehicle = vehicle_of(dataset)
+    dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
+
+    def fit(name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int) -> None:
+        run_stage(Stage(name, module, loss, epochs), windows, validation, config, folder, record)
+
+    kinematic = Kinematic(vehicle).to(config.device)
+    if vehicle.actuators:
+        lags = kinematic.actuators
+        fit("actuators", lags, actuator_loss(lags, windows), config.actuator_epochs)
+        _freeze(dynamics, lags)
+    scale = kinematic_scale(kinematic, windows, config)
+    weights = torch.tensor(config.weights.in_order(), device=config.device)
+
+    def loss_of(model: Dynamics) -> Callable[[Batch], Float[Tensor, " B"]]:
+        return lambda batch: summed_loss(_checked(predict(model, batch), batch).state, batch.target, scale, weights)
+
+    if isinstance(dynamics, Hybrid):
+        bicycle = Parametric(vehicle).to(config.device)
+        _freeze(bicycle, dynamics.actuators)
+        fit("bicycle", bicycle, loss_of(bicycle), config.bicycle_epochs)
+        dynamics.bicycle.load_state_dict(bicycle.bicycle.state_dict())
+    standardise(dynamics, windows)
+    if any(p.requires_grad for p in dynamics.parameters()):
+        fit("model", dynamics, loss_of(dynamics), config.epochs)
+    save_run(folder, dynamics, config, dataset, scale)
+    return dynamics
+
+
+def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
+    """Roll out a batch of windows over its recorded terrain."""
+    carry = dynamics.start(batch.history, batch.state, batch.actuators)
+    return rollout(dynamics, carry, batch.control, RecordedTerrain(batch.terrain))
+
+
+def standardise(dynamics: Dynamics, windows: Windows) -> None:
+    """Give the networks mean and scale of their inputs on training rows."""
+    if not isinstance(dynamics, Hybrid | Recurrent):
+        return
+    index = windows.every(25) if len(windows.every(25)) else np.arange(len(windows))
+    with torch.no_grad():
+        seen = dynamics.recorded_inputs(windows.gather(index).history).flatten(0, 1)
+    network = dynamics.compensator if isinstance(dynamics, Hybrid) else dynamics.network
+    network.standardise_on(seen)
+
+
+def kinematic_scale(kinematic: Kinematic, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
+    """Mean square error of `kinematic` on the training windows by component: the units of the loss."""
+    index = windows.every(config.stride)
+    with torch.no_grad():
+        parts = [windows.gather(part) for part in np.array_split(index, max(1, len(index) // 512))]
+        errors = torch.cat([squared_errors(predict(kinematic, batch).state, batch.target) for batch in parts])
+    return errors.mean(dim=(0, 1)).clamp(min=1e-8)
+
+
+def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:
+    """Make the run folder, or check that the run in it is this one."""
+    described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
+    described = json.loads(json.dumps(described))
+    path = folder / "config.json"
+    if path.exists():
+        if not resume:
+            raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
+        found = load_json(path)
+        for key in ("train", "dataset", "split"):
+            if found.get(key) != described[key]:
+                raise RunError(
+                    f"was begun with other settings ({key})",
+                    where=folder,
+                    how="resume with the same, or choose another --out",
+                )
+        return
+    save_json(path, described)
+
+
+def _freeze(dynamics: Dynamics, fitted: nn.Module) -> None:
+    """Put the fitted actuator models into a model and keep them from training."""
+    lags = getattr(dynamics, "actuators", None)
+    if isinstance(lags, nn.Module):
+        lags.load_state_dict(fitted.state_dict())
+        lags.requires_grad_(False)
+
+
+def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
+    """The same, if all of it is finite.
+
+    Raises:
+        TrainingError: names the first step and the state that is not.
+    """
+    broken = ~torch.isfinite(trajectory.state).all(dim=0)
+    if broken.any():
+        step, column = (int(i) for i in broken.nonzero()[0])
+        raise TrainingError(
+            f"the predicted {STATE[column]} is not finite from step {step + 1} ({(step + 1) * DT:.2f} s) on",
+            how=MEND,
+        )
+    return trajectory
