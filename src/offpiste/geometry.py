@@ -18,9 +18,7 @@ def rotate_by_minus_yaw(vectors: Float[Tensor, "... 3"], yaw: Float[Tensor, "...
     return torch.stack((cos * x + sin * y, cos * y - sin * x, z), dim=-1)
 
 
-def planar_body_from_world(
-    vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]
-) -> Float[np.ndarray, "N 2"]:
+def planar_body_from_world(vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
     """Horizontal world vectors in the planar body frame: turned by minus yaw."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = vectors.T
@@ -75,7 +73,9 @@ def local_polynomial(
         degree: of the polynomial.
 
     Returns:
-        values and their first derivatives; NaN where a window holds fewer than degree + 2 samples.
+        values and their first derivatives; NaN where a window holds fewer than degree + 2 samples, or where these
+        span less than a third of it or keep more than a quarter of it away from the moment (a burst of stamps or the
+        edge of a gap would be extrapolated to anything).
     """
     first, last = (at - window, at) if causal else (at - window / 2, at + window / 2)
     begin = np.searchsorted(time, first - 1e-9, side="left")
@@ -88,6 +88,9 @@ def local_polynomial(
     offset = np.where(inside, (time[index] - at[:, None]) / window, 0.0)
     powers = offset[:, :, None] ** np.arange(degree + 1) * inside[:, :, None]
     enough = inside.sum(axis=1) >= degree + 2
+    with np.errstate(invalid="ignore"):
+        enough &= np.where(inside, offset, -np.inf).max(axis=1) - np.where(inside, offset, np.inf).min(axis=1) > 1 / 3
+    enough &= np.where(inside, np.abs(offset), np.inf).min(axis=1) < 1 / 4
     normal = np.einsum("Nwi,Nwj->Nij", powers, powers)
     normal[~enough] = np.eye(degree + 1)
     moments = np.einsum("Nwi,Nwk->Nik", powers, values[index])

@@ -91,9 +91,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     mass: float
-    wheel_positions: tuple[
-        tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]
-    ]
+    wheel_positions: tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
     pose_point: str
     max_steer: float
     source: str = ""
@@ -257,9 +255,17 @@ def _check(rig: Rig) -> None:
                 f"channel '{name}' is neither given nor declared absent",
                 how=f"add [channels.{name}], or '{name}' to absent",
             )
-    if rig.vehicle.mass <= 0:
+    for key, number in (
+        ("clock.max_gap", rig.clock.max_gap),
+        ("motion.window", rig.motion.window),
+        ("motion.slope_length", rig.motion.slope_length),
+        ("alignment.max_lag", rig.alignment.max_lag if rig.alignment else 1.0),
+    ):
+        if not 0 < number < np.inf:
+            raise RigError(f"{key} is {number}", how="give a number above zero")
+    if not 0 < rig.vehicle.mass < np.inf:
         raise RigError(f"vehicle.mass is {rig.vehicle.mass} kg", how="give the mass in kg")
-    if rig.vehicle.wheelbase <= 0:
+    if not 0 < rig.vehicle.wheelbase < np.inf:
         raise RigError("the front wheels are not ahead of the rear wheels", how="mend vehicle.wheel_positions")
     if not 0 < rig.vehicle.max_steer < np.pi / 2:
         raise RigError(f"vehicle.max_steer is {rig.vehicle.max_steer} rad", how="give a road-wheel angle below pi/2")

@@ -64,7 +64,7 @@ def extract_rows(drive: Drive) -> Rows:
         raise LogError(
             f"no second of it has all channels of the rig ({given.sum()} complete rows of {len(given)})",
             where=drive.name,
-            how="run `offpiste inspect` on it; widen clock.max_gap or declare the worst channel absent",
+            how="run `offpiste inspect` on it; widen clock.max_gap, for a slow pose motion.window, or declare the worst absent",
         )
     origin = motion.state[np.flatnonzero(given)[0], :2].copy()
     shift = np.concatenate((origin, np.zeros(4)))
@@ -107,6 +107,8 @@ def _column(drive: Drive, name: str, time: Float[np.ndarray, " N"]) -> Float[np.
 def _derivative(channel: Channel, *, window: float) -> Channel:
     _, rate = local_polynomial(channel.time, channel.values, channel.time, window=window, causal=False)
     known = np.isfinite(rate[:, 0])
+    if known.sum() < 2:
+        raise LogError(f"{channel.name}: too few samples in {window:g} s for its rate", how="widen motion.window")
     return Channel(f"{channel.name} rate", f"{channel.unit}/s", channel.time[known], rate[known])
 
 
@@ -116,7 +118,7 @@ def _slope(drive: Drive, time: Float[np.ndarray, " N"], state: Float[np.ndarray,
     if drive.rig.motion.normals == "flat" or place.values.shape[1] < 3:
         return np.zeros(len(time))
     position = place.linear(time, max_gap=drive.rig.clock.max_gap)
-    speed = np.hypot(state[:, 3], state[:, 4])
+    speed = np.copysign(np.hypot(state[:, 3], state[:, 4]), state[:, 3])
     return driven_slope(position, speed, dt=DT, length=drive.rig.motion.slope_length)
 
 

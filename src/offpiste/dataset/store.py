@@ -89,7 +89,15 @@ def drive_names(path: Path) -> list[str]:
 
 
 def add_drive(path: Path, name: str, rows: Rows, split: Split, notes: tuple[str, ...]) -> StoredDrive:
-    """Write one drive into a dataset, whole or not at all."""
+    """Write one drive into a dataset, whole or not at all.
+
+    Raises:
+        DatasetError: there is a drive of this name already.
+    """
+    if (path / name).exists():
+        raise DatasetError(
+            f"already holds a drive '{name}'", where=path, how="rename the log: drives are told apart by their names"
+        )
     part = split.label(name, rows.state[:, :2] + rows.origin)
 
     def write(partial: Path) -> None:
@@ -98,7 +106,12 @@ def add_drive(path: Path, name: str, rows: Rows, split: Split, notes: tuple[str,
         for key, values in {**{key: getattr(rows, key) for key in _ROWS}, "part": part}.items():
             # One uncompressed chunk an array: windows are read with plain offsets.
             array = group.create_array(
-                key, shape=values.shape, dtype=values.dtype, chunks=values.shape, compressors=None
+                key,
+                shape=values.shape,
+                dtype=values.dtype,
+                chunks=values.shape,
+                compressors=None,
+                config={"write_empty_chunks": True},
             )
             array[...] = values
 
@@ -138,7 +151,7 @@ def stored_split(text: str, drives: list[list[str]]) -> Split:
 def _read_drive(path: Path, name: str) -> StoredDrive:
     try:
         group = zarr.open_group(path / name, mode="r")
-        arrays = {key: np.asarray(group[key]) for key in (*_ROWS, "part")}
+        arrays = {key: _whole_array(group, key) for key in (*_ROWS, "part")}
         attributes: dict[str, Any] = dict(group.attrs)
         rows = Rows(origin=np.array(attributes["origin"]), **{key: arrays[key] for key in _ROWS})
     except (OSError, KeyError, ValueError, TypeError) as error:
@@ -148,6 +161,14 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
             how=f"delete {path / name} and run `offpiste extract` again",
         ) from error
     return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]))
+
+
+def _whole_array(group: zarr.Group, key: str) -> np.ndarray:
+    array = group[key]
+    if not isinstance(array, zarr.Array) or array.nchunks_initialized < array.nchunks:
+        # Zarr would read a missing chunk as zeros.
+        raise ValueError(f"a chunk of '{key}' is missing")
+    return np.asarray(array[...])
 
 
 def _attributes(path: Path) -> dict[str, Any]:

@@ -22,7 +22,7 @@ class Vehicle:
         wheelbase: [m].
         max_steer: road-wheel angle at a steering command of 1 [rad].
         control: names (of `conventions.CONTROL`) that the log has.
-        actuators: names (of `conventions.ACTUATORS`) that the log has.
+        actuators: names (of `conventions.ACTUATORS`) that the log has; "steer" only together with "steer_rate".
     """
 
     mass: float
@@ -30,6 +30,10 @@ class Vehicle:
     max_steer: float
     control: tuple[str, ...]
     actuators: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if "steer" in self.actuators and "steer_rate" not in self.actuators:
+            raise ValueError("a steering angle needs its rate: the delay model has both as its state")
 
 
 class Dynamics(nn.Module, ABC):

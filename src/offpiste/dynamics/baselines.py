@@ -107,7 +107,7 @@ class Recurrent(Dynamics):
         terrain: Terrain,
     ) -> Float[Tensor, "*B I"]:
         present = select_present(self.vehicle, actuators, control)
-        return torch.cat((state[..., 3:], torch.stack(present, dim=-1), body_normal(terrain, state[..., 2])), dim=-1)
+        return torch.cat((state[..., 3:], present, body_normal(terrain, state[..., 2])), dim=-1)
 
 
 def _moved(state: Float[Tensor, "B 6"], velocity: Float[Tensor, "B 3"]) -> Float[Tensor, "B 6"]:

@@ -26,8 +26,8 @@ class Constants(NamedTuple):
 
     Attributes:
         drive_1, drive_2: P(u_th) = drive_1 u + drive_2 u^2, >= 0 and rising on [0, 1] [N].
-        engine_1, engine_2: P(x_rpm) = 1 + engine_1 x + engine_2 x^2, x in 1000 rev/min (or 10 m/s, reduced).
-        brake_1, brake_2: P(x_br) = brake_1 x + brake_2 x^2, >= 0 [N].
+        engine_1, engine_2: P(x_rpm) = 1 + engine_1 x + engine_2 x^2, cut at 0, x in 1000 rev/min (or 10 m/s, reduced).
+        brake_1, brake_2: P(x_br) = brake_1 x + brake_2 x^2, >= 0 [N]; pressure below zero counts as zero.
         resistance, resistance_slope: beta(vx) = resistance tanh(resistance_slope vx) [N, s/m].
         rear_peak, rear_shape, rear_stiffness: D_R > 0 [N], 0 < C_R < pi, B_R > 0.
         front_peak, front_shape, front_stiffness: D_F, C_F, B_F.
@@ -127,9 +127,10 @@ def forces(
         normal_z: eta_z, vertical part of the mean surface normal.
     """
     rear_slip, front_slip = slip_angles(vx, vy, yaw_rate, steer, c, f)
-    drive = (1 + c.engine_1 * engine + c.engine_2 * engine * engine) * (
-        c.drive_1 * throttle + c.drive_2 * throttle * throttle
-    )
+    # Cut at zero: throttle must not brake at high engine speed, nor a learned residual's negative pressure push.
+    torque = f.maximum(1 + c.engine_1 * engine + c.engine_2 * engine * engine, 0 * engine)
+    brake = f.maximum(brake, 0 * brake)
+    drive = torque * (c.drive_1 * throttle + c.drive_2 * throttle * throttle)
     braking = (c.brake_1 * brake + c.brake_2 * brake * brake) * f.tanh(vx / STANDSTILL)
     rolling = c.resistance * f.tanh(c.resistance_slope * vx)
     return Force(

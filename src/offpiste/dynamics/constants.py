@@ -56,6 +56,9 @@ class BicycleConstants(nn.Module):
 
     Signs: tyre peaks and stiffnesses are positive and shapes below pi, so tyre force opposes slip at every angle;
     brakes, rolling resistance and drag are positive; drive is positive and rises with throttle; gravity is positive.
+    Energy: the yaw rate follows the steering, not the tyres' moments, so a front axle that turns faster than its wheels
+    point would push the vehicle forward for ever. Both axles' distances are therefore shortened together until
+    understeer (L_R + L_F) is at most the wheelbase, the geometry of rolling without slip.
     Stability: C_max is at least dt (D_F C_F B_F + D_R C_R B_R) / m, half of where forward Euler becomes unstable.
     """
 
@@ -79,6 +82,7 @@ class BicycleConstants(nn.Module):
             u["rear_peak"] * u["rear_shape"] * u["rear_stiffness"]
             + u["front_peak"] * u["front_shape"] * u["front_stiffness"]
         )
+        reach = wheelbase / torch.clamp(u["yaw_understeer"] * (u["rear_length"] + u["front_length"]), min=1.0)
         return Constants(
             drive_1=m * u["drive_1"],
             drive_2=m * (u["drive_bend"] - u["drive_1"] / 2),
@@ -94,8 +98,8 @@ class BicycleConstants(nn.Module):
             front_peak=m * u["front_peak"],
             front_shape=u["front_shape"],
             front_stiffness=u["front_stiffness"],
-            rear_length=wheelbase * u["rear_length"],
-            front_length=wheelbase * u["front_length"],
+            rear_length=reach * u["rear_length"],
+            front_length=reach * u["front_length"],
             min_slip_speed=u["min_slip_speed"] * DT * slope,
             yaw_gain=u["yaw_understeer"] * u["yaw_damping"] / wheelbase,
             yaw_damping=u["yaw_damping"],

@@ -104,7 +104,7 @@ class Hybrid(Dynamics):
         latent: Float[Tensor, "*B 4 E"],
     ) -> Float[Tensor, "*B I"]:
         present = select_present(self.vehicle, actuators, control)
-        columns = [state[..., 3:], torch.stack(present, dim=-1), normal, force]
+        columns = [state[..., 3:], present, normal, force]
         return torch.cat(columns + ([latent.flatten(-2)] if self.codes else []), dim=-1)
 
 

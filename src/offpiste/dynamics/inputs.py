@@ -67,7 +67,8 @@ def body_normal(terrain: Terrain, yaw: Float[Tensor, "*B"]) -> Float[Tensor, "*B
 
 def select_present(
     vehicle: Vehicle, actuators: Float[Tensor, "*B 4"], control: Float[Tensor, "*B 3"]
-) -> list[Float[Tensor, "*B"]]:
+) -> Float[Tensor, "*B P"]:
     """The columns of actuators and control that the log has, in order; absent ones are not inputs at all."""
-    columns = [actuators[..., i] for i, name in enumerate(ACTUATORS) if name in vehicle.actuators]
-    return columns + [control[..., i] for i, name in enumerate(CONTROL) if name in vehicle.control]
+    kept_actuators = [i for i, name in enumerate(ACTUATORS) if name in vehicle.actuators]
+    kept_control = [i for i, name in enumerate(CONTROL) if name in vehicle.control]
+    return torch.cat((actuators[..., kept_actuators], control[..., kept_control]), dim=-1)

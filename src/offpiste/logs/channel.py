@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from msgspec.structs import replace
 
 from offpiste.errors import LogError, RigError
 from offpiste.logs.log import Log, Samples
@@ -57,7 +58,8 @@ def read_channel(log: Log, rig: Rig, name: str, source: ChannelSource) -> tuple[
 
 
 def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tuple[Channel, list[str]]:
-    values = convert(name, source, samples.values)
+    # Clipped last: an infinite or invalid value is a fault to drop, not a value at the limit.
+    values = convert(name, replace(source, clip=None), samples.values)
     time = samples.time - source.delay
     notes = []
 
@@ -70,6 +72,8 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
     if bad.any():
         notes.append(f"{name}: {bad.sum()} of {len(bad)} samples are not finite or not valid and were dropped")
     time, values = time[~bad], values[~bad]
+    if source.clip is not None:
+        values = np.clip(values, *source.clip)
 
     forward = _increasing(time)
     if not forward.all():

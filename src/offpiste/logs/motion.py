@@ -60,35 +60,43 @@ def driven_slope(
     Fitted over metres of path, not over seconds: smoothing over time would let braking dips of the body through.
 
     Args:
-        position: smoothed positions, z up [m]; rows with NaN give NaN.
-        speed: horizontal speed [m/s].
+        position: smoothed positions, z up [m]; rows with NaN give NaN, and nothing is fitted across them.
+        speed: horizontal speed, negative in reverse, which goes back along the path [m/s].
         dt: time step of the rows [s].
         length: metres of path behind one estimate.
     """
     known = np.isfinite(position).all(axis=1) & np.isfinite(speed)
     slope = np.full(len(position), np.nan)
-    if not known.any():
-        return slope
-    step = np.where(known & (speed > _MOVING), np.nan_to_num(speed), 0.0) * dt
-    distance = np.cumsum(step)
+    rows = np.flatnonzero(known)
+    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+        if len(run):
+            step = np.where(np.abs(speed[run]) > _MOVING, speed[run], 0.0) * dt
+            slope[run] = _slope_along(np.cumsum(step), position[run, 2], length=length)
+    return slope
+
+
+def _slope_along(
+    distance: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
+) -> Float[np.ndarray, " N"]:
+    """Slope of one unbroken stretch of path; flat where it is too short to tell."""
     spacing = 0.1
+    distance = distance - distance.min()
     # One elevation a 0.1 m of path: a vehicle at rest must not outweigh the path before and after it.
-    cell = np.round(distance[known] / spacing).astype(int)
+    cell = np.round(distance / spacing).astype(int)
     count = np.bincount(cell)
     filled = count > 0
-    elevation = np.bincount(cell, weights=position[known, 2])[filled] / count[filled]
+    mean = np.bincount(cell, weights=elevation)[filled] / count[filled]
     along = np.flatnonzero(filled) * spacing
-    _, fitted = local_polynomial(along, elevation[:, None], along, window=length, causal=False)
+    _, fitted = local_polynomial(along, mean[:, None], along, window=length, causal=False)
     fitted = fitted[:, 0]
     usable = np.isfinite(fitted)
-    slope[known] = np.interp(distance[known], along[usable], fitted[usable]) if usable.any() else 0.0
-    return slope
+    return np.interp(distance, along[usable], fitted[usable]) if usable.any() else np.zeros(len(distance))
 
 
 def _smoothed(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
     gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
     place, yaw = drive.channels["position"], heading(drive)
-    velocity, rate = _own_velocity(drive), _own_yaw_rate(drive)
+    velocity, rate = _own_velocity(drive, causal=False), _own_yaw_rate(drive, causal=False)
     covered = np.isfinite(place.linear(at, max_gap=gap)[:, 0] + yaw.linear(at, max_gap=gap)[:, 0])
 
     if velocity is not None:
@@ -105,7 +113,7 @@ def _smoothed(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N
 def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
     gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
     place, yaw = drive.channels["position"], heading(drive)
-    velocity, rate = _own_velocity(drive), _own_yaw_rate(drive)
+    velocity, rate = _own_velocity(drive, causal=True), _own_yaw_rate(drive, causal=True)
     covered = np.isfinite(place.hold(at, max_gap=gap)[:, 0] + yaw.hold(at, max_gap=gap)[:, 0])
 
     if velocity is not None:
@@ -134,7 +142,12 @@ def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N
     return at - channel.time[last]
 
 
-def _own_velocity(drive: Drive) -> Channel | None:
+def _at_stamps(channel: Channel, of: Channel, *, causal: bool) -> Float[np.ndarray, "n k"]:
+    """A channel at another's stamps; `causal` holds the last sample, since the next one was not known yet."""
+    return (channel.hold if causal else channel.linear)(of.time, max_gap=np.inf)
+
+
+def _own_velocity(drive: Drive, *, causal: bool) -> Channel | None:
     """Horizontal world velocity of the log at its native stamps [m/s], if the rig says its frame."""
     channel = drive.channels.get("linear_velocity")
     if channel is None:
@@ -145,25 +158,25 @@ def _own_velocity(drive: Drive) -> Channel | None:
     if frame == "world":
         return Channel("velocity", channel.unit, channel.time, channel.values[:, :2])
     if "orientation" in drive.channels and channel.values.shape[1] == 3:
-        orientation = drive.channels["orientation"].linear(channel.time, max_gap=np.inf)
+        orientation = _at_stamps(drive.channels["orientation"], channel, causal=causal)
         world = np.einsum("Nij,Nj->Ni", rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5)), channel.values)
         known = np.isfinite(orientation).all(axis=1)
     else:
-        yaw = heading(drive).linear(channel.time, max_gap=np.inf)[:, 0]
+        yaw = _at_stamps(heading(drive), channel, causal=causal)[:, 0]
         cos, sin = np.cos(yaw), np.sin(yaw)
         x, y = channel.values[:, 0], channel.values[:, 1]
         world, known = np.stack((cos * x - sin * y, sin * x + cos * y), axis=1), np.isfinite(yaw)
     return Channel("velocity", channel.unit, channel.time[known], world[known, :2])
 
 
-def _own_yaw_rate(drive: Drive) -> Channel | None:
+def _own_yaw_rate(drive: Drive, *, causal: bool) -> Channel | None:
     """d(yaw)/dt of the log at its native stamps [rad/s], if it has one."""
     if "yaw_rate" in drive.channels:
         return drive.channels["yaw_rate"]
     gyro = drive.channels.get("angular_velocity")
     if gyro is None or drive.rig.channels["angular_velocity"].frame != "body" or "orientation" not in drive.channels:
         return None
-    orientation = drive.channels["orientation"].linear(gyro.time, max_gap=np.inf)
+    orientation = _at_stamps(drive.channels["orientation"], gyro, causal=causal)
     known = np.isfinite(orientation).all(axis=1)
     rate = yaw_rate_from_body_rates(orientation[known], gyro.values[known])
     return Channel("yaw_rate", gyro.unit, gyro.time[known], rate[:, None])
