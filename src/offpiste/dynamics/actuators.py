@@ -104,9 +104,14 @@ class Actuators(nn.Module):
             self.residuals["steer"] = Compensator(4, 1)
 
     @property
+    def networks(self) -> dict[str, Compensator]:
+        """The residual networks by actuator."""
+        return {name: network for name, network in self.residuals.items() if isinstance(network, Compensator)}
+
+    @property
     def hidden(self) -> int:
         """Width of the recurrent state of all residuals."""
-        return sum(residual.hidden for residual in self.residuals.values())
+        return sum(network.hidden for network in self.networks.values())
 
     def constants(self) -> LagConstants:
         """The lags' constants, each a scalar tensor inside its range."""
@@ -127,7 +132,7 @@ class Actuators(nn.Module):
     def start(self, history: History) -> tuple[Float[Tensor, "B S"], Float[Tensor, "B S"]]:
         """Recurrent state of the residuals after the history."""
         inputs = self.residual_inputs(history.actuators, history.control, history.state[..., 3])
-        started = [self.residuals[name].start(value) for name, value in inputs.items()]
+        started = [self.networks[name].start(value) for name, value in inputs.items()]
         nothing = history.state.new_zeros(len(history.state), 0)
         return (
             torch.cat([nothing, *(hidden for hidden, _ in started)], dim=-1),
@@ -164,12 +169,13 @@ class Actuators(nn.Module):
     ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         if not self.residuals:
             return {}, hidden, cell
-        sizes = [residual.hidden for residual in self.residuals.values()]
+        networks = self.networks
+        sizes = [network.hidden for network in networks.values()]
         extra, hiddens, cells = {}, [], []
         inputs = self.residual_inputs(actuators, control, vx)
-        for name, h, c in zip(self.residuals, hidden.split(sizes, -1), cell.split(sizes, -1), strict=True):
-            out, h, c = self.residuals[name](inputs[name], h, c)
+        for name, h, c in zip(networks, hidden.split(sizes, -1), cell.split(sizes, -1), strict=True):
+            out, next_h, next_c = networks[name](inputs[name], h, c)
             extra[name] = out[..., 0]
-            hiddens.append(h)
-            cells.append(c)
+            hiddens.append(next_h)
+            cells.append(next_c)
         return extra, torch.cat(hiddens, dim=-1), torch.cat(cells, dim=-1)

@@ -16,14 +16,14 @@ class Compensator(nn.Module):
         super().__init__()
         self.hidden = hidden
         self.cell = nn.LSTMCell(inputs, hidden)
-        self.output = nn.Sequential(nn.Linear(hidden + inputs, width), nn.Tanh(), nn.Linear(width, outputs))
+        last = nn.Linear(width, outputs)
+        self.output = nn.Sequential(nn.Linear(hidden + inputs, width), nn.Tanh(), last)
         self.init_cell = nn.LSTM(inputs, init_hidden, batch_first=True)
         self.init_output = nn.Sequential(nn.Linear(init_hidden, width), nn.Tanh(), nn.Linear(width, 2 * hidden))
         self.mean: Tensor
         self.scale: Tensor
         self.register_buffer("mean", torch.zeros(inputs))
         self.register_buffer("scale", torch.ones(inputs))
-        last = self.output[-1]
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
 

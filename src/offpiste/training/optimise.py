@@ -1,6 +1,5 @@
 """One stage of training: Adam on a multi-step loss, a checkpoint an epoch, the best epoch by validation."""
 
-import json
 import math
 import time
 from collections.abc import Callable
@@ -17,11 +16,9 @@ from offpiste.errors import TrainingError
 from offpiste.progress import track
 from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
 from offpiste.training.config import TrainConfig
+from offpiste.training.record import Record
 
 MEND = "lower the learning rate; the last good checkpoint is kept, and --resume goes on from it"
-
-Record = Callable[[dict[str, float | int | str]], None]
-"""Takes one line of metrics."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ class _State:
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
         self.module = stage.module
         free = {p: name for name, p in stage.module.named_parameters() if p.requires_grad}
-        self.names: dict[Tensor, str] = dict(free)
+        self.names: dict[Tensor, str] = {p: name for p, name in free.items()}
         constants = [p for p, name in free.items() if name.split(".")[-1] == "raw"]
         networks = [p for p, name in free.items() if name.split(".")[-1] != "raw"]
         groups = [(networks, config.learning_rate), (constants, config.constants_learning_rate)]
@@ -161,18 +158,3 @@ def _set_learning_rate(optimiser: torch.optim.Adam, progress: float) -> None:
     factor = warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * factor
-
-
-def metrics_writer(path: Path, tell: Callable[[str], None]) -> Record:
-    """Appends each line of metrics to `metrics.jsonl` and tells a person."""
-
-    def record(line: dict[str, float | int | str]) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        tell(
-            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
-            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
-        )
-
-    return record

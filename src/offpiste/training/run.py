@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -49,13 +50,13 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         raise RunError("training has not finished", where=folder, how="go on with `offpiste train --resume`")
     about = load_json(folder / "model.json")
     try:
-        vehicle = Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in about["vehicle"].items()})
+        vehicle = msgspec.convert(about["vehicle"], type=Vehicle)
         dynamics = build(about["model"], vehicle, seed=about["seed"]).to(device)
         scale = torch.tensor([about["loss"]["scale"][name] for name in COMPONENTS])
         weights = Weights(**about["loss"]["weights"])
         seen = tuple((name, first, last) for name, first, last in about["seen"])
         split, seed = about["split"], about["seed"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, msgspec.ValidationError) as error:
         raise RunError(f"lacks or misstates {error}", where=folder / "model.json", how="train again") from error
     load_weights(dynamics, load_tensors(folder / "model.safetensors")[0], folder)
     return Run(folder, dynamics.eval(), about["model"], seed, weights, scale, split, seen)

@@ -19,7 +19,8 @@ from offpiste.training.actuators import actuator_loss
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import squared_errors, summed_loss
-from offpiste.training.optimise import MEND, Stage, metrics_writer, run_stage
+from offpiste.training.optimise import MEND, Stage, run_stage
+from offpiste.training.record import also_tensorboard, metrics_writer
 from offpiste.training.run import build, save_run, vehicle_of
 from offpiste.trajectory import RecordedTerrain, Trajectory
 
@@ -30,6 +31,7 @@ def train(
     folder: Path,
     *,
     resume: bool = False,
+    tensorboard: bool = False,
     tell: Callable[[str], None] = lambda line: None,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
@@ -43,6 +45,8 @@ def train(
     windows = Windows(dataset, "train", start=config.start, device=config.device)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
     record = metrics_writer(folder / "metrics.jsonl", tell)
+    if tensorboard:
+        record = also_tensorboard(record, folder / "tensorboard")
 
     vehicle = vehicle_of(dataset)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)

@@ -1,0 +1,167 @@
+"""The command line: one subcommand a stage, no logic."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from offpiste.errors import OffpisteError
+from offpiste.training.config import TrainConfig
+
+Log = Annotated[str, tyro.conf.arg(metavar="LOG")]
+
+
+@dataclass(frozen=True)
+class Demo:
+    """The whole path on a small generated drive; ends with a table and report.html."""
+
+    out: Path = Path("demo")
+    """Folder for everything that it makes."""
+    seconds: float = 300.0
+    """Length of the generated drive."""
+    epochs: int = 10
+    """Passes over the training windows."""
+    seed: int = 0
+
+    def run(self) -> int:
+        """Generate, inspect, extract, train, evaluate."""
+        from offpiste.experiments.demo import run_demo
+
+        run_demo(self.out, seconds=self.seconds, epochs=self.epochs, seed=self.seed, tell=_tell)
+        return 0
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """What a careful engineer would find out first about a log; exit code 1 if it is unusable for training."""
+
+    log: tyro.conf.Positional[str]
+    """A .bag, .mcap, .db3, .csv, .parquet, a ROS 2 bag folder or a TartanDrive 2 folder."""
+    rig: str | None = None
+    """A preset's name or a rig file; without one, the log is judged by what it shows."""
+    write_rig: Path | None = None
+    """Write a first rig for this log."""
+    json: bool = False
+    """Print findings for machines."""
+
+    def run(self) -> int:
+        """Inspect, print, judge."""
+        from offpiste.logs.checks import run_inspection
+
+        return run_inspection(self.log, rig=self.rig, write_rig=self.write_rig, as_json=self.json)
+
+
+@dataclass(frozen=True)
+class Extract:
+    """Bring logs to 50 Hz, split them once, and write a dataset."""
+
+    logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
+    """Logs of one vehicle."""
+    rig: str
+    """A preset's name or a rig file."""
+    out: Path
+    """The dataset, e.g. dataset.zarr; drives that it holds already are kept."""
+    split: str = "blocks:0.7,0.1,0.2"
+    """blocks:TRAIN,VALIDATION,TEST by time, fold:K/N, places:METRES, or drives:FILE."""
+    flat: bool = False
+    """Leave out the slope of the driven path: all ground is flat (an ablation)."""
+
+    def run(self) -> int:
+        """Read, resample, write."""
+        from offpiste.dataset.make import make_dataset
+        from offpiste.rig import load_rig
+
+        rig = load_rig(self.rig)
+        make_dataset(self.logs, rig.without_slope() if self.flat else rig, self.out, split=self.split, tell=_tell)
+        return 0
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a model on a dataset."""
+
+    dataset: tyro.conf.Positional[Path]
+    out: Path
+    """Folder of the run."""
+    train: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
+    resume: bool = False
+    """Go on after the last whole epoch of an interrupted run."""
+    folds: int = 0
+    """Blocked cross-validation: that many runs in OUT/fold-K, each with its own split, everything fitted anew."""
+    tensorboard: bool = False
+    """Also write TensorBoard files (needs the extra `tensorboard`)."""
+
+    def run(self) -> int:
+        """Open, train, save."""
+        from offpiste.dataset.store import open_dataset
+        from offpiste.training.folds import train_folds
+        from offpiste.training.train import train
+
+        dataset = open_dataset(self.dataset)
+        if self.folds:
+            train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume, tell=_tell)
+        else:
+            train(dataset, self.train, self.out, resume=self.resume, tensorboard=self.tensorboard, tell=_tell)
+        return 0
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Judge runs on the test part of a dataset; writes metrics.json, pictures and report.html."""
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
+    """Run folders; a folder of folds counts as its folds."""
+    dataset: Path
+    """The dataset they were trained on, or another one."""
+    out: Path = Path("report")
+    """Folder of the report."""
+    part: Literal["test", "validation"] = "test"
+    device: str = "cpu"
+
+    def run(self) -> int:
+        """Load, judge, report."""
+        from offpiste.experiments.judge_runs import judge_runs
+
+        judge_runs(self.runs, self.dataset, self.out, part=self.part, device=self.device, tell=_tell)
+        return 0
+
+
+COMMANDS: dict[str, type] = {
+    "demo": Demo,
+    "inspect": Inspect,
+    "extract": Extract,
+    "train": Train,
+    "evaluate": Evaluate,
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in arguments
+    arguments = [a for a in arguments if a != "--debug"]
+    command = tyro.extras.subcommand_cli_from_dict(
+        {name: command for name, command in COMMANDS.items()},
+        prog="offpiste",
+        description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    try:
+        sys.exit(command.run())
+    except OffpisteError as error:
+        if debug:
+            raise
+        print(f"offpiste: {error}", file=sys.stderr)  # noqa: T201
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("offpiste: interrupted; what was finished is kept", file=sys.stderr)  # noqa: T201
+        sys.exit(1)
+    except BrokenPipeError:
+        sys.exit(1)
+
+
+def _tell(line: str) -> None:
+    print(line, flush=True)  # noqa: T201

@@ -1,0 +1,55 @@
+"""Logs in, dataset out: read, bring to 50 Hz, split, write, one drive at a time."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from offpiste.dataset.extract import extract_rows
+from offpiste.dataset.splits import PARTS, parse_split, window_starts
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset
+from offpiste.errors import DatasetError
+from offpiste.logs import read_drive
+from offpiste.progress import track
+from offpiste.rig import Rig
+
+
+def make_dataset(
+    logs: Sequence[str | Path],
+    rig: Rig,
+    out: Path,
+    *,
+    split: str = "blocks:0.7,0.1,0.2",
+    tell: Callable[[str], None] = lambda line: None,
+) -> Dataset:
+    """Extract drives into a dataset; drives that are in it already are left as they are.
+
+    Raises:
+        LogError, RigError: a log cannot be read with this rig; drives extracted before stay.
+        DatasetError: two logs of one name, or another dataset at `out`.
+    """
+    names = [Path(log).resolve().name.split(".")[0] for log in logs]
+    for name in names:
+        if names.count(name) > 1:
+            raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
+    parts = parse_split(split)
+    create(out, rig, parts)
+    done = set(drive_names(out))
+    for log, name in track(list(zip(logs, names, strict=True)), "extract"):
+        if name in done:
+            tell(f"{name}: already there")
+            continue
+        drive = read_drive(log, rig)
+        tell(_described(add_drive(out, name, extract_rows(drive), parts, drive.notes)))
+    return open_dataset(out)
+
+
+def _described(drive: StoredDrive) -> str:
+    rows = drive.rows
+    windows = [len(window_starts(rows.valid & (drive.part == number))) for number in range(len(PARTS))]
+    share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
+    lines = [
+        f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
+        f"{rows.valid.mean():.1%} of the rows complete; windows: {share}"
+    ]
+    if windows[1] == 0 or windows[2] == 0:
+        lines.append(f"  warning: {drive.name} is too short for the split's every part")
+    return "\n".join(lines + [f"  {note}" for note in drive.notes])
