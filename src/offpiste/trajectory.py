@@ -1,7 +1,7 @@
 """What the stages hand to each other: the past of a vehicle, the ground under it, its running state, its future."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -72,6 +72,7 @@ class Trajectory:
     actuators: Float[Tensor, "B T 4"]
 
 
+@runtime_checkable
 class TerrainSource(Protocol):
     """Where a rollout asks for the ground under the wheels."""
 
