@@ -1,0 +1,170 @@
+"""Small vehicles, windows, logs and rigs that tests of several stages share."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from offpiste.conventions import ACTUATORS, CONTROL, DT
+from offpiste.dataset.extract import Rows
+from offpiste.dynamics import MODELS, Dynamics, Hybrid, Vehicle
+from offpiste.logs.log import Log, Samples, Topic
+from offpiste.rig import Rig, parse_rig
+from offpiste.trajectory import History, RecordedTerrain, Terrain
+
+VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, actuators=ACTUATORS)
+"""A vehicle whose log has everything."""
+
+COMMANDED = replace(VEHICLE, actuators=())
+"""The same, but its log has commands only."""
+
+ALL_MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {**MODELS, "codes": lambda vehicle: Hybrid(vehicle, codes=3)}
+
+
+def unsettled(module: nn.Module, *, scale: float = 0.2, seed: int = 0) -> nn.Module:
+    """The module with every parameter moved, so that no output layer is zero any more."""
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for parameter in module.parameters():
+            parameter += scale * torch.randn(parameter.shape, generator=generator, dtype=parameter.dtype)
+    return module
+
+
+def ground(slope_x: Tensor, slope_y: Tensor, codes: int = 0) -> Terrain:
+    """Planes z = slope_x x + slope_y y; the slopes are [..., 4], one a wheel."""
+    normal = nn.functional.normalize(torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), dim=-1), dim=-1)
+    return Terrain(normal, normal.new_ones(*slope_x.shape, codes))
+
+
+def flat(batch: int, steps: int, dtype: torch.dtype = torch.float64) -> Terrain:
+    zeros = torch.zeros(batch, steps, 4, dtype=dtype)
+    return ground(zeros, zeros)
+
+
+class Situation:
+    """Random but plausible windows: a past, a start, commands and ground, in float64."""
+
+    def __init__(self, batch: int = 3, steps: int = 8, *, codes: int = 0, seed: int = 0) -> None:
+        generator = torch.Generator().manual_seed(seed)
+
+        def draw(low: list[float], high: list[float], *shape: int) -> Tensor:
+            lowest, highest = torch.tensor(low, dtype=torch.float64), torch.tensor(high, dtype=torch.float64)
+            return lowest + (highest - lowest) * torch.rand(*shape, len(low), generator=generator, dtype=torch.float64)
+
+        def states(*shape: int) -> Tensor:
+            return draw([-50, -50, -3, 1.5, -1, -0.5], [50, 50, 3, 10, 1, 0.5], *shape)
+
+        def actuators(*shape: int) -> Tensor:
+            return draw([0.05, -0.4, -1, 1], [1, 0.4, 1, 4], *shape)
+
+        def controls(*shape: int) -> Tensor:
+            return draw([0, 0, -1], [1, 1, 1], *shape)
+
+        def terrain(*shape: int) -> Terrain:
+            planes = ground(*draw([-0.2, -0.2], [0.2, 0.2], *shape, 4).unbind(-1))
+            return Terrain(planes.normal, draw([-1.0] * codes, [1.0] * codes, *shape, 4))
+
+        self.history = History(states(batch, 10), actuators(batch, 10), controls(batch, 10), terrain(batch, 10))
+        self.state, self.actuators = states(batch), actuators(batch)
+        self.controls, self.source = controls(batch, steps), RecordedTerrain(terrain(batch, steps))
+
+    def mapped(self, change: Callable[[Tensor], Tensor]) -> "Situation":
+        """The same with every tensor changed, e.g. to another type or to one row."""
+        other = object.__new__(Situation)
+        past, ahead = self.history.terrain, self.source.terrain
+        other.history = History(
+            change(self.history.state),
+            change(self.history.actuators),
+            change(self.history.control),
+            Terrain(change(past.normal), change(past.latent)),
+        )
+        other.state, other.actuators, other.controls = map(change, (self.state, self.actuators, self.controls))
+        other.source = RecordedTerrain(Terrain(change(ahead.normal), change(ahead.latent)))
+        return other
+
+    def filled(self, vehicle: Vehicle, value: float) -> "Situation":
+        """The same with `value` in the slots of channels that the vehicle's log lacks."""
+
+        def fill(values: Tensor, names: tuple[str, ...], present: tuple[str, ...]) -> Tensor:
+            absent = torch.tensor([name not in present for name in names])
+            return torch.where(absent, torch.tensor(value, dtype=values.dtype), values)
+
+        other = self.mapped(lambda tensor: tensor)
+        other.history = replace(
+            self.history,
+            actuators=fill(self.history.actuators, ACTUATORS, vehicle.actuators),
+            control=fill(self.history.control, CONTROL, vehicle.control),
+        )
+        other.actuators = fill(self.actuators, ACTUATORS, vehicle.actuators)
+        other.controls = fill(self.controls, CONTROL, vehicle.control)
+        return other
+
+
+RIG = """
+name = "small"
+absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
+[vehicle]
+mass = 800.0
+max_steer = 0.4
+pose_point = "1.1 m ahead of the rear axle"
+wheel_positions = [[1.1, 0.6], [1.1, -0.6], [-1.1, 0.6], [-1.1, -0.6]]
+[channels.position]
+topic = "odometry"
+fields = ["x", "y", "z"]
+[channels.orientation]
+topic = "odometry"
+fields = ["qx", "qy", "qz", "qw"]
+[channels.throttle]
+topic = "pedals"
+fields = ["throttle"]
+[channels.brake]
+topic = "pedals"
+fields = ["brake"]
+[channels.steer]
+topic = "steering"
+fields = ["steer"]
+"""
+
+
+def small_rig(more: str = "") -> Rig:
+    """A rig that reads `MemoryLog`s; `more` is TOML to append."""
+    return parse_rig(RIG + more, where="small.toml")
+
+
+class MemoryLog(Log):
+    """Topics given as (stamps, columns by field)."""
+
+    def __init__(self, **topics: tuple[np.ndarray, dict[str, np.ndarray]]) -> None:
+        self.path, self.data = Path("in-memory"), topics
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        return {name: Topic(name, "memory", len(time), tuple(f)) for name, (time, f) in self.data.items()}
+
+    def _read(self, topic: Topic, fields: list[str], stamps: str) -> Samples:
+        time, columns = self.data[topic.name]
+        return Samples(time, np.column_stack([columns[field] for field in fields]))
+
+
+def circle_rows(rows: int, *, speed: float = 5.0, yaw_rate: float = 0.5, seed: int = 0) -> Rows:
+    """A drive round a circle, with random commands and no recorded actuators."""
+    rng = np.random.default_rng(seed)
+    time = DT * np.arange(rows)
+    yaw = yaw_rate * time
+    place = speed / yaw_rate * np.stack((np.sin(yaw), 1 - np.cos(yaw)), axis=1)
+    state = np.column_stack((place, yaw, np.full(rows, speed), np.zeros(rows), np.full(rows, yaw_rate)))
+    normal = np.zeros((1, rows, 4, 3), dtype=np.float32)
+    normal[..., 2] = 1
+    return Rows(
+        time=time,
+        origin=np.array([100.0, -50.0]),
+        state=state.astype(np.float32),
+        state_causal=(state + rng.normal(0, 0.01, state.shape)).astype(np.float32),
+        actuators=np.full((rows, 4), np.nan, dtype=np.float32),
+        control=rng.uniform((0, 0, -1), 1, (rows, 3)).astype(np.float32),
+        normal=normal,
+        valid=np.ones(rows, dtype=bool),
+    )
