@@ -71,6 +71,7 @@ class Windows:
         self._actuators = self._column([r.actuators for r in rows])
         self._control = self._column([r.control for r in rows])
         self._normal = self._column([r.normal[0] for r in rows])
+        self._valid = self._column([r.valid for r in rows])
         self.control, self.actuators = present_control(dataset.rig), present_actuators(dataset.rig)
 
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
@@ -130,6 +131,23 @@ class Windows:
             target=self._state[ahead] - place[:, None],
             target_actuators=self._actuators[ahead],
         )
+
+    def path(
+        self, index: Int[np.ndarray, " B"], *, behind: int = 50, ahead: int = 400
+    ) -> tuple[Float[Tensor, "B P 2"], Float[Tensor, "B P 3"]]:
+        """The recorded path around windows, rows t - behind ... t + ahead of the same drive.
+
+        Returns:
+            px, py relative to each window's start [m], infinite where there is no valid row; surface normals there.
+        """
+        rows = self.rows[index][:, None] + np.arange(-behind, ahead + 1)
+        first, end = self._offset[self.drive[index]], self._offset[self.drive[index] + 1]
+        inside = (rows >= first[:, None]) & (rows < end[:, None])
+        near = torch.as_tensor(np.clip(rows, first[:, None], end[:, None] - 1), device=self.device)
+        known = torch.as_tensor(inside, device=self.device) & self._valid[near]
+        start = self._start[torch.as_tensor(self.rows[index], device=self.device), None, :2]
+        position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
+        return position, self._normal[near][..., 0, :]
 
     def _terrain(self, rows: Int[Tensor, "B T"]) -> Terrain:
         normal = self._normal[rows]

@@ -1,0 +1,178 @@
+"""The pictures of an evaluation: box plots in the paper's form, growth with the horizon, distribution, error by speed.
+
+Each returns a `matplotlib.figure.Figure` and touches no global state. A model has the same colour in all of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import cbook
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from offpiste.evaluation.results import ResultRow
+
+RECORDED = "#000000"
+MEDIAN, MEAN = "#1a7f37", "#d95f02"
+_COLOURS = {
+    "ctrv": "#8c8c8c",
+    "kinematic": "#56b4e9",
+    "parametric": "#cc79a7",
+    "lstm": "#b8a400",
+    "b": "#0072b2",
+    "df": "#d55e00",
+    "cf": "#009e73",
+    "dc": "#7b3fa0",
+}
+"""Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can tell apart, and two more."""
+_SPARE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7b3fa0", "#56b4e9")
+_LINES = ("-", "--", ":", "-.")
+SPEED_BINS = 6
+
+
+def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Colour and line style by label: the colour follows the model's name, the line tells its variants apart."""
+    found: dict[str, tuple[str, str]] = {}
+    for label in labels:
+        colour = _colour(label)
+        used = sum(other == colour for other, _ in found.values())
+        found[label] = (colour, _LINES[used % len(_LINES)])
+    return found
+
+
+def box_plot(
+    errors: Mapping[str, Float[np.ndarray, " n"]], *, quantity: str = "Distance error after 5 s [m]", title: str = ""
+) -> Figure:
+    """Errors by model in the paper's form (Fig. 3 and 4).
+
+    Boxes reach from the lower to the upper quartile, whiskers to the last value within 1.5 IQR of them; the whiskers'
+    ends are given by the values with arrows. Green: median; orange: mean. Failed predictions are counted below.
+
+    Args:
+        errors: by label; infinite where a prediction failed.
+    """
+    figure, axes = _axes(1.3 + 1.25 * max(len(errors), 3), 4.4, title)
+    boxes = [_box(label, values) for label, values in errors.items()]
+    drawn = axes.bxp(
+        boxes,
+        showfliers=False,
+        showmeans=True,
+        meanline=True,
+        patch_artist=True,
+        widths=0.5,
+        # The median lies on the mean, thinner, so that both are seen where they are equal.
+        medianprops={"color": MEDIAN, "linewidth": 1.6, "zorder": 4},
+        meanprops={"color": MEAN, "linewidth": 3.6, "linestyle": "-", "zorder": 3},
+    )
+    for patch, label in zip(drawn["boxes"], errors, strict=True):
+        patch.set(facecolor=_colour(label), alpha=0.35, edgecolor="none")
+    top = max((box["whishi"] for box in boxes), default=1.0) or 1.0
+    for place, box in enumerate(boxes, start=1):
+        for end in (box["whislo"], box["whishi"]):
+            axes.annotate(
+                f"{end:.2f}",
+                xy=(place + 0.13, end),
+                xytext=(place + 0.3, end + 0.05 * top),
+                fontsize=8,
+                arrowprops={"arrowstyle": "-|>", "linewidth": 0.7, "color": "black"},
+            )
+    axes.set(xlim=(0.5, len(boxes) + 0.7), ylim=(-0.03 * top, 1.12 * top), ylabel=quantity)
+    axes.plot([], [], color=MEDIAN, linewidth=1.6, label="median")
+    axes.plot([], [], color=MEAN, linewidth=3.6, label="mean")
+    axes.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    return figure
+
+
+def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> Figure:
+    """Mean distance error against the horizon, with the 95 % interval as a band.
+
+    Args:
+        rows: by label, in ascending order of horizons.
+    """
+    figure, axes = _axes(7.6, 4.2, title)
+    ends = {}
+    for label, (colour, line) in styles(list(rows)).items():
+        seconds = [row.horizon_s for row in rows[label]]
+        mean = np.array([row.distance_error_m.mean for row in rows[label]])
+        low, high = np.array([row.distance_error_m.ci95 for row in rows[label]]).T
+        axes.plot(seconds, mean, line, color=colour, marker="o", markersize=4, label=label)
+        axes.fill_between(seconds, low, high, color=colour, alpha=0.13, linewidth=0)
+        if np.isfinite(mean).any():
+            ends[label] = float(mean[np.isfinite(mean)][-1])
+    axes.set(xlabel="Horizon [s]", ylabel="Mean distance error [m]", xlim=(0.8, 5.2), xticks=[1, 2, 3, 4, 5])
+    axes.set_ylim(bottom=0)
+    _legend_beside(axes, ends)
+    return figure
+
+
+def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> Figure:
+    """Share of windows whose distance error after 5 s stays below a value."""
+    figure, axes = _axes(7.6, 4.2, title)
+    shown = [values[np.isfinite(values)] for values in errors.values()]
+    limit = max((float(np.quantile(values, 0.98)) for values in shown if len(values)), default=1.0)
+    for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
+        ordered = np.sort(values)
+        # Failed windows are in the count, so that a curve of a model that fails never reaches the top.
+        share = np.arange(1, len(ordered) + 1) / len(ordered)
+        axes.plot(ordered, 100 * share, line, color=colour, label=label)
+    axes.set(xlabel="Distance error after 5 s [m]", ylabel="Windows below [%]", xlim=(0, limit), ylim=(0, 101))
+    _legend_beside(axes)
+    return figure
+
+
+def speed_plot(
+    errors: Mapping[str, Float[np.ndarray, " n"]], speed: Float[np.ndarray, " n"], *, title: str = ""
+) -> Figure:
+    """Mean distance error after 5 s against the speed at the start, in bins of as many windows each."""
+    figure, axes = _axes(7.6, 4.2, title)
+    edges = np.unique(np.quantile(speed, np.linspace(0, 1, SPEED_BINS + 1)))
+    which = np.clip(np.searchsorted(edges, speed, side="right") - 1, 0, max(len(edges) - 2, 0))
+    bins = np.unique(which)
+    centres = [float(np.median(speed[which == k])) for k in bins]
+    for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
+        means = [float(values[which == k].mean()) for k in bins]
+        axes.plot(centres, means, line, color=colour, marker="o", markersize=4, label=label)
+    axes.set(xlabel="Speed at the start [m/s]", ylabel="Mean distance error after 5 s [m]")
+    axes.set_ylim(bottom=0)
+    _legend_beside(axes)
+    return figure
+
+
+def _box(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
+    finite = values[np.isfinite(values)]
+    failed = len(values) - len(finite)
+    name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
+    box: dict[str, Any] = cbook.boxplot_stats(finite if len(finite) else np.zeros(1), whis=1.5)[0]
+    return {**box, "label": name}
+
+
+def _axes(width: float, height: float, title: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_title(title, loc="left", fontsize=10)
+    return figure, axes
+
+
+def _legend_beside(axes: Axes, ends: Mapping[str, float] | None = None) -> None:
+    """A legend to the right, where it hides nothing; in the order of the curves' ends where they are given."""
+    handles, labels = axes.get_legend_handles_labels()
+    height = ends or {}
+    order = sorted(range(len(labels)), key=lambda i: -height.get(labels[i], np.inf))
+    axes.legend(
+        [handles[i] for i in order],
+        [labels[i] for i in order],
+        frameon=False,
+        fontsize=8,
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+    )
+
+
+def _colour(label: str) -> str:
+    name = label.split(" ")[0]
+    return _COLOURS.get(name) or _SPARE[sum(name.encode()) % len(_SPARE)]

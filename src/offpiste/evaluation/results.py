@@ -1,0 +1,173 @@
+"""metrics.json: what an evaluation found, row by row (DESIGN.md, "Files")."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from offpiste.errors import RunError
+from offpiste.evaluation.metrics import PairedDifference, Statistics
+from offpiste.files import write_text
+
+SCHEMA = 1
+
+
+class Minus(msgspec.Struct, frozen=True):
+    """Paired differences to another model on the same windows; negative where this one is better."""
+
+    distance_error_m: PairedDifference
+    loss: PairedDifference
+
+
+class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One model, start, way of reading the ground, and horizon.
+
+    Attributes:
+        seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.pooling`).
+        lookup: None for models that do not read the ground.
+        n: windows.
+        n_failed: of them, predictions that are not finite at this horizon; any makes the mean infinite, null in JSON.
+        loss: over all steps up to 5 s, whatever the horizon of the row.
+        minus: paired differences by the other model's label (its name, and its variant if it has one).
+    """
+
+    model: str
+    variant: str
+    seed: int | None
+    fold: int | None
+    start: Literal["causal", "smoothed"]
+    feature_set: str | None
+    lookup: Literal["recorded", "map"] | None
+    part: str
+    horizon_s: float
+    n: int
+    n_failed: int
+    distance_error_m: Statistics
+    yaw_error_rad: Statistics
+    vx_error_mps: Statistics
+    vy_error_mps: Statistics
+    yaw_rate_error_radps: Statistics
+    loss: Statistics
+    minus: dict[str, Minus]
+
+    @property
+    def label(self) -> str:
+        """The model's name, and its variant if it has one."""
+        return label(self.model, self.variant)
+
+
+class Headline(msgspec.Struct, frozen=True, kw_only=True):
+    """A model's distance error at 5 s, and how it compares with `other`'s: -0.3 is 30 % below."""
+
+    model: str
+    start: str
+    lookup: str | None
+    runs: int
+    distance_error_m: float
+    other: str
+    relative: float
+    ci95: tuple[float, float]
+
+
+class WindowNumbers(msgspec.Struct, frozen=True, kw_only=True):
+    """What the judged windows are like.
+
+    Attributes:
+        driven_in_training: share of the part's path that training passes within 5 m.
+    """
+
+    n: int
+    drives: int
+    stride_s: float
+    blocks: int
+    block_s: float
+    median_distance_m: float
+    median_speed_mps: float
+    driven_in_training: float
+
+
+class LossUnits(msgspec.Struct, frozen=True):
+    """The loss's components: their weights, and the mean square errors they are divided by."""
+
+    weights: dict[str, float]
+    scale: dict[str, float]
+
+
+class Provenance(msgspec.Struct, frozen=True):
+    """What made the numbers."""
+
+    date: str
+    command: str
+    machine: str
+    versions: dict[str, str]
+    seed: int
+
+
+class Metrics(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything in metrics.json."""
+
+    schema: int = SCHEMA
+    dataset: str
+    split: str
+    part: str
+    made: Provenance
+    loss: LossUnits
+    windows: WindowNumbers
+    headlines: list[Headline]
+    results: list[ResultRow]
+
+
+def label(model: str, variant: str) -> str:
+    """How a model is called in tables and pictures."""
+    return f"{model} ({variant})" if variant else model
+
+
+def way(model: str, lookup: str | None) -> str:
+    """A model's label and where it reads the ground."""
+    return f"{model} · {lookup}" if lookup else model
+
+
+def pooled_rows(rows: list[ResultRow]) -> list[ResultRow]:
+    """One row a result: that over all runs where a model has several."""
+    several = {_case(row) for row in rows if row.seed is None and row.fold is None}
+    return [row for row in rows if (row.seed is None and row.fold is None) or _case(row) not in several]
+
+
+def run_rows(rows: list[ResultRow]) -> list[ResultRow]:
+    """The single runs of models that have several."""
+    pooled = {id(row) for row in pooled_rows(rows)}
+    return [row for row in rows if id(row) not in pooled]
+
+
+def write_metrics(path: Path, metrics: Metrics) -> None:
+    """Write metrics.json, whole or not at all: strict JSON, null for what is not finite."""
+    write_text(path, msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
+
+
+def read_metrics(path: Path) -> Metrics:
+    """Read metrics.json; null in a statistic becomes nan.
+
+    Raises:
+        RunError: no such file, not strict JSON, or of another version.
+    """
+    how = "give the metrics.json that `offpiste evaluate` wrote"
+    try:
+        content = msgspec.json.decode(path.read_bytes())
+        if isinstance(content, dict) and content.get("schema") != SCHEMA:
+            raise RunError(f"schema {content.get('schema')}, this offpiste reads {SCHEMA}", where=path, how=how)
+        return msgspec.convert(_with_nan(content), type=Metrics)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise RunError(f"not the numbers of an evaluation: {error}", where=path, how=how) from error
+
+
+def _with_nan(content: Any, names: tuple[str, ...] = ("model", "seed", "fold", "lookup", "feature_set")) -> Any:
+    """The same with nan for null, except where null has a meaning of its own."""
+    if isinstance(content, dict):
+        return {key: value if key in names else _with_nan(value, names) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_with_nan(value, names) for value in content]
+    return float("nan") if content is None else content
+
+
+def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]:
+    return row.model, row.variant, row.start, row.feature_set, row.lookup, row.horizon_s

@@ -1,0 +1,149 @@
+"""From errors, window by window, to the rows of metrics.json."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from offpiste.evaluation.judge import COMPONENTS, HORIZONS, Errors
+from offpiste.evaluation.metrics import Resampling, blocks, paired, relative, resampling, summary
+from offpiste.evaluation.pooling import pool, positions
+from offpiste.evaluation.results import Headline, Minus, ResultRow, label
+
+REFERENCE = "kinematic"
+"""The model that headlines compare with."""
+
+Start = Literal["causal", "smoothed"]
+Lookup = Literal["recorded", "map"]
+
+
+class Case(NamedTuple):
+    """A model judged in one way."""
+
+    model: str
+    variant: str
+    start: Start
+    lookup: Lookup | None
+
+    @property
+    def label(self) -> str:
+        """The model's name, and its variant if it has one."""
+        return label(self.model, self.variant)
+
+
+@dataclass(frozen=True)
+class RunErrors:
+    """Errors of one run of a model."""
+
+    seed: int | None
+    fold: int | None
+    errors: Errors
+
+
+Cases = Mapping[Case, list[RunErrors]]
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How intervals are found: blocks of `block_seconds`, drawn from a seeded generator."""
+
+    seed: int = 0
+    block_seconds: float = 10.0
+
+    def on(self, errors: Errors) -> Resampling:
+        """Blocks of these windows. The same windows always get the same draws."""
+        block = blocks(errors.drive, errors.row, seconds=self.block_seconds)
+        return resampling(block, np.random.default_rng(self.seed))
+
+
+def pooled(cases: Cases) -> dict[Case, Errors]:
+    """Each case over all its runs."""
+    return {case: pool([run.errors for run in runs]) for case, runs in cases.items()}
+
+
+def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
+    """A row for every case and horizon; where a case has several runs, one over all of them and one for each.
+
+    `minus` of a single run compares with the other models over all their runs, on that run's windows.
+    """
+    together = pooled(cases)
+    rows = []
+    for case, runs in cases.items():
+        over_all = [RunErrors(None, None, together[case])] if len(runs) > 1 else []
+        for run in over_all + runs:
+            rows += _rows(case, run, together, part, sampling)
+    return rows
+
+
+def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
+    """Each model but the baselines against `kinematic`, at 5 s."""
+    together = pooled(cases)
+    found = []
+    for case, errors in together.items():
+        reference = _counterpart(together, REFERENCE, case)
+        if case.model in ("ctrv", REFERENCE) or reference is None:
+            continue
+        ratio = relative(errors.distance(), reference.distance(), sampling.on(errors))
+        found.append(
+            Headline(
+                model=case.label,
+                start=case.start,
+                lookup=case.lookup,
+                runs=len(cases[case]),
+                distance_error_m=float(errors.distance().mean()),
+                other=REFERENCE,
+                relative=ratio.mean,
+                ci95=ratio.ci95,
+            )
+        )
+    return found
+
+
+def _rows(
+    case: Case, run: RunErrors, together: Mapping[Case, Errors], part: str, sampling: Sampling
+) -> list[ResultRow]:
+    errors = pool([run.errors])  # in ascending order
+    drawn = sampling.on(errors)
+    loss = summary(errors.loss, drawn)
+    others = {}
+    for other in dict.fromkeys(key.label for key in together):
+        counterpart = _counterpart(together, other, case)
+        if other != case.label and counterpart is not None:
+            others[other] = counterpart.take(positions(errors, counterpart))
+    loss_minus = {other: paired(errors.loss, found.loss, drawn) for other, found in others.items()}
+    return [
+        ResultRow(
+            model=case.model,
+            variant=case.variant,
+            seed=run.seed,
+            fold=run.fold,
+            start=case.start,
+            feature_set=None,
+            lookup=case.lookup,
+            part=part,
+            horizon_s=float(seconds),
+            n=len(errors.row),
+            n_failed=int(errors.failed[:, h].sum()),
+            **{name: summary(errors.values[:, h, c], drawn) for c, name in enumerate(COMPONENTS)},
+            loss=loss,
+            minus={
+                other: Minus(paired(errors.values[:, h, 0], found.values[:, h, 0], drawn), loss_minus[other])
+                for other, found in others.items()
+            },
+        )
+        for h, seconds in enumerate(HORIZONS)
+    ]
+
+
+def _counterpart(together: Mapping[Case, Errors], other: str, case: Case) -> Errors | None:
+    """Another model judged in the same way, or in the only way it can be."""
+    for key, errors in together.items():
+        if key.label == other and key.start == case.start and key.lookup in (case.lookup, None):
+            return errors
+    # A baseline that does not read the ground, against one that does: as the latter decides, on the map.
+    for lookup in ("map", "recorded"):
+        for key, errors in together.items():
+            if key.label == other and key.start == case.start and key.lookup == lookup and case.lookup is None:
+                return errors
+    return None
