@@ -3,7 +3,7 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -48,9 +48,21 @@ class Inspect:
 
     def run(self) -> int:
         """Inspect, print, judge."""
-        from offpiste.logs.checks import run_inspection
+        from json import dumps
 
-        return run_inspection(self.log, rig=self.rig, write_rig=self.write_rig, as_json=self.json)
+        from offpiste.files import write_text
+        from offpiste.logs import open_log
+        from offpiste.logs.checks import draft_rig, inspect_log, render
+        from offpiste.rig import Clock, load_rig
+
+        rig = load_rig(self.rig) if self.rig else None
+        clock = rig.clock if rig else Clock()
+        log = open_log(self.log, clock_column=clock.column, clock_unit=clock.unit)
+        if self.write_rig:
+            write_text(self.write_rig, draft_rig(log))
+        inspection = inspect_log(log, rig)
+        _tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
+        return 0 if inspection.usable else 1
 
 
 @dataclass(frozen=True)
@@ -117,14 +129,13 @@ class Evaluate:
     """The dataset they were trained on, or another one."""
     out: Path = Path("report")
     """Folder of the report."""
-    part: Literal["test", "validation"] = "test"
     device: str = "cpu"
 
     def run(self) -> int:
         """Load, judge, report."""
         from offpiste.experiments.judge_runs import judge_runs
 
-        judge_runs(self.runs, self.dataset, self.out, part=self.part, device=self.device, tell=_tell)
+        judge_runs(self.runs, self.dataset, self.out, device=self.device, tell=_tell)
         return 0
 
 
@@ -163,5 +174,11 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(1)
 
 
-def _tell(line: str) -> None:
-    print(line, flush=True)  # noqa: T201
+def _tell(said: object) -> None:
+    """Print a line, or anything that rich can draw."""
+    if isinstance(said, str):
+        print(said, flush=True)  # noqa: T201
+    else:
+        from rich.console import Console
+
+        Console(highlight=False).print(said)

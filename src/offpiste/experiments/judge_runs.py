@@ -1,0 +1,62 @@
+"""Judge trained runs on a dataset and write the report."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.errors import RunError
+from offpiste.evaluation.evaluate import Evaluation, Judged, evaluate_models
+from offpiste.evaluation.report import write_report
+from offpiste.evaluation.table import render_table
+from offpiste.progress import track
+from offpiste.training.folds import fold_folders
+from offpiste.training.run import Run, load_run, refuse_seen, vehicle_of
+
+
+def judge_runs(
+    folders: Sequence[Path],
+    dataset_path: Path,
+    out: Path,
+    *,
+    device: str = "cpu",
+    tell: Callable[[object], None] = lambda said: None,
+) -> Evaluation:
+    """Judge runs on the test part of a dataset; write metrics.json, pictures and report.html to `out`.
+
+    Raises:
+        RunError: a folder is no finished run, does not fit the dataset, or was trained on what would judge it.
+        DatasetError: no dataset there, or no window in its test part.
+    """
+    dataset = open_dataset(dataset_path)
+    runs: list[Run] = []
+    judged: list[Judged] = []
+    for folder in folders:
+        folds = fold_folders(folder)
+        for number, member in enumerate(folds or [folder]):
+            run = load_run(member, device=device)
+            split = parse_split(run.split) if folds else None
+            _refuse_unfit(run, dataset)
+            refuse_seen(run, dataset if split is None else dataset.relabelled(split), "test")
+            runs.append(run)
+            fold = number if folds else None
+            judged.append(Judged(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
+    evaluation = evaluate_models(
+        judged, dataset, scale=runs[0].scale, weights=runs[0].weights, device=device, track=track
+    )
+    write_report(evaluation, out)
+    tell(render_table(evaluation.metrics.results))
+    tell(f"report: {out / 'report.html'}")
+    return evaluation
+
+
+def _refuse_unfit(run: Run, dataset: Dataset) -> None:
+    needed, given = run.dynamics.vehicle, vehicle_of(dataset)
+    for kind in ("control", "actuators"):
+        if getattr(needed, kind) != getattr(given, kind):
+            raise RunError(
+                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
+                f"{', '.join(getattr(given, kind)) or 'none'}",
+                where=run.folder,
+                how="judge it on a dataset whose rig has the same channels",
+            )
