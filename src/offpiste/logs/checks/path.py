@@ -1,0 +1,100 @@
+"""The driven path by the pose alone: what the other channels are judged against."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import LogError
+from offpiste.geometry import local_polynomial, planar_body_from_world
+from offpiste.logs.drive import Drive, common_span
+from offpiste.logs.motion import driven_slope, heading
+
+_STEP = 0.05
+_WINDOW = 0.4
+"""Span of pose samples behind a velocity [s]; slower poses take six samples."""
+_LONGEST = 86400.0
+"""A recording is no longer than a day [s]."""
+MOVING = 0.3
+"""Below this speed a vehicle stands [m/s]."""
+TURNING = 0.05
+"""A drive whose yaw rates spread less than this tells nothing about turning [rad/s]."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """Motion on an even grid, from the pose, without delay; NaN in gaps.
+
+    Attributes:
+        time: [s].
+        place: horizontal position [m].
+        velocity: horizontal world velocity [m/s].
+        speed: its norm [m/s].
+        forward: velocity along the heading [m/s].
+        yaw, yaw_rate: heading and its rate [rad, rad/s].
+        acceleration: d(forward)/dt [m/s^2].
+        slope: dz/ds of the path; 0 where positions are planar.
+    """
+
+    time: Float[np.ndarray, " n"]
+    place: Float[np.ndarray, "n 2"]
+    velocity: Float[np.ndarray, "n 2"]
+    speed: Float[np.ndarray, " n"]
+    forward: Float[np.ndarray, " n"]
+    yaw: Float[np.ndarray, " n"]
+    yaw_rate: Float[np.ndarray, " n"]
+    acceleration: Float[np.ndarray, " n"]
+    slope: Float[np.ndarray, " n"]
+
+    @property
+    def distance(self) -> float:
+        """Length of the path [m], standing left out."""
+        return float(np.nansum(np.where(self.speed > MOVING, self.speed, 0.0)) * _STEP)
+
+    @property
+    def driving(self) -> float:
+        """Time in motion [s]."""
+        return float(np.sum(np.nan_to_num(self.speed) > MOVING) * _STEP)
+
+    @property
+    def cruise(self) -> float:
+        """The 95th percentile of the speed [m/s]: how fast this vehicle goes, whatever its size."""
+        return float(np.nanpercentile(self.speed, 95)) if np.isfinite(self.speed).any() else 0.0
+
+
+def driven_path(drive: Drive) -> Path:
+    """Motion from positions and headings; no velocity of the log is used.
+
+    Raises:
+        LogError: positions and headings share no time, or more of it than one drive takes.
+    """
+    place, yaw = drive.channels["position"], heading(drive)
+    start, end = common_span([place, yaw], drive.name)
+    if end - start > _LONGEST:
+        raise LogError(
+            f"stamps span {(end - start) / 3600:.0f} hours",
+            where=drive.name,
+            how="mend clock.unit, or cut away the stamps that are far off",
+        )
+    time = np.arange(start, end, _STEP)
+    window = max(_WINDOW, *(6 * float(np.median(np.diff(channel.time))) for channel in (place, yaw)))
+
+    position, velocity = local_polynomial(place.time, place.values - place.values[0], time, window=window, causal=False)
+    turned, yaw_rate = local_polynomial(yaw.time, yaw.values, time, window=window, causal=False)
+    forward = planar_body_from_world(velocity[:, :2], turned[:, 0])[:, 0]
+    known = np.isfinite(forward)
+    acceleration = np.full(len(time), np.nan)
+    if known.sum() > 10:
+        acceleration[known] = local_polynomial(
+            time[known], forward[known, None], time[known], window=max(0.6, window), causal=False
+        )[1][:, 0]
+
+    speed = np.hypot(*velocity[:, :2].T)
+    slope = (
+        driven_slope(position, speed, dt=_STEP, length=drive.rig.motion.slope_length)
+        if position.shape[1] == 3
+        else np.zeros(len(time))
+    )
+    return Path(
+        time, position[:, :2], velocity[:, :2], speed, forward, turned[:, 0], yaw_rate[:, 0], acceleration, slope
+    )

@@ -1,0 +1,222 @@
+"""What the vehicle does with its controls: sign, delay and size of steering, throttle and brake.
+
+A vehicle follows its controls: motion up to 0.4 s after steering is a response, motion before it is a wrong stamp.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.logs.channel import Channel
+from offpiste.logs.checks.finding import Finding, number
+from offpiste.logs.checks.lags import LagFit, fit_lags
+from offpiste.logs.checks.path import TURNING, Path
+from offpiste.logs.drive import Drive
+from offpiste.rig import Rig
+
+_LAGS = np.arange(-1.5, 1.51, 0.05)
+_STEER_LAGS = (-0.08, 0.4)
+_PEDAL_LAGS = (-0.15, 0.8)
+"""Delays of the motion that are the vehicle's own [s]."""
+_STEER_EFFECT = 0.5
+"""Correlation of yaw rate with speed times steering above which the steering is one."""
+_PEDAL_EFFECT = 0.2
+"""The same for the acceleration and a pedal, with speed, slope and the other pedal taken out."""
+_CLEARER = 0.03
+"""A lag outside of the vehicle's own must explain this much more of the variance than the best one inside."""
+_CLEAR_STEER, _CLEAR_PEDAL = 0.7, 0.3
+"""Correlations above which a delay can be told."""
+_WINDOW = 8.0
+_MAX_LATERAL = 3.0
+"""Above this lateral acceleration tyres slip too much to tell the steering's scale [m/s^2]."""
+
+
+def steering_fit(channel: Channel, path: Path, rig: Rig) -> LagFit | None:
+    """Yaw rate by forward speed times the (tangent of the) wheels' angle, with a free centre."""
+    angle = np.stack([_sampled(channel, path.time - lag, rig) for lag in _LAGS])
+    wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
+    rows = (path.speed > max(0.3, 0.2 * path.cruise)) & (np.abs(path.speed * path.yaw_rate) < _MAX_LATERAL)
+    if rows.sum() < 40:
+        rows = path.speed > max(0.3, 0.2 * path.cruise)
+    return fit_lags(path.yaw_rate, path.forward[:, None], path.forward * wheel, _LAGS, rows)
+
+
+def check_steering(drive: Drive, path: Path, *, measured: bool) -> tuple[list[Finding], bool]:
+    """Findings on `steer` and `steer_angle`, and whether one of them turns the vehicle.
+
+    Args:
+        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
+    """
+    findings, works = [], False
+    for name in ("steer", "steer_angle"):
+        channel = drive.channels.get(name)
+        if channel is None or np.nanstd(path.yaw_rate) < TURNING:
+            continue
+        fit = steering_fit(channel, path, drive.rig)
+        if fit is None:
+            continue
+        # A wrong sign explains as much as the right one: signs are compared, and a flip must be clearly better.
+        best = fit.best()
+        if abs(fit.r[best]) < _STEER_EFFECT:
+            said = f"correlation of yaw rate with speed times {name}: {fit.r[best]:.2f} at best, within 1.5 s"
+            findings.append(Finding("warning", name, "does not turn the vehicle", said, _other_source(name), 1.0))
+            continue
+        works = True
+        findings += _steer_sign(name, fit, drive.rig)
+        drift = _drift(name, channel, path, drive.rig)
+        findings += drift or _delay(name, fit, _STEER_LAGS, drive.rig)
+        findings += _steer_scale(name, fit, drive.rig) if measured else _steer_radius(name, fit)
+    return findings, works
+
+
+def check_pedals(drive: Drive, path: Path) -> tuple[list[Finding], bool]:
+    """Findings on `throttle` and `brake`, and whether one of them changes the speed."""
+    findings, works = [], False
+    for name, sign in (("throttle", 1), ("brake", -1)):
+        channel = drive.channels.get(name)
+        if channel is None or np.ptp(channel.values) == 0:
+            continue
+        fit = _pedal_fit(name, drive, path)
+        if fit is None:
+            continue
+        right, wrong = fit.best(*_PEDAL_LAGS, sign=sign), fit.best(*_PEDAL_LAGS, sign=-sign)
+        strongest = fit.best()
+        if abs(fit.r[strongest]) < _PEDAL_EFFECT:
+            said = f"correlation with the acceleration: {fit.r[strongest]:.2f} at best, within 1.5 s"
+            what, how = "does not change the speed", "look for another field, or declare it absent"
+            findings.append(Finding("note", name, what, said, how, 0.5))
+            continue
+        works = True
+        if abs(fit.r[wrong]) > max(_PEDAL_EFFECT, 2 * max(sign * fit.r[right], 0.0)):
+            said = f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
+            findings.append(Finding("warning", name, "acts the wrong way", said, _flip(name, channel, drive.rig), 1.0))
+        else:
+            findings += _delay(name, fit, _PEDAL_LAGS, drive.rig, sign)
+    return findings, works
+
+
+def _pedal_fit(name: str, drive: Drive, path: Path) -> LagFit | None:
+    channel = drive.channels[name]
+    lagged = np.stack([_sampled(channel, path.time - lag, drive.rig) for lag in _LAGS])
+    one = np.ones(len(path.time))
+    base = [one, path.forward, path.forward * np.abs(path.forward), path.slope]
+    other = drive.channels.get("brake" if name == "throttle" else "throttle")
+    if other is not None and np.ptp(other.values) > 0:
+        base.append(_sampled(other, path.time - 0.2, drive.rig))
+    return fit_lags(path.acceleration, np.stack(base, axis=1), lagged, _LAGS, path.speed > 0.3)
+
+
+def _sampled(channel: Channel, at: Float[np.ndarray, " n"], rig: Rig) -> Float[np.ndarray, " n"]:
+    hold = rig.channels[channel.name].interpolation == "hold"
+    read = channel.hold if hold else channel.linear
+    return read(at, max_gap=max(rig.clock.max_gap, 1.0))[:, 0]
+
+
+def _steer_sign(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
+    wrong, right = fit.best(sign=-1), fit.best(sign=1)
+    if -fit.r[wrong] < 1.3 * max(fit.r[right], 0.0):
+        return []
+    said = f"correlation of yaw rate (+ left) with speed times {name}: {fit.r[wrong]:+.2f}"
+    mend = f"channels.{name}.sign = {-rig.channels[name].sign}"
+    return [Finding("warning", name, "is positive to the right", said, mend, 1.0)]
+
+
+def _steer_scale(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
+    """Yaw rate over speed is tan(angle) / wheelbase."""
+    best = fit.best()
+    implied = abs(float(fit.gain[best])) * rig.vehicle.wheelbase
+    if abs(fit.r[best]) < 0.7:
+        return []
+    if name == "steer":
+        angle, stated = float(np.arctan(implied)), rig.vehicle.max_steer
+        said = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {angle:.3f} rad at steer = 1"
+        said += f"; the rig says {stated:.3f} rad"
+        factor, mend = angle / stated, f"vehicle.max_steer = {number(angle)}"
+    else:
+        source = rig.channels[name]
+        said = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {implied:.3g} times the angle"
+        factor, mend = implied, f"channels.{name}.scale = {number(source.scale * implied)}"
+        if abs(implied * 180 / np.pi - 1) < 0.4:
+            mend = f'channels.{name}.unit = "deg"'
+        elif source.unit == "deg" and abs(implied * np.pi / 180 - 1) < 0.4:
+            mend = f'channels.{name}.unit = "rad"'
+    if 0.6 < factor < 1.6:
+        return []
+    what = (
+        "does not turn the vehicle as much as the rig says"
+        if factor < 1
+        else "turns the vehicle more than the rig says"
+    )
+    return [Finding("warning", name, what, said, mend, 0.6)]
+
+
+def _steer_radius(name: str, fit: LagFit) -> list[Finding]:
+    """The scale of the steering where no wheelbase is known."""
+    curvature = abs(float(fit.gain[fit.best()]))
+    said = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
+    line = f"atan({curvature:.3g} * wheelbase)"
+    mend = f"vehicle.max_steer = {line}" if name == "steer" else "compare with tan(angle) / wheelbase"
+    return [Finding("note", name, "has this scale", said, mend, 0.4)]
+
+
+def _delay(name: str, fit: LagFit, own: tuple[float, float], rig: Rig, sign: int = 0) -> list[Finding]:
+    best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
+    lag = float(fit.lags[best])
+    gained = fit.r[best] ** 2 - max(fit.r[inside] * (sign or np.sign(fit.r[best])), 0.0) ** 2
+    # A best lag at the end of those tried is no maximum: slow signals fit anywhere.
+    weak = abs(fit.r[best]) < (_CLEAR_PEDAL if sign else _CLEAR_STEER)
+    if weak or own[0] <= lag <= own[1] or gained < _CLEARER or best in (0, len(fit.lags) - 1):
+        return []
+    said = f"the motion is {abs(lag):.2f} s {'before' if lag < 0 else 'after'} it: R2 {fit.r[best] ** 2:.2f} there and "
+    said += f"{fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
+    what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
+    mend = f"channels.{name}.delay = {number(rig.channels[name].delay - lag)}"
+    if lag < 0:
+        mend += "; if it is called a command, it is a copy of a measurement"
+    return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, said, mend, gained)]
+
+
+def _drift(name: str, channel: Channel, path: Path, rig: Rig) -> list[Finding]:
+    """Whether the delay differs between stretches of the drive, each judged where it turns enough."""
+    lags = _window_lags(channel, path, rig)
+    if len(lags) < 5:
+        return []
+    low, middle, high = np.percentile(lags, (10, 50, 90))
+    if high - low < 0.35 or low > -0.2:
+        return []
+    said = f"the motion comes {low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f}) in {len(lags)} "
+    said += f"stretches of {_WINDOW:.0f} s"
+    how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
+    return [Finding("warning", name, "has a delay that changes", said, how + " with [alignment]", 0.9)]
+
+
+def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " w"]:
+    sampled = np.stack([_sampled(channel, path.time - lag, rig) for lag in _LAGS])
+    turning = path.forward * sampled
+    found = []
+    usual = np.nanstd(path.yaw_rate[path.speed > max(0.3, 0.2 * path.cruise)])
+    for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW):
+        rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
+        if not np.isfinite(path.yaw_rate[rows]).any() or np.nanstd(path.yaw_rate[rows]) < 0.7 * usual:
+            continue
+        fit = fit_lags(path.yaw_rate, path.forward[:, None], turning, _LAGS, rows)
+        if fit is None:
+            continue
+        best = fit.best()
+        if abs(fit.r[best]) > 0.93 and 0 < best < len(_LAGS) - 1:
+            found.append(float(_LAGS[best]))
+    return np.array(found)
+
+
+def _flip(name: str, channel: Channel, rig: Rig) -> str:
+    """The line that turns a pedal round: 0..1 becomes 1..0, -1..0 becomes 1..0 too."""
+    source = rig.channels[name]
+    if np.median(channel.values) < 0:
+        return f"channels.{name}.sign = {-source.sign}"
+    return (
+        f"channels.{name}.scale = {number(-source.scale)}, channels.{name}.offset = "
+        f"{number(source.sign - source.offset)}; or it is the other pedal"
+    )
+
+
+def _other_source(name: str) -> str:
+    return f'look for another field, or absent = ["{name}"]'
