@@ -26,6 +26,8 @@ _CLEARER = 0.03
 _CLEAR_STEER, _CLEAR_PEDAL = 0.7, 0.3
 """Correlations above which a delay can be told."""
 _WINDOW = 8.0
+_SLIDING = 0.35
+"""Sliding tyres leave at least this share of the turning that the wheels' angle asks for."""
 _MAX_LATERAL = 3.0
 """Above this lateral acceleration tyres slip too much to tell the steering's scale [m/s^2]."""
 
@@ -141,12 +143,13 @@ def _steer_scale(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
             mend = f'channels.{name}.unit = "rad"'
     if 0.6 < factor < 1.6:
         return []
-    what = (
-        "does not turn the vehicle as much as the rig says"
-        if factor < 1
-        else "turns the vehicle more than the rig says"
-    )
-    return [Finding("warning", name, what, said, mend, 0.6)]
+    if factor > 1:
+        return [Finding("warning", name, "turns the vehicle more than the rig says", said, mend, 0.6)]
+    # Sliding tyres turn a vehicle less than its wheels: on slippery ground down to a half is no fault of the rig.
+    slides = factor > _SLIDING
+    what = "turns the vehicle less than the rig says"
+    mend += "; or the tyres slip" if slides else ""
+    return [Finding("note" if slides else "warning", name, what, said, mend, 0.6)]
 
 
 def _steer_radius(name: str, fit: LagFit) -> list[Finding]:
