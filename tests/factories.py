@@ -15,6 +15,9 @@ from offpiste.logs.log import Log, Samples, Topic
 from offpiste.rig import Rig, parse_rig
 from offpiste.trajectory import History, RecordedTerrain, Terrain
 
+torch.set_num_threads(1)
+"""Tensors here are small: threads cost more than they bring."""
+
 VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, actuators=ACTUATORS)
 """A vehicle whose log has everything."""
 
@@ -31,6 +34,26 @@ def unsettled(module: nn.Module, *, scale: float = 0.2, seed: int = 0) -> nn.Mod
         for parameter in module.parameters():
             parameter += scale * torch.randn(parameter.shape, generator=generator, dtype=parameter.dtype)
     return module
+
+
+class _Run(nn.Module):
+    def __init__(self, module: nn.Module, run: Callable) -> None:
+        super().__init__()
+        self.module, self.run = module, run
+
+    def forward(self) -> Tensor:
+        return self.run(self.module)
+
+
+def gradients_agree(module: nn.Module, run: Callable) -> bool:
+    """Do the gradients of `run(module)` by all parameters equal finite differences along random directions?"""
+    names, values = zip(*((n, p.detach().clone()) for n, p in module.named_parameters()), strict=True)
+
+    def call(*parameters: Tensor) -> Tensor:
+        by_name = {f"module.{name}": value for name, value in zip(names, parameters, strict=True)}
+        return torch.func.functional_call(_Run(module, run), by_name, ())
+
+    return torch.autograd.gradcheck(call, [value.requires_grad_() for value in values], fast_mode=True)
 
 
 def ground(slope_x: Tensor, slope_y: Tensor, codes: int = 0) -> Terrain:

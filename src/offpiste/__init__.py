@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from offpiste.training.config import TrainConfig
     from offpiste.training.run import Run, load_run
     from offpiste.training.train import train
+    from offpiste.trajectory import RecordedTerrain
 
 _HOME = {
     "Rows": "offpiste.dataset.extract",
@@ -36,6 +37,7 @@ _HOME = {
     "Run": "offpiste.training.run",
     "load_run": "offpiste.training.run",
     "train": "offpiste.training.train",
+    "RecordedTerrain": "offpiste.trajectory",
 }
 
 __all__ = [  # noqa: RUF022  (the order of the stages)
@@ -54,6 +56,7 @@ __all__ = [  # noqa: RUF022  (the order of the stages)
     "Dynamics",
     "Vehicle",
     "as_callable",
+    "RecordedTerrain",
     "rollout",
     "TrainConfig",
     "train",

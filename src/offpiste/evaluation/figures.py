@@ -70,11 +70,13 @@ def box_plot(
         patch.set(facecolor=_colour(label), alpha=0.35, edgecolor="none")
     top = max((box["whishi"] for box in boxes), default=1.0) or 1.0
     for place, box in enumerate(boxes, start=1):
-        for end in (box["whislo"], box["whishi"]):
+        low, high = box["whislo"], box["whishi"]
+        # Where the whiskers' ends are close together, the lower number makes room.
+        for end, height in ((low, min(low + 0.05 * top, high - 0.02 * top)), (high, high + 0.05 * top)):
             axes.annotate(
                 f"{end:.2f}",
                 xy=(place + 0.13, end),
-                xytext=(place + 0.3, end + 0.05 * top),
+                xytext=(place + 0.3, height),
                 fontsize=8,
                 arrowprops={"arrowstyle": "-|>", "linewidth": 0.7, "color": "black"},
             )

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -32,6 +32,7 @@ CHUNK = 1024
 Item = TypeVar("Item")
 
 
+@runtime_checkable
 class Track(Protocol):
     """Shows progress over items while they are worked on, as `offpiste.progress.track` does."""
 

@@ -101,14 +101,12 @@ def blocks(
 
 def resampling(block: Int[np.ndarray, " n"], rng: np.random.Generator, *, resamples: int = RESAMPLES) -> Resampling:
     """Draw as many blocks as there are, with replacement, many times."""
-    total = int(block.max(initial=-1)) + 1
-    return Resampling(block, rng.multinomial(total, np.full(total, 1 / max(total, 1)), size=resamples))
+    total = int(block.max()) + 1
+    return Resampling(block, rng.multinomial(total, np.full(total, 1 / total), size=resamples))
 
 
 def summary(values: Float[np.ndarray, " n"], drawn: Resampling) -> Statistics:
-    """Statistics of one error; all nan without windows."""
-    if not len(values):
-        return Statistics(np.nan, np.nan, np.nan, np.nan, np.nan, (np.nan, np.nan))
+    """Statistics of one error."""
     q1, median, q3, p90 = _quantiles(values, (0.25, 0.5, 0.75, 0.9))
     failed = not np.isfinite(values).all()
     interval = (np.nan, np.nan) if failed else drawn.interval(drawn.means(values))

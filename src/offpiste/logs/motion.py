@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from offpiste.geometry import (
     local_polynomial,
@@ -129,7 +129,13 @@ def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6
     return _assemble(xy, psi, v_world, psi_rate, covered)
 
 
-def _assemble(xy, psi, v_world, psi_rate, covered):  # type: ignore[no-untyped-def]
+def _assemble(
+    xy: Float[np.ndarray, "N 2"],
+    psi: Float[np.ndarray, "N 1"],
+    v_world: Float[np.ndarray, "N 2"],
+    psi_rate: Float[np.ndarray, "N 1"],
+    covered: Bool[np.ndarray, " N"],
+) -> Float[np.ndarray, "N 6"]:
     v_body = planar_body_from_world(v_world, psi[:, 0])
     state = np.concatenate((xy, psi, v_body, psi_rate), axis=1)
     state[~covered] = np.nan

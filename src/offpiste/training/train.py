@@ -41,15 +41,15 @@ def train(
         DatasetError: a part has no window.
         TrainingError: something is not finite; the last good checkpoint stays.
     """
-    _claim(folder, dataset, config, resume)
+    vehicle = vehicle_of(dataset)
+    dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
     windows = Windows(dataset, "train", start=config.start, device=config.device)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
+    _claim(folder, dataset, config, resume)
     record = metrics_writer(folder / "metrics.jsonl", tell)
     if tensorboard:
         record = also_tensorboard(record, folder / "tensorboard")
 
-    vehicle = vehicle_of(dataset)
-    dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
 
     def fit(name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int) -> None:
         run_stage(Stage(name, module, loss, epochs), windows, validation, config, folder, record)

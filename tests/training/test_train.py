@@ -1,0 +1,186 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from factories import circle_rows, small_rig
+from safetensors.torch import load_file
+
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import Hybrid
+from offpiste.errors import DatasetError, RunError, TrainingError
+from offpiste.training import optimise
+from offpiste.training.config import TrainConfig
+from offpiste.training.folds import fold_folders, train_folds
+from offpiste.training.run import load_run, refuse_seen
+from offpiste.training.train import predict, train
+
+QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Two circles: enough for every part of the split."""
+    path = tmp_path_factory.mktemp("data") / "dataset.zarr"
+    split = parse_split("blocks:0.6,0.2,0.2")
+    create(path, small_rig(), split)
+    for number, speed in enumerate((4.0, 6.0)):
+        add_drive(path, f"drive{number}", circle_rows(4000, speed=speed, seed=number), split, ())
+    return open_dataset(path)
+
+
+@pytest.fixture(scope="module")
+def run(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "b"
+    train(dataset, QUICK, folder)
+    return folder
+
+
+class Killed(BaseException):
+    """Stands in for a kill: nothing in the program catches it."""
+
+
+def kill_after(epochs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, seen = optimise._train_epoch, []
+
+    def train_epoch(*arguments: object) -> float:
+        if len(seen) == epochs:
+            raise Killed
+        seen.append(1)
+        return real(*arguments)
+
+    monkeypatch.setattr(optimise, "_train_epoch", train_epoch)
+
+
+def test_training_lowers_the_loss_and_records_every_epoch(run: Path) -> None:
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    assert [(line["stage"], line["epoch"]) for line in lines] == [("bicycle", 1), ("model", 1), ("model", 2)]
+    assert lines[-1]["train_loss"] < lines[0]["train_loss"]
+
+
+def test_the_seed_alone_decides_the_weights(dataset: Dataset, run: Path, tmp_path: Path) -> None:
+    train(dataset, QUICK, tmp_path / "same")
+    train(dataset, replace(QUICK, seed=1), tmp_path / "other")
+    first, same, other = (load_file(f / "model.safetensors") for f in (run, tmp_path / "same", tmp_path / "other"))
+    assert all(torch.equal(first[name], same[name]) for name in first)
+    assert any(not torch.equal(first[name], other[name]) for name in first)
+
+
+@pytest.mark.parametrize("epochs", [0, 1, 2])
+def test_a_killed_run_resumes_to_the_same_weights(
+    dataset: Dataset, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epochs: int
+) -> None:
+    with monkeypatch.context() as patch:
+        kill_after(epochs, patch)
+        with pytest.raises(Killed):
+            train(dataset, QUICK, tmp_path / "run")
+    with pytest.raises(RunError, match="training has not finished"):
+        load_run(tmp_path / "run")
+    train(dataset, QUICK, tmp_path / "run", resume=True)
+    uninterrupted, resumed = load_file(run / "model.safetensors"), load_file(tmp_path / "run" / "model.safetensors")
+    assert all(torch.equal(uninterrupted[name], resumed[name]) for name in uninterrupted)
+
+
+def test_a_loaded_run_predicts_as_the_trained_model(dataset: Dataset, run: Path, tmp_path: Path) -> None:
+    trained = train(dataset, QUICK, tmp_path / "again")
+    loaded = load_run(run)
+    windows = Windows(dataset, "test")
+    batch = windows.gather(np.arange(3))
+    with torch.no_grad():
+        assert torch.equal(predict(trained, batch).state, predict(loaded.dynamics, batch).state)
+    assert (loaded.model, loaded.seed, loaded.split) == ("b", 0, "blocks:0.6,0.2,0.2")
+
+
+def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_last_checkpoint(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = optimise._train_epoch
+
+    def poisoned(stage: optimise.Stage, *rest: object) -> float:
+        if stage.name == "model" and rest[-1] == 1:
+            assert isinstance(stage.module, Hybrid)
+            with torch.no_grad():
+                stage.module.compensator.output[-1].bias[0] = torch.nan
+        return real(stage, *rest)
+
+    monkeypatch.setattr(optimise, "_train_epoch", poisoned)
+    with pytest.raises(TrainingError, match=r"model, epoch 2, batch 1: the predicted vx is not finite from step 1 \(0.02 s\)"):
+        train(dataset, QUICK, tmp_path / "run")
+    kept = load_file(tmp_path / "run" / "model.checkpoint.safetensors")
+    assert all(torch.isfinite(value).all() for value in kept.values())
+
+
+def test_a_gradient_that_is_not_finite_is_named(dataset: Dataset, tmp_path: Path) -> None:
+    module = torch.nn.Linear(1, 1)
+    windows = Windows(dataset, "train")
+    # sqrt(0) is finite, its gradient is not.
+    stage = optimise.Stage("root", module, lambda batch: torch.sqrt(module.weight[0] * 0).expand(len(batch.state)), 1)
+    with pytest.raises(TrainingError, match="root, epoch 1, batch 1: the gradient of 'weight' is not finite"):
+        optimise.run_stage(stage, windows, windows, QUICK, tmp_path, lambda line: None)
+
+
+def test_a_folder_with_a_run_is_not_overwritten(dataset: Dataset, run: Path) -> None:
+    with pytest.raises(RunError, match="holds a run already"):
+        train(dataset, QUICK, run)
+    with pytest.raises(RunError, match=r"begun with other settings \(train\)"):
+        train(dataset, replace(QUICK, batch=4), run, resume=True)
+
+
+def test_an_unknown_model_is_named(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="no model 'bb'; models are: ctrv"):
+        train(dataset, replace(QUICK, model="bb"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_part_without_windows_is_named(tmp_path: Path) -> None:
+    split = parse_split("blocks:0.7,0.1,0.2")
+    create(tmp_path / "short.zarr", small_rig(), split)
+    add_drive(tmp_path / "short.zarr", "short", circle_rows(600), split, ())
+    with pytest.raises(DatasetError, match="validation part has no window of 5 s"):
+        train(open_dataset(tmp_path / "short.zarr"), QUICK, tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "said"),
+    [
+        ("model.safetensors", lambda path: path.write_bytes(path.read_bytes()[:200]), "cannot be read"),
+        ("model.json", lambda path: path.write_text("{"), "not a run"),
+        ("model.json", lambda path: path.write_text("{}"), "lacks or misstates 'vehicle'"),
+        ("model.json", lambda path: path.write_text(path.read_text().replace('"b"', '"lstm"')), "do not fit the model"),
+    ],
+)
+def test_a_damaged_run_ends_in_one_line(dataset: Dataset, run: Path, tmp_path: Path, name, damage, said) -> None:
+    for file in run.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    damage(tmp_path / name)
+    with pytest.raises(RunError, match=said) as error:
+        load_run(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_run_is_not_judged_on_what_it_was_trained_on(dataset: Dataset, run: Path) -> None:
+    loaded = load_run(run)
+    refuse_seen(loaded, dataset, "test")
+    with pytest.raises(RunError, match="was trained on .* of the test part of drive 'drive0'"):
+        refuse_seen(loaded, dataset.relabelled(parse_split("blocks:0.2,0.2,0.6")), "test")
+
+
+def test_folds_refit_everything_on_their_own_parts(dataset: Dataset, tmp_path: Path) -> None:
+    config = replace(QUICK, model="parametric", epochs=1)
+    train_folds(dataset, config, tmp_path / "cv", folds=3)
+    folders = fold_folders(tmp_path / "cv")
+    assert [folder.name for folder in folders] == ["fold-0", "fold-1", "fold-2"]
+    runs = [load_run(folder) for folder in folders]
+    assert [run.split for run in runs] == ["fold:0/3", "fold:1/3", "fold:2/3"]
+    for run in runs:
+        refuse_seen(run, dataset.relabelled(parse_split(run.split)), "test")
+    assert not torch.equal(runs[0].scale, runs[1].scale)
+
+
+def test_too_few_folds_are_refused(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="3 or more"):
+        train_folds(dataset, QUICK, tmp_path, folds=2)
