@@ -1,0 +1,95 @@
+"""Lags of brake, steering and engine against their closed forms."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
+from offpiste.conventions import DT
+from offpiste.dynamics.actuators import Actuators, brake_rate, engine_rate, steer_acceleration
+from offpiste.dynamics.bicycle import Elementary
+
+SCALARS = Elementary(math.sin, math.cos, math.tanh, math.atan, max)
+
+
+def run(model: Actuators, actuators: list[float], control: list[float], steps: int, vx: float = 0.0) -> torch.Tensor:
+    """Actuators after each step under a constant command, with the untrained (zero) residuals."""
+    now, lags = torch.tensor([actuators]).double(), model.constants()
+    memory = torch.zeros(1, model.hidden).double()
+    rows = []
+    for _ in range(steps):
+        now, _, _ = model.step(lags, now, torch.tensor([control]).double(), torch.tensor([vx]).double(), memory, memory)
+        rows.append(now[0])
+    return torch.stack(rows).detach()
+
+
+def test_brake_applies_and_releases_at_its_own_speeds():
+    c = Actuators(VEHICLE).constants()._replace(brake_apply=5.0, brake_release=2.0)
+    assert brake_rate(0.25, 0.75, c, SCALARS) == pytest.approx(2.5)
+    assert brake_rate(0.75, 0.25, c, SCALARS) == pytest.approx(-1.0)
+    assert brake_rate(0.5, 0.5, c, SCALARS) == 0
+
+
+def test_brake_follows_an_exponential_and_does_not_overshoot():
+    pressure = run(Actuators(VEHICLE).double(), [0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 50)[:, 0]
+    wanted = 1 - (1 - 8.0 * DT) ** torch.arange(1, 51).double()
+    torch.testing.assert_close(pressure, wanted, atol=1e-6, rtol=0)
+
+
+def test_steering_settles_at_gain_times_command_as_a_second_order_lag():
+    model = Actuators(VEHICLE).double()
+    steer = run(model, [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -0.6], 150)[:, 1]
+    assert steer[-1] == pytest.approx(-0.3, abs=1e-3)
+    # 8 rad/s with damping 0.8: overshoot exp(-pi 0.8 / 0.6) = 1.5 %, a little more under Euler.
+    assert -steer.min() / 0.3 - 1 == pytest.approx(0.015, abs=0.02)
+    c = model.constants()
+    assert steer_acceleration(0.1, 0.2, 0.6, c).item() == pytest.approx(64 * 0.2 - 2 * 0.8 * 8 * 0.2, rel=1e-5)
+
+
+def test_engine_settles_where_throttle_and_speed_ask():
+    model = Actuators(VEHICLE).double()
+    engine = run(model, [0.0, 0.0, 0.0, 2.0], [0.5, 0.0, 0.0], 300, vx=-4.0)[:, 3]
+    assert engine[-1] == pytest.approx(1.0 + 3 * 0.5 + 0.1 * 4, abs=1e-3)
+    c = model.constants()
+    assert engine_rate(2.9, 0.5, -4.0, c, SCALARS).item() == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("end", [-20.0, 20.0])
+def test_lags_are_stable_at_both_ends_of_all_ranges(end):
+    model = Actuators(VEHICLE).double()
+    for i, name in enumerate(model.constants()._fields):
+        model.raw.data[i] = end if name != "steer_damping" else -end
+    rows = run(model, [0.3, 0.2, 1.0, 2.0], [0.5, 0.5, 0.5], 400, vx=5.0)
+    assert (rows[200:].abs() < 20).all()
+    assert (rows[-1] - rows[-2]).abs().max() <= (rows[0] - rows[1]).abs().max()
+
+
+def test_gradients_equal_finite_differences():
+    model = unsettled(Actuators(VEHICLE).double())
+    situation = Situation(batch=2)
+
+    def run(model: Actuators) -> torch.Tensor:
+        now, memory = situation.actuators, model.start(situation.history)
+        for control in situation.controls.unbind(1)[:4]:
+            now, *memory = model.step(model.constants(), now, control, situation.state[:, 3], *memory)
+        return now
+
+    assert gradients_agree(model, run)
+
+
+def test_absent_actuators_have_no_network_and_pass_through():
+    now = torch.full((1, 4), torch.nan)
+    model = Actuators(COMMANDED)
+    assert model.hidden == 0
+    nothing = torch.zeros(1, 0)
+    after, *_ = model.step(model.constants(), now, torch.rand(1, 3), torch.ones(1), nothing, nothing)
+    assert after.isnan().all()
+
+
+def test_a_recorded_actuator_without_command_stays_as_it_is():
+    model = Actuators(replace(VEHICLE, control=("throttle",))).double()
+    rows = run(model, [0.3, 0.2, 0.1, 2.0], [0.5, math.nan, math.nan], 10)
+    assert rows[-1, :3].tolist() == pytest.approx([0.3, 0.2, 0.1])
+    assert rows[-1, 3] != 2.0

@@ -1,0 +1,185 @@
+"""What every model owes its users: one interface, the same answer however the world or the batch is arranged."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from factories import ALL_MODELS, COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
+from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.dynamics import Dynamics, Vehicle, as_callable, rollout
+from offpiste.trajectory import Carry, RecordedTerrain, Terrain, TerrainSource, Trajectory
+
+CODES = {"codes": 3}
+models = pytest.mark.parametrize("name", ALL_MODELS)
+
+
+def built(name: str, vehicle: Vehicle = VEHICLE) -> Dynamics:
+    torch.manual_seed(0)
+    return unsettled(ALL_MODELS[name](vehicle).double())
+
+
+def situation(name: str, **options: int) -> Situation:
+    return Situation(codes=CODES.get(name, 0), **options)
+
+
+def predict(model: Dynamics, at: Situation) -> Trajectory:
+    return rollout(model, model.start(at.history, at.state, at.actuators), at.controls, at.source)
+
+
+@pytest.mark.parametrize("name", [name for name in ALL_MODELS if name != "ctrv"])
+def test_gradients_of_a_rollout_equal_finite_differences(name):
+    model, at = built(name), situation(name, batch=2, steps=3)
+
+    def end(model):
+        found = predict(model, at)
+        return torch.cat((found.state[:, -1], found.actuators[:, -1]), dim=-1)
+
+    assert gradients_agree(model, end)
+
+
+@models
+def test_gradients_by_start_and_controls_equal_finite_differences(name):
+    model, at = built(name), situation(name, batch=2, steps=4)
+
+    def final(state, controls):
+        carry = model.start(at.history, state, at.actuators)
+        return rollout(model, carry, controls, at.source).state[:, -1]
+
+    inputs = (at.state.requires_grad_(), at.controls.requires_grad_())
+    assert torch.autograd.gradcheck(final, inputs, fast_mode=True)
+
+
+@models
+def test_turning_and_moving_the_world_turns_and_moves_predictions(name):
+    model, at, angle, shift = built(name), situation(name, steps=20), 2.0, torch.tensor([300.0, -70.0]).double()
+    turn = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]], dtype=torch.float64)
+
+    def moved(state):
+        return torch.cat((state[..., :2] @ turn.T + shift, state[..., 2:3] + angle, state[..., 3:]), dim=-1)
+
+    def turned(terrain):
+        return Terrain(torch.cat((terrain.normal[..., :2] @ turn.T, terrain.normal[..., 2:]), -1), terrain.latent)
+
+    other = at.mapped(lambda tensor: tensor)
+    other.history = replace(at.history, state=moved(at.history.state), terrain=turned(at.history.terrain))
+    other.state, other.source = moved(at.state), RecordedTerrain(turned(at.source.terrain))
+    torch.testing.assert_close(predict(model, other).state, moved(predict(model, at).state), rtol=1e-9, atol=1e-9)
+
+
+@models
+def test_each_row_alone_equals_it_in_the_batch(name):
+    model, at = built(name), situation(name)
+    together = predict(model, at).state
+    for row in range(3):
+        alone = predict(model, at.mapped(lambda tensor, row=row: tensor[row : row + 1])).state
+        torch.testing.assert_close(alone[0], together[row], rtol=1e-10, atol=1e-10)
+
+
+@models
+def test_float32_agrees_with_float64(name):
+    at = situation(name, steps=50)
+    wanted = predict(built(name), at).state
+    found = predict(built(name).float(), at.mapped(lambda tensor: tensor.float()))
+    assert found.state.dtype == torch.float32
+    torch.testing.assert_close(found.state.double(), wanted, rtol=1e-3, atol=1e-3)
+
+
+def subsets() -> list[Vehicle]:
+    """Every vehicle that a rig can describe: a steering command or angle, and any of the rest."""
+    vehicles = []
+    for keep in itertools.product((False, True), repeat=6):
+        control = tuple(name for name, kept in zip(CONTROL, keep[:3], strict=True) if kept)
+        brake, steer, engine = keep[3:]
+        actuators = tuple(name for name, kept in zip(ACTUATORS, (brake, steer, steer, engine), strict=True) if kept)
+        if "steer" in control or steer:
+            vehicles.append(replace(VEHICLE, control=control, actuators=actuators))
+    return vehicles
+
+
+@models
+def test_slots_of_absent_channels_are_never_read(name):
+    for vehicle in subsets():
+        model, at = built(name, vehicle), situation(name, batch=2, steps=2)
+        with_nan, with_seven = (predict(model, at.filled(vehicle, value)) for value in (math.nan, 7.0))
+        assert with_nan.state.isfinite().all(), vehicle
+        assert torch.equal(with_nan.state, with_seven.state), vehicle
+        present = torch.tensor([actuator in vehicle.actuators for actuator in ACTUATORS])
+        assert torch.equal(with_nan.actuators[..., present], with_seven.actuators[..., present]), vehicle
+        if with_nan.state.requires_grad:
+            with_nan.state.sum().backward()
+        assert all(p.grad is None or p.grad.isfinite().all() for p in model.parameters()), vehicle
+
+
+@models
+def test_the_callable_for_other_planners_equals_the_rollout(name):
+    model, at = built(name), situation(name)
+    carry = model.start(at.history, at.state, at.actuators)
+    wanted = rollout(model, carry, at.controls, at.source)
+    call, packed = as_callable(model, at.source), carry.pack()
+    for t, control in enumerate(at.controls.unbind(1)):
+        packed = call(packed, control, t)
+        assert torch.equal(packed[:, :6], wanted.state[:, t])
+        assert torch.equal(packed[:, 6:10], wanted.actuators[:, t])
+
+
+@models
+def test_a_step_of_the_interface_is_the_rollouts_first(name):
+    model, at = built(name), situation(name)
+    carry = model.start(at.history, at.state, at.actuators)
+    after = model.step(carry, at.controls[:, 0], at.source.at(0, carry.state))
+    assert torch.equal(after.state, predict(model, at).state[:, 0])
+
+
+@pytest.mark.parametrize("size", [0, 1, 4, 12])
+def test_packing_a_carry_and_unpacking_it_changes_nothing(size):
+    carry = Carry(torch.rand(5, 6), torch.rand(5, 4), torch.rand(5, size), torch.rand(5, size))
+    packed = carry.pack()
+    assert packed.shape == (5, 10 + 2 * size)
+    back = Carry.unpack(packed)
+    for name in ("state", "actuators", "hidden", "cell"):
+        assert torch.equal(getattr(back, name), getattr(carry, name))
+
+
+@models
+def test_the_past_before_the_history_and_the_future_do_not_matter_to_the_present(name):
+    model, at = built(name), situation(name)
+    other = at.mapped(lambda tensor: tensor.clone())
+    other.controls[:, 5:] = 0.5
+    other.source.terrain.normal[:, 5:] = torch.tensor([0.0, 0.0, 1.0]).double()
+    assert torch.equal(predict(model, other).state[:, :5], predict(model, at).state[:, :5])
+
+
+def test_sources_of_terrain_are_asked_with_the_state_before_each_step():
+    at, asked = Situation(), []
+
+    class Watched:
+        def at(self, t, state):
+            asked.append((t, state))
+            return at.source.at(t, state)
+
+    assert isinstance(Watched(), TerrainSource)
+    model = built("parametric")
+    found = rollout(model, model.start(at.history, at.state, at.actuators), at.controls, Watched())
+    assert [t for t, _ in asked] == list(range(8))
+    assert torch.equal(asked[0][1], at.state)
+    assert torch.equal(asked[5][1], found.state[:, 4])
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+@models
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_gpu_agrees_with_the_cpu(name, dtype):
+    at = situation(name, steps=50).mapped(lambda tensor: tensor.to(dtype))
+    wanted = predict(built(name).to(dtype), at).state
+    found = predict(built(name).to("cuda", dtype), at.mapped(lambda tensor: tensor.cuda())).state
+    tolerance = 1e-3 if dtype == torch.float32 else 1e-9
+    torch.testing.assert_close(found.cpu(), wanted, rtol=tolerance, atol=tolerance)
+
+
+def test_commands_alone_are_enough_for_every_model():
+    for name in ALL_MODELS:
+        at = situation(name).filled(COMMANDED, math.nan)
+        assert predict(built(name, COMMANDED), at).state.isfinite().all()
