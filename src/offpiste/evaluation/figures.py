@@ -18,8 +18,8 @@ RECORDED = "#000000"
 MEDIAN, MEAN = "#1a7f37", "#d95f02"
 _COLOURS = {
     "ctrv": "#8c8c8c",
-    "kinematic": "#56b4e9",
-    "parametric": "#cc79a7",
+    "kinematic": "#cc79a7",
+    "parametric": "#56b4e9",
     "lstm": "#b8a400",
     "b": "#0072b2",
     "df": "#d55e00",
@@ -48,7 +48,8 @@ def box_plot(
     """Errors by model in the paper's form (Fig. 3 and 4).
 
     Boxes reach from the lower to the upper quartile, whiskers to the last value within 1.5 IQR of them; the whiskers'
-    ends are given by the values with arrows. Green: median; orange: mean. Failed predictions are counted below.
+    ends are given by the values with arrows. Green: median; orange: mean. Failed predictions are counted below; they
+    are in the quartiles, and a model that has any has no mean.
 
     Args:
         errors: by label; infinite where a prediction failed.
@@ -68,8 +69,10 @@ def box_plot(
     )
     for patch, label in zip(drawn["boxes"], errors, strict=True):
         patch.set(facecolor=_colour(label), alpha=0.35, edgecolor="none")
-    top = max((box["whishi"] for box in boxes), default=1.0) or 1.0
+    top = max((box["whishi"] for box in boxes if np.isfinite(box["whishi"])), default=0.0) or 1.0
     for place, box in enumerate(boxes, start=1):
+        if np.isnan(box["whishi"]):
+            continue
         low, high = box["whislo"], box["whishi"]
         # Where the whiskers' ends are close together, the lower number makes room.
         for end, height in ((low, min(low + 0.05 * top, high - 0.02 * top)), (high, high + 0.05 * top)):
@@ -143,10 +146,14 @@ def speed_plot(
 
 
 def _box(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
-    finite = values[np.isfinite(values)]
-    failed = len(values) - len(finite)
+    """What `bxp` draws. Failed predictions count as huge errors; what they make huge is not drawn."""
+    failed = int((~np.isfinite(values)).sum())
     name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
-    box: dict[str, Any] = cbook.boxplot_stats(finite if len(finite) else np.zeros(1), whis=1.5)[0]
+    box: dict[str, Any] = cbook.boxplot_stats(np.minimum(values, 1e300), whis=1.5)[0]
+    if failed:
+        box["mean"] = np.nan
+    if box["q3"] > 1e200:
+        box.update(dict.fromkeys(("q1", "med", "q3", "whislo", "whishi"), np.nan))
     return {**box, "label": name}
 
 

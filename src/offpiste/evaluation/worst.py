@@ -73,7 +73,8 @@ def draw_worst(
         place, index = _located(worst, windows)
         states = trajectories(dynamics, windows, index, lookup=case.lookup)
         heading = _rows(dataset, worst, "state_causal" if windows.start == "causal" else "state")[place, 2]
-        for i, path in zip(place, _turned(states[..., :2], heading), strict=True):
+        finite = np.where(np.isfinite(states[..., :2]), states[..., :2], np.nan)
+        for i, path in zip(place, _turned(finite, heading), strict=True):
             predicted[i][case.label] = (*predicted[i].get(case.label, ()), path)
     return tuple(_described(dataset, worst, i, shown, predicted[i]) for i in range(len(worst.row)))
 

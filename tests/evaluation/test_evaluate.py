@@ -1,0 +1,321 @@
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+
+from factories import COMMANDED, RIG, circle_rows
+from offpiste.conventions import DT
+from offpiste.dataset.extract import Rows
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
+from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
+from offpiste.errors import RunError
+from offpiste.evaluation.evaluate import Evaluation, Judged, evaluate_models
+from offpiste.evaluation.page import headline_text, render_html
+from offpiste.evaluation.report import write_report
+from offpiste.evaluation.results import Headline, ResultRow, pooled_rows, read_metrics, run_rows
+from offpiste.evaluation.table import render_table
+from offpiste.evaluation.tabulate import Sampling
+from offpiste.evaluation.worst import worst_windows
+from offpiste.rig import parse_rig
+from offpiste.trajectory import Carry
+
+SCALE = torch.ones(5)
+QUICK = {"scale": SCALE, "stride": 50, "sampling": Sampling(block_seconds=6.0)}
+
+
+def winding(rows: int, seed: int = 0) -> Rows:
+    """A drive with steering that changes, on ground that rises and falls."""
+    flat = circle_rows(rows, seed=seed)
+    t = DT * np.arange(rows)
+    yaw_rate = 0.3 * np.sin(0.4 * t + seed)
+    yaw = np.cumsum(yaw_rate) * DT
+    place = np.cumsum(5 * DT * np.stack((np.cos(yaw), np.sin(yaw)), axis=1), axis=0)
+    state = np.column_stack((place, yaw, np.full(rows, 5.0), np.zeros(rows), yaw_rate))
+    slope = 0.1 * np.sin(0.3 * t)
+    normal = np.stack((-slope * np.cos(yaw), -slope * np.sin(yaw), np.ones(rows)), axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    control = np.stack((np.full(rows, 0.3), np.zeros(rows), np.arctan(2.2 * yaw_rate / 5) / 0.4), axis=1)
+    noise = np.random.default_rng(seed).normal(0, 0.01, state.shape)
+    return replace(
+        flat,
+        state=state.astype(np.float32),
+        state_causal=(state + noise).astype(np.float32),
+        control=control.astype(np.float32),
+        normal=np.repeat(normal[None, :, None], 4, axis=2).astype(np.float32),
+    )
+
+
+def make(path: Path, split: str, drives: dict[str, Rows]) -> Dataset:
+    rig, parsed = parse_rig(RIG, where="test"), parse_split(split)
+    create(path, rig, parsed)
+    for name, rows in drives.items():
+        add_drive(path, name, rows, parsed, ())
+    return open_dataset(path)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return make(
+        tmp_path_factory.mktemp("data") / "small.zarr",
+        "blocks:0.2,0.2,0.6",
+        {"<first>": winding(3600), "second": winding(3000, seed=1)},
+    )
+
+
+class Slipping(Kinematic):
+    """`kinematic` that is too slow by a share of its speed: known to be worse, and by how much."""
+
+    def __init__(self, share: float) -> None:
+        super().__init__(COMMANDED)
+        self.share = share
+
+    def stepper(self):
+        move = super().stepper()
+
+        def step(carry, control, terrain):
+            moved = move(carry, control, terrain)
+            lost = (moved.state[:, :2] - carry.state[:, :2]) * self.share
+            state = torch.cat((moved.state[:, :2] - lost, moved.state[:, 2:]), dim=-1)
+            return Carry(state, moved.actuators, moved.hidden, moved.cell)
+
+        return step
+
+
+@pytest.fixture(scope="module")
+def evaluation(dataset: Dataset) -> Evaluation:
+    models = [Judged("slow", Slipping(share), seed=seed) for seed, share in enumerate((0.1, 0.3))]
+    return evaluate_models([*models, Judged("parametric", Parametric(COMMANDED))], dataset, **QUICK, command="x < y")
+
+
+def row(rows: list[ResultRow], model: str, start: str = "smoothed", lookup: str | None = None, **others) -> ResultRow:
+    others = {"horizon_s": 5.0, "seed": None, **others}
+    (found,) = [
+        r
+        for r in rows
+        if (r.model, r.start, r.lookup) == (model, start, lookup) and all(getattr(r, k) == v for k, v in others.items())
+    ]
+    return found
+
+
+def test_every_model_start_lookup_and_horizon_has_a_row(evaluation: Evaluation) -> None:
+    rows = pooled_rows(evaluation.metrics.results)
+    ways = {(r.model, r.start, r.lookup) for r in rows}
+    assert ways == {
+        (model, start, lookup)
+        for start in ("causal", "smoothed")
+        for model, lookups in {
+            "slow": ("recorded", "map"),
+            "parametric": ("recorded", "map"),
+            "ctrv": (None,),
+            "kinematic": (None,),
+        }.items()
+        for lookup in lookups
+    }
+    assert len(rows) == 5 * len(ways)
+    assert {r.horizon_s for r in rows} == {1.0, 2.0, 3.0, 4.0, 5.0}
+    assert len({r.n for r in rows}) == 1, "the same windows for every model"
+    assert {r.seed for r in run_rows(evaluation.metrics.results)} == {0, 1}
+
+
+def test_a_known_difference_is_found_with_its_sign(evaluation: Evaluation) -> None:
+    """10 and 30 % of 25 m are lost: about 2.5 and 7.5 m, 5 m on average; the kinematic bicycle is all but right."""
+    rows = evaluation.metrics.results
+    assert row(rows, "kinematic").distance_error_m.mean < 0.3
+    slow = row(rows, "slow", lookup="map")
+    assert slow.distance_error_m.mean == pytest.approx(5.0, rel=0.08)
+    assert row(rows, "slow", lookup="map", seed=0).distance_error_m.mean == pytest.approx(2.5, rel=0.08)
+    assert row(rows, "slow", lookup="map", seed=1).distance_error_m.mean == pytest.approx(7.5, rel=0.08)
+    minus = slow.minus["kinematic"]
+    assert minus.distance_error_m.mean == pytest.approx(5.0, rel=0.08)
+    assert minus.distance_error_m.ci95[0] > 4
+    assert row(rows, "kinematic").minus["slow"].distance_error_m.mean == -minus.distance_error_m.mean
+    assert minus.loss.mean > 0
+
+
+def test_errors_grow_and_a_smoothed_start_is_better(evaluation: Evaluation) -> None:
+    rows = evaluation.metrics.results
+    means = [row(rows, "ctrv", horizon_s=float(s)).distance_error_m.mean for s in range(1, 6)]
+    assert means == sorted(means)
+    assert (
+        row(rows, "kinematic", "smoothed").distance_error_m.mean
+        < row(rows, "kinematic", "causal").distance_error_m.mean
+    )
+
+
+def test_what_the_windows_are_like(evaluation: Evaluation, dataset: Dataset) -> None:
+    found = evaluation.metrics.windows
+    assert found.n == len(evaluation.speed)
+    assert (found.drives, found.stride_s, found.block_s) == (2, 1.0, 6.0)
+    assert found.median_distance_m == pytest.approx(25.0, abs=0.1)
+    assert found.median_speed_mps == pytest.approx(5.0, abs=0.1)
+    assert found.blocks >= 6
+
+
+def test_worst_windows_do_not_overlap_and_show_every_run(evaluation: Evaluation) -> None:
+    worst = evaluation.worst
+    assert evaluation.shown == "slow · map"
+    assert [w.error for w in worst] == sorted((w.error for w in worst), reverse=True)
+    for i, one in enumerate(worst):
+        assert {label: len(paths) for label, paths in one.predicted.items()} == {"slow": 2, "kinematic": 1}
+        assert all(abs(one.time - o.time) > 5.2 for o in worst[i + 1 :] if o.drive == one.drive)
+        ends = [np.linalg.norm(path[-1] - one.recorded[-1]) for path in one.predicted["slow"]]
+        assert np.mean(ends) == pytest.approx(one.error, abs=1e-3)
+        assert one.recorded[0] == pytest.approx((5 * DT, 0.0), abs=0.05)
+
+
+def test_at_most_as_many_worst_windows_as_asked_for(evaluation: Evaluation) -> None:
+    errors = next(iter(evaluation.errors.values()))
+    assert len(worst_windows(errors, count=2).row) == 2
+    assert worst_windows(errors).error[0] == errors.distance().max()
+
+
+class Page(HTMLParser):
+    """What a page asks for and shows."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict]] = []
+        self.data = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.data += data
+
+
+def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_path: Path) -> None:
+    write_report(evaluation, tmp_path / "report")
+    files = sorted(file.name for file in (tmp_path / "report").iterdir())
+    assert files == [
+        "box.png",
+        "distribution.png",
+        "growth.png",
+        "metrics.json",
+        "report.html",
+        "speed.png",
+        "worst.png",
+    ]
+    text = (tmp_path / "report" / "report.html").read_text("utf-8")
+    page = Page(text)
+    assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", re.sub(r"base64,[^\"]*", "", text))
+    assert not {"script", "link", "iframe", "object"} & {tag for tag, _ in page.tags}
+    sources = [attributes["src"] for _, attributes in page.tags if "src" in attributes]
+    assert len(sources) == 5
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert all(attributes.get("alt") for tag, attributes in page.tags if tag == "img")
+    assert "x &lt; y" in text
+    assert "x < y" in page.data
+    assert "slow" in page.data
+    assert read_metrics(tmp_path / "report" / "metrics.json").windows == evaluation.metrics.windows
+
+
+def test_names_are_escaped_wherever_they_stand(evaluation: Evaluation) -> None:
+    evil = '<img src="http://x" onerror=alert(1)>'
+    metrics = evaluation.metrics
+    rows = [replace_row(r, model=evil if r.model == "slow" else r.model) for r in metrics.results]
+    headlines = [Headline(**{**fields(h), "model": evil}) for h in metrics.headlines]
+    changed = type(metrics)(
+        **{**fields(metrics), "results": rows, "headlines": headlines, "dataset": evil, "split": evil}
+    )
+    page = Page(render_html(changed, {}))
+    assert "img" not in {tag for tag, _ in page.tags}
+    assert evil in page.data
+
+
+def fields(struct) -> dict:
+    return {name: getattr(struct, name) for name in struct.__struct_fields__}
+
+
+def replace_row(found: ResultRow, **change) -> ResultRow:
+    return ResultRow(**{**fields(found), **change})
+
+
+def test_headlines_say_how_far_below_or_above() -> None:
+    about = {"model": "b", "start": "causal", "lookup": "map", "other": "kinematic"}
+    better = Headline(**about, runs=3, distance_error_m=1.7, relative=-0.5, ci95=(-0.61, -0.42))
+    assert headline_text(better) == (
+        "b: 1.70 m mean distance error after 5 s, 50 % [42, 61] below kinematic "
+        "(causal start, map lookup, mean of 3 runs)"
+    )
+    worse = Headline(**about, runs=1, distance_error_m=4.0, relative=0.2, ci95=(-0.1, 0.5))
+    assert "20 % [-10, 50] above kinematic" in headline_text(worse)
+    failed = Headline(**about, runs=1, distance_error_m=np.inf, relative=np.nan, ci95=(np.nan, np.nan))
+    assert headline_text(failed) == "b: – m mean distance error after 5 s (causal start, map lookup)"
+
+
+def test_the_table_has_a_line_a_way(evaluation: Evaluation) -> None:
+    console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: PTH123, SIM115
+    console.print(render_table(evaluation.metrics.results))
+    text = console.export_text()
+    assert text.count("│ slow") == 4
+    assert text.count("│ kinematic") == 2
+
+
+class Broken(ConstantMotion):
+    """Diverges."""
+
+    def stepper(self):
+        move = super().stepper()
+
+        def step(carry, control, terrain):
+            moved = move(carry, control, terrain)
+            return Carry(moved.state * 1e3, moved.actuators, moved.hidden, moved.cell)
+
+        return step
+
+
+def test_a_model_that_diverges_is_reported_as_failed_not_dropped(dataset: Dataset, tmp_path: Path) -> None:
+    found = evaluate_models([Judged("b", Broken(COMMANDED))], dataset, **QUICK, starts=("causal",), lookups=("map",))
+    broken = row(found.metrics.results, "b", "causal", "map")
+    assert broken.n_failed == broken.n == found.metrics.windows.n
+    assert broken.distance_error_m.mean == np.inf
+    write_report(found, tmp_path)
+    again = row(read_metrics(tmp_path / "metrics.json").results, "b", "causal", "map")
+    assert np.isnan(again.distance_error_m.mean)
+    assert f"({broken.n} failed)" in (tmp_path / "report.html").read_text("utf-8")
+
+
+def test_folds_judge_every_window_once_and_all_together(dataset: Dataset) -> None:
+    def fold(number: int, share: float, seed: int) -> Judged:
+        return Judged("b", Slipping(share), seed=seed, fold=number, split=parse_split(f"fold:{number}/3"))
+
+    models = [fold(number, 0.1 * (number + 1), seed) for number in range(3) for seed in (0, 1)]
+    found = evaluate_models(models, dataset, **QUICK, starts=("smoothed",), lookups=("map",))
+    rows = found.metrics.results
+    together = row(rows, "b", lookup="map", fold=None)
+    folds = [row(rows, "b", lookup="map", fold=number, seed=0) for number in range(3)]
+    assert together.n == sum(f.n for f in folds) == row(rows, "kinematic", fold=None).n
+    for number, one in enumerate(folds):
+        assert one.distance_error_m.mean == pytest.approx(2.5 * (number + 1), rel=0.08)
+    weighted = sum(f.n * f.distance_error_m.mean for f in folds) / together.n
+    assert together.distance_error_m.mean == pytest.approx(weighted)
+    assert row(rows, "kinematic", fold=1).n == folds[1].n, "baselines are judged fold by fold, too"
+    assert found.metrics.split == "fold:0/3, fold:1/3, fold:2/3"
+
+
+def test_models_of_different_splits_are_refused(dataset: Dataset) -> None:
+    folded = Judged("b", ConstantMotion(COMMANDED), fold=0, split=parse_split("fold:0/3"))
+    with pytest.raises(RunError, match="has no run for split"):
+        evaluate_models([folded, Judged("parametric", Parametric(COMMANDED))], dataset, **QUICK)
+
+
+def test_the_same_run_twice_is_refused(dataset: Dataset) -> None:
+    twice = [Judged("b", ConstantMotion(COMMANDED), seed=0)] * 2
+    with pytest.raises(RunError, match="same seed and fold"):
+        evaluate_models(twice, dataset, **QUICK)
+
+
+def test_flat_ground_has_nothing_to_look_up_and_short_parts_no_interval(tmp_path: Path) -> None:
+    flat = make(tmp_path / "flat.zarr", "blocks:0.4,0.2,0.4", {"circle": circle_rows(3000)})
+    found = evaluate_models([], flat, **QUICK)
+    assert {(r.model, r.lookup) for r in found.metrics.results} == {("ctrv", None), ("kinematic", None)}
+    assert np.isnan(row(found.metrics.results, "ctrv").distance_error_m.ci95).all()
+    write_report(found, tmp_path / "report")
