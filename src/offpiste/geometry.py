@@ -74,8 +74,8 @@ def local_polynomial(
 
     Returns:
         values and their first derivatives; NaN where a window holds fewer than degree + 2 samples, or where these
-        span less than a third of it or keep more than a quarter of it away from the moment (a burst of stamps or the
-        edge of a gap would be extrapolated to anything).
+        span less than a third of it or lie further than that from the moment (a burst of stamps or the edge of a gap
+        would be extrapolated to anything).
     """
     first, last = (at - window, at) if causal else (at - window / 2, at + window / 2)
     begin = np.searchsorted(time, first - 1e-9, side="left")
@@ -90,7 +90,7 @@ def local_polynomial(
     enough = inside.sum(axis=1) >= degree + 2
     with np.errstate(invalid="ignore"):
         enough &= np.where(inside, offset, -np.inf).max(axis=1) - np.where(inside, offset, np.inf).min(axis=1) > 1 / 3
-    enough &= np.where(inside, np.abs(offset), np.inf).min(axis=1) < 1 / 4
+    enough &= np.where(inside, np.abs(offset), np.inf).min(axis=1) < 1 / 3
     normal = np.einsum("Nwi,Nwj->Nij", powers, powers)
     normal[~enough] = np.eye(degree + 1)
     moments = np.einsum("Nwi,Nwk->Nik", powers, values[index])

@@ -1,0 +1,116 @@
+"""Channels: known signals in, known answers out; what is not known is NaN or said, never guessed."""
+
+import numpy as np
+import pytest
+
+from factories import MemoryLog, small_rig
+from offpiste.errors import LogError, RigError
+from offpiste.logs.channel import Channel, convert, read_channel
+from offpiste.rig import ChannelSource, Wrap
+
+
+def channel(time, values) -> Channel:
+    return Channel("throttle", "1", np.asarray(time, float), np.asarray(values, float).reshape(len(time), -1))
+
+
+def read(time, values, **source):
+    log = MemoryLog(pedals=(np.asarray(time, float), {"x": np.asarray(values, float)}))
+    return read_channel(log, small_rig(), "throttle", ChannelSource(fields=("x",), topic="pedals", **source))
+
+
+def test_linear_interpolation_is_exact_on_lines_with_uneven_stamps():
+    time = np.array([0.0, 0.1, 0.15, 0.4, 0.5])
+    found = channel(time, np.stack((2 * time + 1, -time), axis=1)).linear(np.linspace(0, 0.5, 26), max_gap=1.0)
+    np.testing.assert_allclose(found, np.stack((2 * np.linspace(0, 0.5, 26) + 1, -np.linspace(0, 0.5, 26)), axis=1))
+
+
+def test_hold_gives_the_last_value_at_or_before():
+    held = channel([0.0, 1.0, 2.0], [5.0, 6.0, 7.0]).hold(np.array([0.0, 0.99, 1.0, 1.5, 2.0]), max_gap=2.0)
+    assert held[:, 0].tolist() == [5, 5, 6, 6, 7]
+
+
+@pytest.mark.parametrize("how", ["linear", "hold"])
+def test_outside_the_record_and_in_gaps_nothing_is_known(how):
+    signal = channel([1.0, 1.1, 3.0, 3.1], [1.0, 1.0, 2.0, 2.0])
+    found = getattr(signal, how)(np.array([0.99, 1.0, 1.05, 2.0, 3.05, 3.1, 3.11]), max_gap=0.5)
+    assert np.isnan(found[:, 0]).tolist() == [True, False, False, True, False, False, True]
+
+
+def test_values_are_unwrapped_scaled_shifted_signed_and_converted_in_this_order():
+    source = ChannelSource(fields=("x",), unit="deg", scale=2.0, offset=10.0, sign=-1, wrap=Wrap(above=100, period=256))
+    raw = np.array([[45.0], [246.0]])  # the second is -10
+    np.testing.assert_allclose(convert("steer_angle", source, raw)[:, 0], np.deg2rad([-100.0, 10.0]))
+
+
+def test_a_delay_moves_stamps_back():
+    found, _ = read([1.0, 2.0], [0.0, 1.0], delay=0.25)
+    assert found.time.tolist() == [0.75, 1.75]
+
+
+def test_values_are_limited_by_clip():
+    found, notes = read([0, 1, 2], [-3, 0.5, 7], clip=(0.0, 1.0))
+    assert found.values[:, 0].tolist() == [0, 0.5, 1]
+    assert notes == []
+
+
+def test_invalid_values_are_dropped_and_noted():
+    found, notes = read([0, 1, 2, 3], [0.1, 9, 0.2, 0.3], valid=(0.0, 1.0))
+    assert found.time.tolist() == [0, 2, 3]
+    assert "1 of 4" in notes[0]
+
+
+@pytest.mark.parametrize("fault", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("clip", [None, (0.0, 1.0)])
+def test_values_that_are_not_finite_are_dropped_even_where_values_are_clipped(fault, clip):
+    found, notes = read([0, 1, 2, 3], [0.1, fault, 0.2, 0.3], clip=clip)
+    assert found.time.tolist() == [0, 2, 3]
+    assert "not finite" in notes[0]
+
+
+def test_an_invalid_value_does_not_become_valid_by_clipping():
+    found, _ = read([0, 1, 2, 3], [0.1, 500.0, 0.2, 1.1], valid=(-0.2, 1.2), clip=(0.0, 1.0))
+    assert found.time.tolist() == [0, 2, 3]
+    assert found.values[-1, 0] == 1.0
+
+
+def test_stamps_that_are_not_finite_cost_only_their_samples():
+    found, notes = read([0, np.nan, 2, np.inf, 4], [1, 2, 3, 4, 5])
+    assert found.time.tolist() == [0, 2, 4]
+    assert "2 of 5" in notes[0]
+
+
+def test_repeated_and_backward_stamps_are_dropped_and_noted():
+    found, notes = read([0, 1, 1, 2, 1.5, 3, 4, 5], np.arange(8))
+    assert found.time.tolist() == [0, 1, 2, 3, 4, 5]
+    assert found.values[:, 0].tolist() == [0, 1, 3, 5, 6, 7]
+    assert "2 of 8 stamps repeat or go back" in notes[0]
+
+
+@pytest.mark.parametrize("wrong", [1e6, -1e6])
+@pytest.mark.parametrize("row", [0, 3, 9])
+def test_one_wrong_stamp_costs_only_itself(wrong, row):
+    time = np.arange(10.0)
+    time[row] += wrong
+    found, _ = read(time, np.arange(10))
+    rows = [i for i in range(10) if i != row]
+    kept_at_the_edge = (row == 0 and wrong < 0) or (row == 9 and wrong > 0)  # no order is broken there
+    assert found.values[:, 0].tolist() == (list(range(10)) if kept_at_the_edge else rows)
+
+
+def test_a_broken_clock_is_an_error():
+    with pytest.raises(LogError, match=r"stamps repeat or go back.*clock"):
+        read(np.zeros(10), np.arange(10))
+
+
+def test_a_channel_without_usable_samples_is_an_error_that_names_it():
+    with pytest.raises(RigError, match=r"'throttle'.*'pedals'.*no usable samples"):
+        read([0, 1], [np.nan, np.nan])
+
+
+def test_orientations_that_are_no_rotation_are_dropped():
+    q = np.array([[0, 0, 0, 1.0], [0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 2.0, 0]])
+    log = MemoryLog(odometry=(np.arange(4.0), dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))))
+    rig = small_rig()
+    found, notes = read_channel(log, rig, "orientation", rig.channels["orientation"])
+    assert found.time.tolist() == [0, 2]
+    assert "2 of 4" in notes[0]

@@ -1,0 +1,60 @@
+"""Drives: channels through a rig, what was repaired is noted, clocks that do not meet are an error."""
+
+import numpy as np
+import pytest
+
+from factories import MemoryLog, small_rig
+from offpiste.errors import LogError
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import common_span, drive_from_log
+
+
+def small_log(count: int = 100) -> MemoryLog:
+    time = 0.02 * np.arange(count)
+    nothing, ones = np.zeros(count), np.ones(count)
+    place = {"x": time, "y": nothing, "z": nothing, "qx": nothing, "qy": nothing, "qz": nothing, "qw": ones}
+    return MemoryLog(
+        odometry=(time, place),
+        pedals=(time, {"throttle": nothing.copy(), "brake": nothing.copy()}),
+        steering=(time, {"steer": nothing.copy()}),
+    )
+
+
+def named(name: str, first: float, last: float) -> Channel:
+    return Channel(name, "1", np.array([first, last], dtype=float), np.zeros((2, 1)))
+
+
+def test_a_drive_has_the_rigs_channels_in_si_units():
+    log = small_log()
+    log.data["steering"][1]["steer"][:] = 50.0
+    rig = small_rig().channels["steer"]
+    drive = drive_from_log(log, small_rig('unit = "percent"'))
+    assert rig.unit == ""
+    assert set(drive.channels) == {"position", "orientation", "throttle", "brake", "steer"}
+    np.testing.assert_allclose(drive.channels["steer"].values, 0.5)
+    assert drive.channels["position"].unit == "m"
+    assert drive.notes == ()
+
+
+def test_what_was_dropped_is_noted_and_so_are_the_logs_warnings():
+    log = small_log()
+    log.data["pedals"][1]["brake"][3] = np.nan
+    log.warnings = ("the log is cut short",)
+    assert drive_from_log(log, small_rig()).notes[0] == "the log is cut short"
+    assert "brake: 1 of 100" in drive_from_log(log, small_rig()).notes[1]
+
+
+def test_a_topic_that_the_log_lacks_is_named():
+    log = small_log()
+    del log.data["steering"]
+    with pytest.raises(LogError, match="no topic 'steering'"):
+        drive_from_log(log, small_rig())
+
+
+def test_the_common_span_is_what_all_channels_cover():
+    assert common_span([named("a", 0, 5), named("b", 1, 7), named("c", -2, 4)], "log") == (1, 4)
+
+
+def test_clocks_that_do_not_meet_are_an_error_that_names_both():
+    with pytest.raises(LogError, match=r"'a' ends at 5\.000 s, before 'b' begins at 1700000000\.000 s"):
+        common_span([named("a", 0, 5), named("b", 1.7e9, 1.7e9 + 5)], "log")

@@ -1,0 +1,206 @@
+"""Planar motion of vehicles whose motion is known: circles, slopes, lever arms, frames."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from factories import RIG
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+from offpiste.logs.motion import driven_slope, estimate_motion
+from offpiste.rig import parse_rig
+
+SPEED, RATE, AHEAD = 4.0, 0.5, 1.1  # of the rear axle [m/s, rad/s]; the pose point lies AHEAD of it [m]
+
+
+def rates_toml(which: str, frame: str) -> str:
+    return f'[channels.{which}_velocity]\ntopic = "odometry"\nfields = ["a", "b", "c"]\nframe = "{frame}"\n'
+
+
+class Circle:
+    """A vehicle that rounds a circle, its whole world tilted by `pitch` about y."""
+
+    def __init__(self, *, rate: float = 100.0, seconds: float = 6.0, pitch: float = 0.0) -> None:
+        self.time = np.arange(0, seconds, 1 / rate)
+        turned = RATE * self.time
+        axle = SPEED / RATE * np.stack((np.sin(turned), 1 - np.cos(turned), 0 * turned), axis=1)
+        heading = np.stack((np.cos(turned), np.sin(turned), 0 * turned), axis=1)
+        tilt = Rotation.from_euler("y", pitch)
+        self.rotation = tilt * Rotation.from_euler("z", turned[:, None])
+        self.place = tilt.apply(axle + AHEAD * heading)
+        self.velocity_body = np.tile([SPEED, RATE * AHEAD, 0.0], (len(turned), 1))
+        self.velocity_world = self.rotation.apply(self.velocity_body)
+        self.gyro = np.tile([0.0, 0.0, RATE], (len(turned), 1))
+
+    def state(self) -> np.ndarray:
+        """The truth, by the definitions of DESIGN.md."""
+        forward = self.rotation.apply([1.0, 0.0, 0.0])
+        yaw = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
+        vx = self.velocity_world[:, 0] * np.cos(yaw) + self.velocity_world[:, 1] * np.sin(yaw)
+        vy = self.velocity_world[:, 1] * np.cos(yaw) - self.velocity_world[:, 0] * np.sin(yaw)
+        return np.column_stack((self.place[:, :2], yaw, vx, vy, np.gradient(yaw, self.time, edge_order=2)))
+
+    def drive(self, velocity: str = "", gyro: bool = False, noise: float = 0.0) -> Drive:
+        more = rates_toml("linear", velocity) if velocity else ""
+        more += rates_toml("angular", "body") if gyro else ""
+        place = self.place + np.random.default_rng(0).normal(0, noise, self.place.shape)
+        values = {"position": place, "orientation": self.rotation.as_quat()}
+        if velocity:
+            values["linear_velocity"] = self.velocity_body if velocity == "body" else self.velocity_world
+        if gyro:
+            values["angular_velocity"] = self.gyro
+        channels = {name: Channel(name, "", self.time, value) for name, value in values.items()}
+        return Drive("circle", parse_rig(RIG + more, where="test"), channels)
+
+
+SOURCES = [(velocity, gyro) for velocity in ("", "world", "body", "unknown") for gyro in (False, True)]
+
+
+@pytest.mark.parametrize(("velocity", "gyro"), SOURCES)
+@pytest.mark.parametrize("pitch", [0.0, np.deg2rad(20)])
+def test_every_source_of_velocity_gives_the_same_known_motion(velocity, gyro, pitch):
+    circle = Circle(pitch=pitch)
+    rows = slice(50, -50)
+    motion = estimate_motion(circle.drive(velocity, gyro), circle.time)
+    wanted = circle.state()[rows]
+    np.testing.assert_allclose(motion.state[rows], wanted, atol=4e-3)
+    np.testing.assert_allclose(motion.state_causal[rows], wanted, atol=1.5e-2)
+
+
+def test_the_lever_arm_of_the_pose_point_shows_as_lateral_velocity():
+    circle = Circle()
+    found = estimate_motion(circle.drive(), circle.time).state[100]
+    np.testing.assert_allclose(found[3:], [SPEED, RATE * AHEAD, RATE], atol=3e-3)
+
+
+def test_a_slope_does_not_lengthen_positions():
+    """Straight up 20 degrees: vx is the horizontal speed, and integrates to the horizontal way."""
+    pitch, time = np.deg2rad(20), np.arange(0, 4, 0.02)
+    along = SPEED * time
+    place = np.stack((along * np.cos(pitch), 0 * along, along * np.sin(pitch)), axis=1)
+    attitude = np.tile(Rotation.from_euler("y", -pitch).as_quat(), (len(time), 1))
+    values = {"position": place, "orientation": attitude}
+    for rig in (RIG, RIG + rates_toml("linear", "body")):
+        channels = {name: Channel(name, "", time, value) for name, value in values.items()}
+        values["linear_velocity"] = np.tile([SPEED, 0.0, 0.0], (len(time), 1))
+        drive = Drive("hill", parse_rig(rig, where="test"), channels)
+        state = estimate_motion(drive, time).state[10:-10]
+        np.testing.assert_allclose(state[:, 3], SPEED * np.cos(pitch), rtol=1e-6)
+        assert np.sum(state[:-1, 3]) * 0.02 == pytest.approx(np.ptp(state[:, 0]), rel=1e-6)
+
+
+def test_on_a_slope_yaw_rate_is_the_derivative_of_yaw_and_not_the_gyro():
+    circle = Circle(pitch=np.deg2rad(20))
+    rate = estimate_motion(circle.drive("body", gyro=True), circle.time).state[50:-50, 5]
+    assert np.abs(rate - RATE).max() > 0.02
+    np.testing.assert_allclose(rate, circle.state()[50:-50, 5], atol=1e-3)
+
+
+@pytest.mark.parametrize(("velocity", "gyro"), SOURCES)
+@pytest.mark.parametrize("row", [120, 121, 200])
+def test_the_causal_estimate_uses_the_past_only(velocity, gyro, row):
+    circle = Circle()
+    drive = circle.drive(velocity, gyro)
+    at = circle.time[row : row + 1] + 0.004
+
+    def changed(channel: Channel, offset: float) -> Channel:
+        # Orientation and the others are stamped apart, as they are in logs.
+        time = channel.time + offset
+        values = np.where((time > at)[:, None], np.roll(channel.values, 7, axis=0), channel.values)
+        return Channel(channel.name, "", time, values)
+
+    ours, others = (
+        Drive("", drive.rig, {n: c if i == 0 else changed(c, 0.0) for n, c in shifted(drive).items()}) for i in (0, 1)
+    )
+    np.testing.assert_array_equal(estimate_motion(ours, at).state_causal, estimate_motion(others, at).state_causal)
+    assert not np.array_equal(estimate_motion(ours, at).state, estimate_motion(others, at).state)
+
+
+def shifted(drive: Drive) -> dict[str, Channel]:
+    """The channels, with the attitude stamped 7 ms after the others."""
+    return {
+        name: Channel(name, "", c.time + (0.007 if name == "orientation" else 0.0), c.values)
+        for name, c in drive.channels.items()
+    }
+
+
+def test_the_causal_estimate_follows_a_changing_speed_within_a_few_hundredths_of_a_second():
+    time = np.arange(0, 8, 0.02)
+    speed = 4 + 2 * np.sin(1.5 * time)
+    x = 4 * time + 2 / 1.5 * (1 - np.cos(1.5 * time))
+    circle = Circle()
+    circle.time, circle.place = time, np.stack((x, 0 * x, 0 * x), axis=1)
+    circle.rotation = Rotation.from_euler("z", 0 * time[:, None])
+    vx = estimate_motion(circle.drive(), time).state_causal[:, 3]
+    rows = np.isfinite(vx)
+    lags = np.arange(-0.1, 0.2, 0.005)
+    misfit = [np.std(vx[rows] - np.interp(time[rows] - lag, time, speed)) for lag in lags]
+    assert abs(lags[np.argmin(misfit)]) < 0.05
+
+
+def test_smoothing_takes_noise_off_the_pose():
+    circle = Circle()
+    motion = estimate_motion(circle.drive(noise=0.01), circle.time)
+    raw = np.hypot(*np.diff(circle.drive(noise=0.01).channels["position"].values[:, :2], axis=0).T) * 100
+    error = motion.state[50:-50, 3] - SPEED
+    assert np.std(error) < np.std(raw) / 10
+
+
+def test_in_a_gap_nothing_is_known():
+    circle = Circle()
+    drive = circle.drive()
+    keep = (circle.time < 2) | (circle.time > 4)
+    channels = {n: Channel(n, "", c.time[keep], c.values[keep]) for n, c in drive.channels.items()}
+    motion = estimate_motion(Drive("gap", drive.rig, channels), circle.time)
+    inside = (circle.time > 2.01) & (circle.time < 3.99)
+    assert np.isnan(motion.state[inside]).all()
+    assert np.isnan(motion.state_causal[inside]).all()
+    assert np.isfinite(motion.state[(circle.time > 0.5) & (circle.time < 1.8)]).all()
+
+
+def hill(speed: np.ndarray, grade: float, noise: float = 0.0) -> np.ndarray:
+    """Positions of a vehicle that drives up a grade with the given horizontal speeds."""
+    along = np.cumsum(speed) * 0.02
+    z = grade * along + np.random.default_rng(0).normal(0, noise, len(speed))
+    return np.stack((along, 0 * along, z), axis=1)
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0, 15.0])
+@pytest.mark.parametrize("grade", [-0.3, 0.0, 0.15])
+def test_the_driven_slope_is_the_grade_at_any_speed(speed, grade):
+    speeds = np.full(1500, speed)
+    slope = driven_slope(hill(speeds, grade), speeds, dt=0.02, length=6.0)
+    np.testing.assert_allclose(slope[50:-50], grade, atol=0.01)
+
+
+def test_standing_still_does_not_change_the_slope():
+    speeds = np.full(1000, 3.0)
+    speeds[400:700] = 0.0
+    slope = driven_slope(hill(speeds, 0.2, noise=0.005), speeds, dt=0.02, length=6.0)
+    np.testing.assert_allclose(slope[50:-50], 0.2, atol=0.02)
+
+
+def test_braking_dips_of_the_body_hardly_show():
+    speeds = np.full(1000, 5.0)
+    place = hill(speeds, 0.0)
+    place[500:510, 2] -= 0.05
+    slope = driven_slope(place, speeds, dt=0.02, length=6.0)
+    assert np.abs(slope).max() < 0.025
+
+
+def test_reversing_down_a_hill_leaves_the_slope_along_the_heading_as_it_was():
+    speeds = np.concatenate((np.full(500, 3.0), np.full(400, -3.0)))
+    slope = driven_slope(hill(speeds, 0.2), speeds, dt=0.02, length=6.0)
+    np.testing.assert_allclose(slope, 0.2, atol=0.02)
+
+
+def test_a_gap_between_two_heights_is_no_cliff():
+    speeds = np.full(1000, 3.0)
+    place = hill(speeds, 0.1)
+    place[500:] += (0, 0, 10)
+    place[480:500] = np.nan
+    slope = driven_slope(place, speeds, dt=0.02, length=6.0)
+    assert np.isnan(slope[480:500]).all()
+    known = np.isfinite(slope)
+    assert known.sum() == 980
+    np.testing.assert_allclose(slope[known], 0.1, atol=0.02)

@@ -1,0 +1,129 @@
+"""Angles, quaternions and local polynomials against scipy, closed forms and derivatives."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from offpiste.geometry import (
+    local_polynomial,
+    planar_body_from_world,
+    rotate_by_minus_yaw,
+    rotation_from_quaternion,
+    wrap_angle,
+    yaw_from_quaternion,
+    yaw_rate_from_body_rates,
+)
+
+
+@given(st.floats(-3.1, 3.1), st.integers(-5, 5))
+def test_wrapping_removes_whole_turns(angle, turns):
+    wrapped = wrap_angle(torch.tensor(angle + 2 * math.pi * turns, dtype=torch.float64))
+    assert wrapped.item() == pytest.approx(angle, abs=1e-9)
+
+
+def test_wrapping_has_slope_one_everywhere():
+    angle = torch.linspace(-10, 10, 41, dtype=torch.float64, requires_grad=True)
+    wrap_angle(angle).sum().backward()
+    torch.testing.assert_close(angle.grad, torch.ones_like(angle))
+
+
+def test_a_vector_along_the_heading_points_forward_in_the_body():
+    yaw = np.array([0.3, -2.0])
+    along = np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
+    np.testing.assert_allclose(planar_body_from_world(along, yaw), [[1, 0], [1, 0]], atol=1e-12)
+    left = np.stack((-np.sin(yaw), np.cos(yaw), [0.5, 0.5]), axis=1)
+    body = rotate_by_minus_yaw(torch.tensor(left), torch.tensor(yaw))
+    np.testing.assert_allclose(body, [[0, 1, 0.5], [0, 1, 0.5]], atol=1e-12)
+
+
+def test_rotations_equal_scipys_whatever_the_quaternions_length():
+    rotation = Rotation.random(50, random_state=0)
+    scale = np.linspace(0.5, 2, 50)[:, None]
+    np.testing.assert_allclose(rotation_from_quaternion(scale * rotation.as_quat()), rotation.as_matrix(), atol=1e-12)
+
+
+def test_yaw_equals_scipys_and_is_unwrapped():
+    yaw = np.linspace(0, 20, 200)
+    rotation = Rotation.from_euler("ZYX", np.stack((yaw, 0.3 * np.sin(yaw), 0.4 * np.cos(yaw)), axis=1))
+    np.testing.assert_allclose(yaw_from_quaternion(rotation.as_quat()), yaw, atol=1e-12)
+
+
+def test_yaw_rate_from_the_gyro_is_the_derivative_of_yaw_on_any_slope():
+    time = np.linspace(0, 10, 2001)
+    yaw, pitch, roll = 0.5 * time + np.sin(time), 0.4 * np.sin(0.7 * time), 0.3 * np.cos(1.1 * time)
+    rotation = Rotation.from_euler("ZYX", np.stack((yaw, pitch, roll), axis=1))
+    step = time[1] - time[0]
+    gyro = (rotation[:-2].inv() * rotation[2:]).as_rotvec() / (2 * step)
+    found = yaw_rate_from_body_rates(rotation[1:-1].as_quat(), gyro)
+    np.testing.assert_allclose(found, 0.5 + np.cos(time[1:-1]), atol=1e-4)
+    assert np.abs(gyro[:, 2] - found).max() > 0.1  # the gyro's z is another thing
+
+
+def uneven(seed: int = 0, count: int = 400, span: float = 8.0) -> np.ndarray:
+    """Stamps whose intervals vary from almost none to twice the mean."""
+    return span / count * (np.arange(count) + np.random.default_rng(seed).uniform(0, 0.99, count))
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_polynomials_are_exact_on_quadratics_with_uneven_stamps(causal):
+    time, at = uneven(), np.linspace(0.5, 7.5, 71)
+    coefficients = np.array([[1.0, -2.0, 3.0], [0.5, 0.1, -1.0]])
+    values = np.stack([np.polyval(c, time) for c in coefficients], axis=1)
+    found, rate = local_polynomial(time, values, at, window=0.4, causal=causal)
+    np.testing.assert_allclose(found, np.stack([np.polyval(c, at) for c in coefficients], axis=1), atol=1e-8)
+    np.testing.assert_allclose(rate, np.stack([np.polyval(np.polyder(c), at) for c in coefficients], 1), atol=1e-6)
+
+
+def test_large_stamps_cost_no_precision():
+    time = 1.7e9 + np.arange(0, 2, 0.02)
+    _, rate = local_polynomial(time, 3 * (time - time[0])[:, None], time[20:80], window=0.3, causal=False)
+    np.testing.assert_allclose(rate, 3, atol=1e-5)
+
+
+@given(st.integers(0, 60))
+@settings(max_examples=20, deadline=None)
+def test_causal_estimates_do_not_look_ahead(row):
+    time, rng = uneven(1, 200, 4.0), np.random.default_rng(0)
+    values, at = rng.normal(size=(200, 1)), np.linspace(0.5, 4, 61)
+    changed = np.where(time[:, None] > at[row], 1e6, values)
+    ours, changed = (local_polynomial(time, v, at[: row + 1], window=0.4, causal=True) for v in (values, changed))
+    np.testing.assert_array_equal(ours, changed)
+
+
+def test_polynomials_reduce_noise_and_do_not_lag_when_centred():
+    time = np.arange(0, 20, 0.01)
+    truth = np.sin(time)
+    noisy = truth + np.random.default_rng(0).normal(0, 0.05, len(time))
+    found, rate = local_polynomial(time, noisy[:, None], time, window=0.4, causal=False)
+    inner = slice(50, -50)
+    assert np.std((found[:, 0] - truth)[inner]) < 0.05 / 3
+    assert np.std((rate[:, 0] - np.cos(time))[inner]) < 0.1
+    assert abs(np.mean((rate[:, 0] - np.cos(time))[inner] * np.sin(time)[inner])) < 0.005
+
+
+def test_too_few_samples_give_nan():
+    time = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2, 5.3])
+    found, rate = local_polynomial(time, time[:, None], np.array([0.1, 2.0, 5.15]), window=0.4, causal=False)
+    assert np.isnan(found[:2]).all()
+    assert np.isnan(rate[:2]).all()
+    assert found[2] == pytest.approx(5.15)
+
+
+@pytest.mark.parametrize("spacing", [1e-3, 1e-7, 1e-9])
+def test_a_burst_of_stamps_is_not_extrapolated(spacing):
+    time = np.append(spacing * np.arange(5), 9.0)
+    values = np.random.default_rng(0).normal(0, 0.01, (6, 1))
+    found, _ = local_polynomial(time, values, np.array([0.01, 0.1]), window=0.3, causal=True)
+    assert np.isnan(found).all()
+
+
+def test_the_edge_of_a_gap_is_not_extrapolated():
+    time = np.concatenate((np.arange(0, 1, 0.01), np.arange(5, 6, 0.01)))
+    values = np.random.default_rng(0).normal(0, 0.01, (len(time), 1))
+    found, _ = local_polynomial(time, values, np.array([0.99, 1.2, 4.9, 5.5]), window=0.3, causal=True)
+    assert np.isfinite(found[:, 0]).tolist() == [True, False, False, True]
