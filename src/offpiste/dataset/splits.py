@@ -53,6 +53,8 @@ class Split:
             edges = np.round(np.cumsum(self.fractions) * rows)
             return _with_gaps(np.searchsorted(edges[:-1], np.arange(rows), side="right"))
         if self.kind == "fold":
+            if rows / (2 * self.fold[1]) < 2 * GAP:
+                return np.zeros(rows, dtype=np.int8)
             return _with_gaps(_fold_labels(rows, *self.fold))
         if self.kind == "places":
             return _with_gaps(_place_labels(position, self.cell))
@@ -83,7 +85,7 @@ def parse_split(text: str) -> Split:
             if total >= 3 and 0 <= number < total:
                 return Split(text, kind, fold=(number, total))
         elif kind == "places":
-            if float(rest) > 0:
+            if 0 < float(rest) < np.inf:
                 return Split(text, kind, cell=float(rest))
         elif kind == "drives":
             return Split(text, kind, drives=_read_drives(Path(rest)))

@@ -1,0 +1,135 @@
+"""Splits: parts never share a row, keep their distance, and folds cover everything once."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.dataset.splits import GAP, PARTS, parse_split, window_starts
+from offpiste.errors import DatasetError
+
+REACH = HISTORY_STEPS + HORIZON_STEPS
+
+
+def wandering(rows: int, seed: int = 0) -> np.ndarray:
+    """A path that leaves and comes back to places."""
+    return np.random.default_rng(seed).normal(0, 0.3, (rows, 2)).cumsum(axis=0) + 0.1 * np.arange(rows)[:, None]
+
+
+fractions = st.tuples(st.integers(1, 20), st.integers(0, 20), st.integers(0, 20)).map(
+    lambda n: "blocks:" + ",".join(f"{x / sum(n):.9f}" for x in n)
+)
+splits = st.one_of(
+    fractions,
+    st.integers(3, 7).flatmap(lambda n: st.integers(0, n - 1).map(lambda k: f"fold:{k}/{n}")),
+    st.sampled_from(["places:20", "places:50", "places:5"]),
+)
+
+
+@given(splits, st.integers(1, 9000), st.integers(0, 3))
+@settings(max_examples=60, deadline=None)
+def test_windows_of_different_parts_share_no_row_and_keep_their_distance(text, rows, seed):
+    label = parse_split(text).label("drive", wandering(rows, seed))
+    assert len(label) == rows
+    assert set(np.unique(label)) <= {-1, 0, 1, 2}
+    ends = []
+    for part in range(3):
+        starts = window_starts(label == part)
+        assert all(
+            (label[t - HISTORY_STEPS : t + HORIZON_STEPS + 1] == part).all()
+            for t in starts[:: max(len(starts) // 5, 1)]
+        )
+        ends += [(t - HISTORY_STEPS, t + HORIZON_STEPS, part) for t in starts]
+    ends.sort()
+    for (_, last, part), (first, _, other) in pairwise(ends):
+        assert part == other or first - last > GAP
+
+
+def test_blocks_follow_the_fractions_by_time():
+    label = parse_split("blocks:0.7,0.1,0.2").label("drive", wandering(20000))
+    counts = [(label == part).sum() for part in range(3)]
+    assert counts == [14000, 2000 - GAP, 4000 - GAP]
+    assert (np.diff(label[label >= 0]) >= 0).all()
+
+
+def test_a_part_may_be_empty():
+    label = parse_split("blocks:0.8,0,0.2").label("drive", wandering(20000))
+    assert (label == PARTS.index("validation")).sum() == 0
+    assert (label == PARTS.index("test")).sum() == 4000 - GAP
+
+
+@pytest.mark.parametrize("text", ["blocks:0.7,0.1,0.2", "fold:2/5"])
+def test_a_drive_too_short_for_its_parts_trains(text):
+    assert (parse_split(text).label("drive", wandering(1000)) == 0).all()
+
+
+@pytest.mark.parametrize("total", [3, 5, 8])
+def test_folds_test_every_row_once_but_for_gaps(total):
+    rows = 20000
+    labels = np.stack([parse_split(f"fold:{k}/{total}").label("d", wandering(rows)) for k in range(total)])
+    tested = (labels == PARTS.index("test")).sum(axis=0)
+    assert tested.max() == 1
+    assert (tested == 0).sum() <= total * GAP
+    for label in labels:
+        assert (label == PARTS.index("validation")).sum() > 0
+        assert (label == PARTS.index("train")).mean() > 0.3
+
+
+def test_a_place_has_one_part_in_every_drive_and_on_every_pass():
+    split = parse_split("places:50")
+    there, back = wandering(6000, 1), wandering(6000, 1)[::-1]
+    ours, others = split.label("there", there), split.label("back", back.copy())[::-1]
+    both = (ours >= 0) & (others >= 0)
+    assert both.sum() > 500
+    assert (ours[both] == others[both]).all()
+
+
+def test_places_are_drawn_about_70_10_20():
+    grid = np.stack(np.meshgrid(np.arange(0, 10000, 100.0), np.arange(-5000, 5000, 100.0)), axis=-1).reshape(-1, 2)
+    from offpiste.dataset.splits import _place_labels
+
+    share = np.bincount(_place_labels(grid, 50.0), minlength=3) / len(grid)
+    np.testing.assert_allclose(share, [0.7, 0.1, 0.2], atol=0.03)
+
+
+def test_drives_go_where_their_file_says(tmp_path):
+    path = tmp_path / "split.txt"
+    path.write_text("monday train\n\nfriday test\n")
+    split = parse_split(f"drives:{path}")
+    assert (split.label("monday", wandering(10)) == 0).all()
+    assert (split.label("friday", wandering(10)) == 2).all()
+    with pytest.raises(DatasetError, match="names no part for drive 'sunday'"):
+        split.label("sunday", wandering(10))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "blocks", "blocks:1", "blocks:0.5,0.5,0.5", "blocks:-0.1,0.6,0.5", "blocks:0,0.5,0.5", "blocks:a,b,c",
+     "blocks:nan,0.5,0.5", "fold:5/5", "fold:0/2", "fold:1", "places:0", "places:x", "places:inf", "random:0.8"],
+)  # fmt: skip
+def test_what_is_no_split_is_an_error_that_shows_one(text):
+    with pytest.raises(DatasetError, match=r"not a split.*blocks:0\.7,0\.1,0\.2"):
+        parse_split(text)
+
+
+@pytest.mark.parametrize("content", ["monday\n", "monday train extra\n", "monday exam\n"])
+def test_a_wrong_line_of_a_split_file_is_named(tmp_path, content):
+    path = tmp_path / "split.txt"
+    path.write_text("sunday train\n" + content)
+    with pytest.raises(DatasetError, match=r"split\.txt: line 2 is not 'NAME PART'"):
+        parse_split(f"drives:{path}")
+
+
+def test_a_split_file_that_is_missing_is_an_error(tmp_path):
+    with pytest.raises(DatasetError, match="cannot read the split"):
+        parse_split(f"drives:{tmp_path / 'none.txt'}")
+
+
+@given(st.lists(st.booleans(), max_size=60), st.integers(0, 5), st.integers(1, 10))
+def test_window_starts_are_the_rows_with_everything_usable_around_them(usable, history, horizon):
+    usable = np.array(usable, dtype=bool)
+    wanted = [t for t in range(history, len(usable) - horizon) if usable[t - history : t + horizon + 1].all()]
+    assert window_starts(usable, history=history, horizon=horizon).tolist() == wanted

@@ -1,0 +1,155 @@
+"""The dataset on disk: what goes in comes out, whole or not at all."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+
+from factories import circle_rows, small_rig
+from offpiste.dataset import store
+from offpiste.dataset.extract import Rows
+from offpiste.dataset.splits import parse_split
+from offpiste.errors import DatasetError
+
+SPLIT = parse_split("blocks:0.5,0.25,0.25")
+
+
+def stored(tmp_path: Path, names: tuple[str, ...] = ("one", "two")) -> Path:
+    path = tmp_path / "data.zarr"
+    store.create(path, small_rig(), SPLIT)
+    for number, name in enumerate(names):
+        store.add_drive(path, name, circle_rows(2400, seed=number), SPLIT, ("a note",))
+    return path
+
+
+def assert_same(found: Rows, wanted: Rows) -> None:
+    for key in ("time", "origin", "state", "state_causal", "actuators", "control", "normal", "valid"):
+        ours, theirs = getattr(found, key), getattr(wanted, key)
+        np.testing.assert_array_equal(ours, theirs)
+        assert ours.dtype == theirs.dtype
+
+
+def test_what_is_stored_is_read_back_as_it_was(tmp_path):
+    dataset = store.open_dataset(stored(tmp_path))
+    assert [drive.name for drive in dataset.drives] == ["one", "two"]
+    for number, drive in enumerate(dataset.drives):
+        rows = circle_rows(2400, seed=number)
+        assert_same(drive.rows, rows)
+        np.testing.assert_array_equal(drive.part, SPLIT.label(drive.name, rows.state[:, :2] + rows.origin))
+        assert drive.notes == ("a note",)
+    assert dataset.rig == small_rig()
+    assert dataset.split == SPLIT
+
+
+def test_folds_relabel_the_same_rows(tmp_path):
+    dataset = store.open_dataset(stored(tmp_path))
+    fold = parse_split("fold:0/3")
+    again = dataset.relabelled(fold)
+    assert again.split == fold
+    assert again.drives[0].rows is dataset.drives[0].rows
+    assert (again.drives[0].part != dataset.drives[0].part).any()
+
+
+def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
+    path = stored(tmp_path, ("one",))
+    before = sorted(p.name for p in path.iterdir())
+    calls = []
+
+    def interrupted(self, *args, **kwargs):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return create_array(self, *args, **kwargs)
+
+    create_array = zarr.Group.create_array
+    monkeypatch.setattr(zarr.Group, "create_array", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.add_drive(path, "two", circle_rows(2400), SPLIT, ())
+    assert sorted(p.name for p in path.iterdir()) == before
+    assert [d.name for d in store.open_dataset(path).drives] == ["one"]
+
+
+def test_what_a_killed_write_left_is_not_read(tmp_path):
+    path = stored(tmp_path, ("one",))
+    (path / ".two.partial").mkdir()
+    (path / ".two.partial" / "zarr.json").write_text("{}")
+    assert store.drive_names(path) == ["one"]
+
+
+def test_extraction_goes_on_with_the_same_rig_and_split_only(tmp_path):
+    path = stored(tmp_path)
+    store.create(path, small_rig(), SPLIT)
+    assert len(store.open_dataset(path).drives) == 2
+    with pytest.raises(DatasetError, match="another rig"):
+        store.create(path, small_rig().without_slope(), SPLIT)
+    with pytest.raises(DatasetError, match="another split"):
+        store.create(path, small_rig(), parse_split("fold:0/5"))
+
+
+def test_a_drive_is_not_overwritten_by_another_of_the_same_name(tmp_path):
+    path = stored(tmp_path)
+    with pytest.raises(DatasetError, match="already holds a drive 'one'"):
+        store.add_drive(path, "one", circle_rows(600), SPLIT, ())
+
+
+@pytest.mark.parametrize("key", ["state", "actuators", "valid", "part", "time"])
+def test_a_missing_chunk_is_an_error_and_not_zeros(tmp_path, key):
+    path = stored(tmp_path)
+    chunks = [p for p in (path / "two" / key / "c").rglob("*") if p.is_file()]
+    assert len(chunks) == 1
+    chunks[0].unlink()
+    with pytest.raises(DatasetError, match=rf"drive 'two' cannot be read.*'{key}' is missing.*extract"):
+        store.open_dataset(path)
+
+
+@pytest.mark.parametrize("left", [0.0, 0.5, 0.999])
+def test_a_chunk_that_is_cut_short_is_an_error_in_one_line(tmp_path, left):
+    path = stored(tmp_path)
+    chunk = next(p for p in (path / "one" / "state" / "c").rglob("*") if p.is_file())
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[: int(left * len(content))])
+    with pytest.raises(DatasetError, match="drive 'one' cannot be read") as error:
+        store.open_dataset(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("broken", ["", "{", "[]"])
+def test_broken_metadata_is_an_error(tmp_path, broken):
+    path = stored(tmp_path)
+    (path / "one" / "state" / "zarr.json").write_text(broken)
+    with pytest.raises(DatasetError, match="drive 'one' cannot be read"):
+        store.open_dataset(path)
+
+
+def test_a_missing_array_is_an_error(tmp_path):
+    path = stored(tmp_path)
+    (path / "one" / "state" / "zarr.json").unlink()
+    with pytest.raises(DatasetError, match="drive 'one' cannot be read"):
+        store.open_dataset(path)
+
+
+def test_what_is_no_dataset_is_an_error(tmp_path):
+    for path in (tmp_path / "none.zarr", tmp_path):
+        with pytest.raises(DatasetError, match="not a dataset"):
+            store.open_dataset(path)
+    store.create(tmp_path / "empty.zarr", small_rig(), SPLIT)
+    with pytest.raises(DatasetError, match="holds no drive"):
+        store.open_dataset(tmp_path / "empty.zarr")
+
+
+def test_another_schema_is_an_error(tmp_path):
+    path = stored(tmp_path)
+    zarr.open_group(path, mode="a").attrs["schema"] = 99
+    with pytest.raises(DatasetError, match="schema 99"):
+        store.open_dataset(path)
+
+
+def test_all_zeros_are_stored_and_read(tmp_path):
+    """Zarr leaves chunks of nothing but zeros out by default; here they could not be told from missing ones."""
+    path = tmp_path / "data.zarr"
+    store.create(path, small_rig(), SPLIT)
+    rows = circle_rows(600)
+    rows.control[:] = 0
+    store.add_drive(path, "still", rows, SPLIT, ())
+    assert (store.open_dataset(path).drives[0].rows.control == 0).all()

@@ -1,0 +1,109 @@
+"""Windows against a slow loop over rows, and the rows that no window may touch."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factories import circle_rows, small_rig
+from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.dataset.extract import Rows
+from offpiste.dataset.splits import PARTS, parse_split
+from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.windows import Windows
+from offpiste.errors import DatasetError
+
+SPLIT = parse_split("blocks:0.5,0.25,0.25")
+
+
+def dataset(*drives: Rows) -> Dataset:
+    stored = tuple(
+        StoredDrive(f"drive {i}", rows, SPLIT.label("", rows.state[:, :2] + rows.origin), ())
+        for i, rows in enumerate(drives)
+    )
+    return Dataset(Path("memory"), small_rig(), SPLIT, stored)
+
+
+TWO = dataset(circle_rows(2400, seed=1), circle_rows(2600, speed=3.0, yaw_rate=-0.4, seed=2))
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("start", ["causal", "smoothed"])
+def test_gathered_windows_equal_a_slow_loop(part, start):
+    windows = Windows(TWO, part, start=start)
+    index = np.linspace(0, len(windows) - 1, 7).astype(int)
+    batch = windows.gather(index)
+    for b, i in enumerate(index):
+        rows = TWO.drives[windows.drive[i]].rows
+        t = windows.row_in_drive(np.array([i]))[0]
+        begins = rows.state_causal if start == "causal" else rows.state
+        turns = np.round(begins[t, 2] / (2 * np.pi))
+        place = np.array([*begins[t, :2], 2 * np.pi * turns, 0, 0, 0])
+        ahead = slice(t + 1, t + 1 + HORIZON_STEPS)
+        np.testing.assert_allclose(batch.state[b], begins[t] - place, atol=1e-4)
+        np.testing.assert_allclose(batch.target[b], rows.state[ahead] - place, atol=1e-4)
+        np.testing.assert_allclose(batch.history.state[b], begins[t - HISTORY_STEPS : t] - place, atol=1e-4)
+        np.testing.assert_array_equal(batch.history.control[b], rows.control[t - HISTORY_STEPS : t])
+        np.testing.assert_array_equal(batch.control[b], rows.control[t : t + HORIZON_STEPS])
+        np.testing.assert_array_equal(batch.target_actuators[b], rows.actuators[ahead])
+        np.testing.assert_array_equal(batch.terrain.normal[b], rows.normal[0, t : t + HORIZON_STEPS])
+        assert batch.terrain.latent.shape == (7, HORIZON_STEPS, 4, 0)
+
+
+def test_starts_lie_at_the_origin_with_yaw_in_one_turn():
+    batch = (windows := Windows(TWO, "train")).gather(np.arange(0, len(windows), 50))
+    assert (batch.state[:, :2] == 0).all()
+    assert (batch.state[:, 2].abs() <= np.pi + 1e-5).all()
+    # Yaw is not wrapped along the window, nor torn between start, history and target.
+    assert ((batch.target[:, 0, 2] - batch.state[:, 2]).abs() < 0.2).all()
+    assert ((batch.history.state[:, -1, 2] - batch.state[:, 2]).abs() < 0.2).all()
+    assert (batch.target[:, :, 2].diff(dim=1).abs() < 0.1).all()
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_no_window_touches_an_invalid_row_another_part_or_another_drive(part):
+    broken = circle_rows(2400, seed=3)
+    broken.valid[[100, 700, 701, 2350]] = False
+    data = dataset(broken, circle_rows(2600, seed=4))
+    windows = Windows(data, part)
+    rows = windows.row_in_drive(np.arange(len(windows)))
+    for number, drive in enumerate(data.drives):
+        usable = drive.rows.valid & (drive.part == PARTS.index(part))
+        mine = rows[windows.drive == number]
+        wanted = [
+            t
+            for t in range(HISTORY_STEPS, len(usable) - HORIZON_STEPS)
+            if usable[t - HISTORY_STEPS : t + HORIZON_STEPS + 1].all()
+        ]
+        assert mine.tolist() == wanted
+
+
+def test_windows_start_above_the_speed_by_the_causal_estimate():
+    rows = circle_rows(2400)
+    rows.state_causal[:900, 3] = 1.0
+    windows = Windows(dataset(rows), "train")
+    assert windows.row_in_drive(np.arange(len(windows))).min() >= 900
+    with pytest.raises(DatasetError, match=r"train part has no window of 5 s that starts above 9 m/s"):
+        Windows(dataset(rows), "train", min_speed=9.0)
+
+
+def test_strides_count_the_rows_of_each_drive():
+    windows = Windows(TWO, "train")
+    for phase in (0, 3):
+        rows = windows.row_in_drive(windows.every(5, phase=phase))
+        assert set(rows % 5) == {phase}
+    assert sum(len(windows.every(5, phase=p)) for p in range(5)) == len(windows)
+
+
+def test_a_shorter_horizon_gives_shorter_windows():
+    batch = Windows(TWO, "test", horizon=50).gather(np.array([0, 1]))
+    assert batch.target.shape == (2, 50, 6)
+    assert batch.history.state.shape == (2, HISTORY_STEPS, 6)
+
+
+def test_present_channels_are_those_of_the_rig():
+    windows = Windows(TWO, "train")
+    assert windows.control == ("throttle", "brake", "steer")
+    assert windows.actuators == ()
+    assert dataclasses.is_dataclass(windows.gather(np.array([0])))
