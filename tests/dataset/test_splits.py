@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.splits import GAP, PARTS, parse_split, window_starts
+from offpiste.dataset.splits import GAP, PARTS, _place_labels, parse_split, window_starts
 from offpiste.errors import DatasetError
 
 REACH = HISTORY_STEPS + HORIZON_STEPS
@@ -89,8 +89,6 @@ def test_a_place_has_one_part_in_every_drive_and_on_every_pass():
 
 def test_places_are_drawn_about_70_10_20():
     grid = np.stack(np.meshgrid(np.arange(0, 10000, 100.0), np.arange(-5000, 5000, 100.0)), axis=-1).reshape(-1, 2)
-    from offpiste.dataset.splits import _place_labels
-
     share = np.bincount(_place_labels(grid, 50.0), minlength=3) / len(grid)
     np.testing.assert_allclose(share, [0.7, 0.1, 0.2], atol=0.03)
 

@@ -36,6 +36,12 @@ def test_the_kinematic_bicycle_turns_by_its_geometry(vx):
     assert states[-1, 3] == vx
 
 
+def test_the_kinematic_bicycle_does_not_slip():
+    states = drive(Kinematic(COMMANDED).double(), [0, 0, 0, 5, 1.0, 0.3], [0, 0, 0])
+    assert (states[:, 4:] == 0).all()
+    assert states[-1, :3].tolist() == pytest.approx([10, 0, 0])
+
+
 def test_lateral_velocity_moves_to_the_left_of_the_heading():
     states = drive(ConstantMotion(COMMANDED), [0, 0, math.pi / 2, 0, 1, 0], [0, 0, 0])
     assert states[-1, :2].tolist() == pytest.approx([-2.0, 0.0], abs=1e-6)

@@ -54,9 +54,11 @@ class Kinematic(Dynamics):
 
         def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
             steer = drive_train(self.vehicle, carry.state, carry.actuators, control).steer
-            vx, vy = carry.state[:, 3], carry.state[:, 4]
+            vx = carry.state[:, 3]
             yaw_rate = vx * torch.tan(steer) / self.vehicle.wheelbase
-            state = _moved(carry.state, torch.stack((vx, vy, yaw_rate), dim=-1))
+            # Without slip it moves where it points; the start's lateral velocity, held for 5 s, would be a straw man.
+            rolling = torch.cat((carry.state[:, :4], torch.zeros_like(carry.state[:, 4:])), dim=-1)
+            state = _moved(rolling, torch.stack((vx, torch.zeros_like(vx), yaw_rate), dim=-1))
             return Carry(state, *self.actuators.step(lags, carry.actuators, control, vx, carry.hidden, carry.cell))
 
         return step
