@@ -51,7 +51,7 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     assert "kinematic" in capsys.readouterr().out
 
 
-def test_inspect_speaks_to_machines_and_judges(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_inspect_judges_for_machines(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert run("inspect", str(folder / "drive.parquet"), "--rig", "bicycle", "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"] is True
     (tmp_path / "still.csv").write_text("time,x,y\n" + "".join(f"{i / 50},0,0\n" for i in range(500)))

@@ -1,4 +1,4 @@
-"""offpiste learns how an off-road vehicle will move on the ground its cameras see ahead, and plans with what it learned."""
+"""offpiste learns how an off-road vehicle will move on the ground ahead, and plans with what it learned."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -1,9 +1,10 @@
 """The command line: one subcommand a stage, no logic."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -139,7 +140,7 @@ class Evaluate:
         return 0
 
 
-COMMANDS: dict[str, type] = {
+COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "inspect": Inspect,
     "extract": Extract,
@@ -154,7 +155,7 @@ def main(arguments: list[str] | None = None) -> None:
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
     command = tyro.extras.subcommand_cli_from_dict(
-        {name: command for name, command in COMMANDS.items()},
+        COMMANDS,
         prog="offpiste",
         description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
         args=arguments,
@@ -181,4 +182,6 @@ def _tell(said: object) -> None:
     else:
         from rich.console import Console
 
-        Console(highlight=False).print(said)
+        console = Console(highlight=False)
+        # A pipe has no width of its own, and 80 columns would break tables.
+        (console if console.is_terminal else Console(highlight=False, width=120)).print(said)

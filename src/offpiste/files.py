@@ -22,4 +22,8 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write text whole or not at all."""
-    write_whole(path, lambda partial: partial.write_text(text, "utf-8") and None)
+
+    def write(partial: Path) -> None:
+        partial.write_text(text, "utf-8")
+
+    write_whole(path, write)

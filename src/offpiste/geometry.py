@@ -45,7 +45,7 @@ def yaw_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarra
 def yaw_rate_from_body_rates(
     quaternion: Float[np.ndarray, "N 4"], rates_body: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, " N"]:
-    """d(yaw)/dt from the gyro: (q sin(roll) + r cos(roll)) / cos(pitch), the kinematics of Euler angles z-y-x [rad/s]."""
+    """d(yaw)/dt from the gyro: (q sin(roll) + r cos(roll)) / cos(pitch), Euler angles z-y-x [rad/s]."""
     rotation = rotation_from_quaternion(quaternion)
     roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
     cos_pitch = np.hypot(rotation[:, 2, 1], rotation[:, 2, 2])
@@ -68,7 +68,7 @@ def local_polynomial(
     Args:
         time: stamps, strictly increasing.
         at: moments to estimate at.
-        window: span of the samples used, [at - window/2, at + window/2], or [at - window, at] if `causal`, in `time`'s unit.
+        window: span of the samples used, [at - window/2, at + window/2], or [at - window, at] if `causal`.
         causal: look only at samples stamped at or before each moment.
         degree: of the polynomial.
 

@@ -64,7 +64,7 @@ def extract_rows(drive: Drive) -> Rows:
         raise LogError(
             f"no second of it has all channels of the rig ({given.sum()} complete rows of {len(given)})",
             where=drive.name,
-            how="run `offpiste inspect` on it; widen clock.max_gap or (slow pose) motion.window, or declare the worst absent",
+            how="run `offpiste inspect` on it; widen clock.max_gap or motion.window, or declare a channel absent",
         )
     origin = motion.state[np.flatnonzero(given)[0], :2].copy()
     shift = np.concatenate((origin, np.zeros(4)))

@@ -67,8 +67,9 @@ class Split:
 def parse_split(text: str) -> Split:
     """A split from its text.
 
-    `blocks:TRAIN,VALIDATION,TEST` fractions of each drive by time; `fold:K/N` part K of N blocks tests, half of the next
-    one validates; `places:METRES` squares of the ground, drawn 70 : 10 : 20; `drives:FILE` a line "NAME PART" a drive.
+    `blocks:TRAIN,VALIDATION,TEST` fractions of each drive by time; `fold:K/N` part K of N blocks tests, half of the
+    next one validates; `places:METRES` squares of the ground, drawn 70 : 10 : 20; `drives:FILE` a line
+    "NAME PART" a drive.
 
     Raises:
         DatasetError: unknown kind, fractions that do not sum to one, a file that cannot be read.

@@ -1,7 +1,6 @@
 """The dataset on disk: Zarr v3, one group a drive, written whole or not at all."""
 
 import json
-import os
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -183,6 +182,6 @@ def _write_whole(path: Path, write: Any) -> None:
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
         write(partial)
-        os.replace(partial, path)
+        partial.replace(path)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

@@ -32,28 +32,30 @@ def by_way(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
 
 def render_table(rows: Sequence[ResultRow]) -> Table:
     """Mean distance error by horizon, and the difference to `kinematic`; one line a model, start and lookup."""
-    table = Table(title="Distance error [m]", title_justify="left")
+    pooled = pooled_rows(list(rows))
+    last_of = [group[-1] for group in by_way(pooled)]
+    windows = ", ".join(str(n) for n in sorted({row.n for row in last_of}))
+    table = Table(
+        title=f"Mean distance error [m] on {windows} windows of the {rows[0].part} part, 95 % intervals by blocks",
+        title_justify="left",
+    )
     for name in ("model", "start", "lookup"):
-        table.add_column(name)
+        table.add_column(name, no_wrap=True)
     for seconds in HORIZONS:
-        table.add_column(f"{seconds} s", justify="right")
-    table.add_column("95 % at 5 s", justify="right")
-    table.add_column("median", justify="right")
-    table.add_column(f"minus {REFERENCE}", justify="right")
-    table.add_column("windows", justify="right")
-    for group in by_way(pooled_rows(list(rows))):
+        table.add_column(f"{seconds} s", justify="right", no_wrap=True)
+    table.add_column("at 5 s", no_wrap=True)
+    table.add_column(f"minus {REFERENCE}", justify="right", no_wrap=True)
+    for group in by_way(pooled):
         last = group[-1]
         error = last.distance_error_m
         against = last.minus.get(REFERENCE)
         difference = against.distance_error_m if against else None
         table.add_row(
-            last.label,
+            last.label + (f" ({last.n_failed} failed)" if last.n_failed else ""),
             last.start,
             last.lookup or "",
             *(number(row.distance_error_m.mean) for row in group),
             interval(error.ci95),
-            number(error.median),
             f"{number(difference.mean)} {interval(difference.ci95)}" if difference else "",
-            f"{last.n}" + (f" ({last.n_failed} failed)" if last.n_failed else ""),
         )
     return table

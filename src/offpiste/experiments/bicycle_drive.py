@@ -1,7 +1,7 @@
 """A drive of a bicycle with known constants, written as a table like any log: what the demo runs on.
 
-The vehicle obeys the parametric model, on rolling ground and with unmodelled pushes; the log has sensor noise. It stands
-in for a real drive until there is a proving ground, and shows whether known constants are found again.
+The vehicle obeys the parametric model, on rolling ground and with unmodelled pushes; the log has sensor noise. It
+stands in for a real drive until there is a proving ground.
 """
 
 from pathlib import Path
@@ -36,6 +36,9 @@ class Noise(NamedTuple):
     actuator: float = 0.005
 
 
+_NOISE = Noise()
+
+
 def known_vehicle() -> Parametric:
     """The vehicle that is to be learned: the parametric model at its initial constants, some of them moved."""
     rig = load_rig("bicycle").vehicle
@@ -59,7 +62,7 @@ def ground_normal(xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 3"]:
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-def simulate_drive(seconds: float, seed: int, noise: Noise = Noise()) -> dict[str, Float[np.ndarray, " N"]]:
+def simulate_drive(seconds: float, seed: int, noise: Noise = _NOISE) -> dict[str, Float[np.ndarray, " N"]]:
     """The columns of a log at 50 Hz, in the units of the rig `bicycle`."""
     rng = np.random.default_rng(seed)
     rows = round(seconds / DT)

@@ -30,9 +30,8 @@ def run_demo(out: Path, *, seconds: float, epochs: int, seed: int, tell: Callabl
     runs = []
     for model in ("b", "parametric"):
         tell(f"4/5  offpiste train {dataset_path} --model {model} --out {out / model}")
-        config = TrainConfig(
-            model=model, epochs=epochs, bicycle_epochs=max(1, epochs // 2), actuator_epochs=max(1, epochs // 2), seed=seed
-        )
+        half = max(1, epochs // 2)
+        config = TrainConfig(model=model, epochs=epochs, bicycle_epochs=half, actuator_epochs=half, seed=seed)
         train(dataset, config, out / model, resume=(out / model / "config.json").exists(), tell=tell)
         runs.append(out / model)
     tell(f"5/5  offpiste evaluate {' '.join(map(str, runs))} --dataset {dataset_path} --out {out / 'report'}")

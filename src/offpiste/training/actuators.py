@@ -10,7 +10,6 @@ from offpiste.conventions import ACTUATORS, HORIZON_STEPS
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics.actuators import Actuators
 
-
 FITTED_STEPS = 100
 """Actuators settle within a second or two: their loss looks 2 s ahead, not 5."""
 

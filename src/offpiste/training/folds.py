@@ -1,4 +1,4 @@
-"""Blocked cross-validation: every stretch of every drive is the test part once, and everything fitted is fitted anew."""
+"""Blocked cross-validation: every stretch of every drive is tested once, and everything fitted is fitted anew."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -91,7 +91,7 @@ class _State:
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
         self.module = stage.module
         free = {p: name for name, p in stage.module.named_parameters() if p.requires_grad}
-        self.names: dict[Tensor, str] = {p: name for p, name in free.items()}
+        self.names: dict[Tensor, str] = dict(free.items())
         constants = [p for p, name in free.items() if name.split(".")[-1] == "raw"]
         networks = [p for p, name in free.items() if name.split(".")[-1] != "raw"]
         groups = [(networks, config.learning_rate), (constants, config.constants_learning_rate)]

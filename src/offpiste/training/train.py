@@ -14,6 +14,7 @@ from offpiste.conventions import DT, STATE
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Hybrid, Kinematic, Parametric, Recurrent, rollout
+from offpiste.dynamics.kernels.function import rollout_recorded, supports
 from offpiste.errors import RunError, TrainingError
 from offpiste.training.actuators import actuator_loss
 from offpiste.training.checkpoint import load_json, save_json
@@ -50,7 +51,6 @@ def train(
     if tensorboard:
         record = also_tensorboard(record, folder / "tensorboard")
 
-
     def fit(name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int) -> None:
         run_stage(Stage(name, module, loss, epochs), windows, validation, config, folder, record)
 
@@ -78,8 +78,10 @@ def train(
 
 
 def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
-    """Roll out a batch of windows over its recorded terrain."""
+    """Roll out a batch of windows over its recorded terrain, by the kernels where they can."""
     carry = dynamics.start(batch.history, batch.state, batch.actuators)
+    if isinstance(dynamics, Parametric | Hybrid) and supports(dynamics, batch.state.device, batch.state.dtype):
+        return rollout_recorded(dynamics, carry, batch.control, batch.terrain)
     return rollout(dynamics, carry, batch.control, RecordedTerrain(batch.terrain))
 
 
