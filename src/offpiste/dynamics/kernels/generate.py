@@ -1,0 +1,172 @@
+"""Writes `generated.py`: the scalar physics as loops over lanes, forward and adjoint.
+
+The physics is called here with SymPy's symbols. What the eager model does around it on batches (reduced forms of
+channels that a log lacks, turning the normal, forward Euler) is written as scalars below; tests hold both against each
+other.
+Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import sympy as sp
+
+from offpiste.conventions import DT
+from offpiste.dynamics.actuators import LagConstants, brake_rate, engine_rate, steer_acceleration
+from offpiste.dynamics.bicycle import Constants, Elementary, Force, Scalar, forces, rates
+from offpiste.dynamics.inputs import REDUCED_ENGINE_SPEED, DriveTrain
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.tape import Definitions, Tape, share, text
+
+Values = dict[str, Scalar]
+"""Quantities by their names in `layout`."""
+
+FILE: Final = Path(__file__).with_name("generated.py")
+
+HEADER: Final = '''# ruff: noqa
+# fmt: off
+# mypy: ignore-errors
+"""Loops over lanes, forward and adjoint. Written by `python -m offpiste.dynamics.kernels.generate`; do not edit.
+
+w: rows of a workspace, w_bar: their adjoints, c: constants, c_bar: lanes of the learned constants' adjoints. Forward
+loops overwrite the rows that they compute; adjoint loops add to the rows of w_bar (and c_bar) that forward loops read.
+"""
+
+from offpiste.dynamics.kernels.elementary import atan, cos, f4, maximum, sin, step, tanh
+from offpiste.dynamics.kernels.jit import lane_loop
+'''
+
+
+def drive_train(v: Values, f: Elementary) -> DriveTrain:
+    """`inputs.drive_train` with switches; slots of absent channels are 0."""
+
+    def pick(switch: str, measured: Scalar, reduced: Scalar) -> Scalar:
+        return v[switch] * measured + (1 - v[switch]) * reduced
+
+    return DriveTrain(
+        throttle=v["throttle"],
+        brake=pick("brake_measured", v["brake"], v["brake_command"]),
+        steer=pick("steer_measured", v["steer"], v["max_steer"] * v["steer_command"]),
+        engine=pick("engine_measured", v["engine_rpm"], f.maximum(v["vx"], -v["vx"]) / REDUCED_ENGINE_SPEED),
+    )
+
+
+def body_normal(v: Values, f: Elementary) -> tuple[Scalar, Scalar, Scalar]:
+    """`inputs.body_normal` of the mean normal."""
+    x, y, z = (v[name] for name in layout.NORMAL)
+    cos, sin = f.cos(v["yaw"]), f.sin(v["yaw"])
+    return cos * x + sin * y, cos * y - sin * x, z
+
+
+def sense(v: Values, f: Elementary) -> Values:
+    """The normal in the body frame and the parametric forces: what the networks see besides what is recorded."""
+    train, normal = drive_train(v, f), body_normal(v, f)
+    constants = Constants(*(v[name] for name in Constants._fields))
+    force = forces(
+        v["vx"], v["vy"], v["yaw_rate"], train.brake, train.steer, train.engine, train.throttle, normal[2], constants, f
+    )
+    return dict(zip(layout.BODY_NORMAL + layout.FORCE, (*normal, *force), strict=True))
+
+
+def advance(v: Values, f: Elementary) -> Values:
+    """Corrected forces to rates, actuators' lags, forward Euler."""
+    normal = body_normal(v, f)
+    constants = Constants(*(v[name] for name in Constants._fields))
+    lags = LagConstants(*(v[name] for name in LagConstants._fields))
+    force = Force(*(v[name] + v[more] for name, more in zip(layout.FORCE, layout.CORRECTION, strict=True)))
+    steer = drive_train(v, f).steer
+    motion = rates(v["yaw"], v["vx"], v["vy"], v["yaw_rate"], steer, normal[0], normal[1], force, constants, f)
+    acceleration = steer_acceleration(v["steer"], v["steer_rate"], v["steer_command"], lags) + v["steer_residual"]
+    change = (
+        *motion,
+        v["brake_lags"] * (brake_rate(v["brake"], v["brake_command"], lags, f) + v["brake_residual"]),
+        v["steer_lags"] * v["steer_rate"],
+        v["steer_lags"] * acceleration,
+        v["engine_lags"] * engine_rate(v["engine_rpm"], v["throttle"], v["vx"], lags, f),
+    )
+    return {after: v[name] + DT * rate for after, name, rate in zip(layout.NEXT, layout.CARRIED, change, strict=True)}
+
+
+def cell(v: Values, f: Elementary) -> Values:
+    """One unit of an LSTM from its gates, in the order of `torch.nn.LSTMCell`."""
+
+    def sigmoid(x: Scalar) -> Scalar:
+        return (1 + f.tanh(x / 2)) / 2
+
+    memory = sigmoid(v["forget_gate"]) * v["memory"] + sigmoid(v["input_gate"]) * f.tanh(v["cell_gate"])
+    return {"next_hidden": sigmoid(v["output_gate"]) * f.tanh(memory), "next_memory": memory}
+
+
+class Loop(NamedTuple):
+    """A scalar function and where its arguments and results lie.
+
+    Attributes:
+        function: its name is the loop's.
+        rows: quantities by row.
+        lanes: length of a row.
+        recorded: arguments without an adjoint.
+    """
+
+    function: Callable[[Values, Elementary], Values]
+    rows: Mapping[str, int]
+    lanes: int
+    recorded: tuple[str, ...] = ()
+
+
+LOOPS: Final = (
+    Loop(sense, layout.ROW, layout.LANES, (*layout.CONTROLS, *layout.NORMAL)),
+    Loop(advance, layout.ROW, layout.LANES, (*layout.CONTROLS, *layout.NORMAL)),
+    Loop(cell, layout.CELL_ROW, layout.LANES * layout.HIDDEN),
+)
+
+
+def generate() -> str:
+    """The text of `generated.py`."""
+    return HEADER + "".join(f"\n\n{forward(loop)}\n\n{adjoint(loop)}" for loop in LOOPS)
+
+
+def forward(loop: Loop) -> str:
+    """Code of a forward loop."""
+    tape, outputs = _trace(loop)
+    definitions, results = share(tape.definitions(), outputs)
+    stores = [f"w[{loop.rows[name] * loop.lanes} + i] = {text(term)}" for name, term in results.items()]
+    return _code(loop, loop.function.__name__, definitions, results.values(), stores)
+
+
+def adjoint(loop: Loop) -> str:
+    """Code of the loop's adjoint."""
+    tape, outputs = _trace(loop)
+    reverse, bars = tape.adjoint({sp.Symbol(f"{name}_bar"): term for name, term in outputs.items()})
+    wanted = [name for name in (*loop.rows, *layout.LEARNED) if name not in loop.recorded]
+    gradients = {name: bars[sp.Symbol(name)] for name in wanted if sp.Symbol(name) in bars}
+    definitions, results = share(tape.definitions() + reverse, gradients)
+    stores = []
+    for name, term in results.items():
+        array, row = ("w_bar", loop.rows[name]) if name in loop.rows else ("c_bar", layout.LEARNED.index(name))
+        stores.append(f"{array}[{row * loop.lanes} + i] += {text(term)}")
+    return _code(loop, f"{loop.function.__name__}_adjoint", definitions, results.values(), stores)
+
+
+def _trace(loop: Loop) -> tuple[Tape, dict[str, sp.Expr]]:
+    tape = Tape()
+    values = {name: sp.Symbol(name) for name in (*loop.rows, *layout.CONSTANTS)}
+    return tape, {name: sp.sympify(term) for name, term in loop.function(values, tape.elementary).items()}
+
+
+def _code(loop: Loop, name: str, definitions: Definitions, results: Iterable[sp.Expr], stores: list[str]) -> str:
+    read = {str(symbol) for term in (*(term for _, term in definitions), *results) for symbol in term.free_symbols}
+    constants = [f"{name} = c[{i}]" for i, name in enumerate(layout.CONSTANTS) if name in read]
+    loads = [f"{name} = w[{row * loop.lanes} + i]" for name, row in loop.rows.items() if name in read]
+    loads += [f"{name}_bar = w_bar[{row * loop.lanes} + i]" for name, row in loop.rows.items() if f"{name}_bar" in read]
+    body = loads + [f"{symbol} = {text(term)}" for symbol, term in definitions] + stores
+    arrays = [array for array in ("w", "c", "w_bar", "c_bar") if any(f" {array}[" in f" {x}" for x in constants + body)]
+    lines = [f"@lane_loop\ndef {name}({', '.join(arrays)}):"]
+    lines += [f"    {line}" for line in constants]
+    lines += [f"    for i in range({loop.lanes}):"]
+    lines += [f"        {line}" for line in body]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    FILE.write_text(generate())

@@ -1,0 +1,70 @@
+"""Where the kernels keep what they compute: rows of one block's workspace, and the vector of constants.
+
+A block is `LANES` windows that run side by side. Its workspace is a flat float32 array of rows of `LANES` numbers (row
+r is `workspace[r * LANES : (r + 1) * LANES]`), so that every quantity of the step lies in memory as one vector, and the
+rows that generated code touches lie at distances that the compiler knows. The adjoint of row r is row r of a second
+array.
+"""
+
+from typing import Final
+
+from offpiste.conventions import ACTUATORS, STATE
+from offpiste.dynamics.actuators import LagConstants
+from offpiste.dynamics.bicycle import Constants, Force
+
+LANES: Final = 32
+"""Windows in a block: two AVX-512 vectors."""
+
+HIDDEN: Final = 4
+"""Hidden units of every compensator that the kernels step."""
+
+CARRIED: Final = (*STATE, *ACTUATORS)
+"""What the physics carries from step to step, in `Carry.pack`'s order."""
+
+CONTROLS: Final = ("throttle", "brake_command", "steer_command")
+"""`conventions.CONTROL`, named apart from the actuators."""
+
+NORMAL: Final = ("world_normal_x", "world_normal_y", "world_normal_z")
+"""Mean of the wheels' surface normals in the world frame."""
+
+BODY_NORMAL: Final = ("normal_x", "normal_y", "normal_z")
+"""The same, turned by minus yaw."""
+
+FORCE: Final = tuple(f"force_{name}" for name in Force._fields)
+"""The parametric force vector F."""
+
+CORRECTION: Final = tuple(f"{name}_correction" for name in Force._fields)
+"""What the compensator adds to the force."""
+
+RESIDUALS: Final = ("brake_residual", "steer_residual")
+"""What the actuators' residual networks add [1/s, rad/s^2]."""
+
+NEXT: Final = tuple(f"next_{name}" for name in CARRIED)
+"""`CARRIED` one step later."""
+
+# Networks write their outputs four rows at a time, hence the unused rows behind each residual.
+_SPARE: Final = tuple(tuple(f"unused_{name}_{i}" for i in range(3)) for name in RESIDUALS)
+
+ROWS: Final = (
+    *CARRIED, *CONTROLS, *NORMAL, *BODY_NORMAL, *FORCE, *CORRECTION,
+    RESIDUALS[0], *_SPARE[0], RESIDUALS[1], *_SPARE[1], *NEXT,
+)  # fmt: skip
+"""Rows of the workspace in order; codes of the wheels follow."""
+
+ROW: Final = {name: row for row, name in enumerate(ROWS)}
+
+SWITCHES: Final = (
+    "brake_measured", "steer_measured", "engine_measured", "brake_lags", "steer_lags", "engine_lags", "max_steer",
+)  # fmt: skip
+"""1 or 0: is an actuator recorded, does it follow its command through a lag; the steering angle at command 1 [rad]."""
+
+CONSTANTS: Final = (*Constants._fields, *LagConstants._fields, *SWITCHES)
+"""The vector of constants; the first `len(Constants._fields)` of them are learned."""
+
+LEARNED: Final = Constants._fields
+"""The constants with gradients: the first of `CONSTANTS`."""
+
+CELL_ROWS: Final = ("input_gate", "forget_gate", "cell_gate", "output_gate", "memory", "next_hidden", "next_memory")
+"""Rows of an LSTM cell's own workspace, each `HIDDEN * LANES` long: unit after unit."""
+
+CELL_ROW: Final = {name: row for row, name in enumerate(CELL_ROWS)}

@@ -1,0 +1,207 @@
+"""The rollout of one block after another and its adjoint: how generated loops and networks follow each other.
+
+Forward keeps the carry of every step (the tape); backward takes each step's carry from there, computes the step again
+and goes back through it. Blocks are independent: Python spreads them over threads.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from offpiste.conventions import STATE
+from offpiste.dynamics.kernels.compensate import Scratch, compensate, compensate_adjoint, make_scratch
+from offpiste.dynamics.kernels.elementary import Lane, f4
+from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
+from offpiste.dynamics.kernels.jit import entry, lane_loop
+from offpiste.dynamics.kernels.layout import CARRIED, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS
+from offpiste.dynamics.kernels.network import Network
+
+MOVED = len(CARRIED) * LANES
+STATES = len(STATE)
+NEXT = ROW["next_px"] * LANES
+CONTROL_ROW = ROW[CONTROLS[0]]
+NORMAL_ROW = ROW[NORMAL[0]]
+CODES = len(ROWS)
+CONSTANTS = len(LEARNED)
+
+Networks = tuple[Network, Network, Network]
+"""Of the forces, the brake and the steering."""
+
+Scratches = tuple[Scratch, Scratch, Scratch]
+
+
+class Record(NamedTuple):
+    """What a rollout is given.
+
+    Attributes:
+        controls: [B, T, 3].
+        normals: of each wheel, in the world frame [B, T, 4, 3].
+        codes: of the wheels [B, T, 4 E].
+        recorded: are actuators (4) and controls (3) there? Slots of absent ones are not computed with.
+    """
+
+    controls: np.ndarray
+    normals: np.ndarray
+    codes: np.ndarray
+    recorded: np.ndarray
+
+
+@lane_loop
+def make_scratches(networks: Networks, one: Lane) -> Scratches:
+    """`make_scratch` of each network."""
+    return make_scratch(networks[0], one), make_scratch(networks[1], one), make_scratch(networks[2], one)
+
+
+@lane_loop
+def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
+    """Controls, mean normals and codes of step t into the workspace; lanes behind the batch repeat its last window."""
+    last = len(record.controls) - 1
+    codes = record.codes.shape[2]
+    for i in range(LANES):
+        window = min(block * LANES + i, last)
+        for k in range(3):
+            if record.recorded[4 + k]:
+                w[(CONTROL_ROW + k) * LANES + i] = record.controls[window, t, k]
+            four = record.normals[window, t]
+            w[(NORMAL_ROW + k) * LANES + i] = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
+        for k in range(codes):
+            w[(CODES + k) * LANES + i] = record.codes[window, t, k]
+
+
+@lane_loop
+def advance_block(
+    w: np.ndarray, c: np.ndarray, networks: Networks, scratches: Scratches, before: np.ndarray, after: np.ndarray
+) -> None:
+    """One step of a block, from one carry to the next; controls, normals and codes are loaded."""
+    units = (len(before) - MOVED) // (2 * LANES)
+    w[:MOVED] = before[:MOVED]
+    sense(w, c)
+    for k in range(3):
+        compensate(networks[k], scratches[k], w, before[MOVED:], after[MOVED:], units)
+    advance(w, c)
+    after[:MOVED] = w[NEXT : NEXT + MOVED]
+
+
+@entry
+def forward(
+    first: int,
+    last: int,
+    start: np.ndarray,
+    record: Record,
+    c: np.ndarray,
+    networks: Networks,
+    tape: np.ndarray,
+    states: np.ndarray,
+    actuators: np.ndarray,
+) -> None:
+    """Roll blocks `first` ... `last - 1` out.
+
+    Args:
+        start: packed carries [B, P].
+        record: see `Record`.
+        c: the constants (`layout.CONSTANTS`).
+        networks: of the forces, the brake and the steering.
+        tape: carries before each step and after the last [blocks, T + 1, P * LANES]; or [blocks, 2, P * LANES] without
+            adjoint.
+        states, actuators: to fill [B, T, 6], [B, T, 4].
+    """
+    batch, steps, _ = record.controls.shape
+    slots = tape.shape[1]
+    w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
+    scratches = make_scratches(networks, f4(1))
+    for block in range(first, last):
+        for i in range(LANES):
+            window = min(block * LANES + i, batch - 1)
+            for k in range(start.shape[1]):
+                absent = STATES <= k < len(CARRIED) and not record.recorded[k - STATES]
+                tape[block, 0, k * LANES + i] = f4(0) if absent else start[window, k]
+        for t in range(steps):
+            after = tape[block, (t + 1) % slots]
+            load(w, record, block, t)
+            advance_block(w, c, networks, scratches, tape[block, t % slots], after)
+            for i in range(min(LANES, batch - block * LANES)):
+                window = block * LANES + i
+                for k in range(STATES):
+                    states[window, t, k] = after[k * LANES + i]
+                for k in range(4):
+                    if record.recorded[k]:
+                        actuators[window, t, k] = after[(STATES + k) * LANES + i]
+                    else:
+                        actuators[window, t, k] = start[window, STATES + k]
+
+
+@entry
+def backward(
+    first: int,
+    last: int,
+    record: Record,
+    c: np.ndarray,
+    networks: Networks,
+    tape: np.ndarray,
+    states_bar: np.ndarray,
+    actuators_bar: np.ndarray,
+    start_bar: np.ndarray,
+    codes_bar: np.ndarray,
+    c_bar: np.ndarray,
+    gates_bar: np.ndarray,
+    inner_bar: np.ndarray,
+    outer_bar: np.ndarray,
+) -> None:
+    """Back through `forward`.
+
+    Args:
+        first, last, record, c, networks, tape: as in `forward`.
+        states_bar, actuators_bar: adjoints of the results.
+        start_bar, codes_bar: to fill, like `start` and `record.codes`; the latter may be empty.
+        c_bar: adjoint of the learned constants, by block, to fill.
+        gates_bar, inner_bar, outer_bar: adjoints of the first network's weights by block, zero, to add to; without rows
+            where a matrix is frozen.
+    """
+    batch, steps, _ = record.controls.shape
+    codes = record.codes.shape[2]
+    w = np.zeros((CODES + codes) * LANES, f4)
+    w_bar = np.zeros_like(w)
+    after = np.zeros(tape.shape[2], f4)
+    units = (len(after) - MOVED) // (2 * LANES)
+    constants_bar = np.zeros(CONSTANTS * LANES, f4)
+    scratches = make_scratches(networks, f4(1))
+    bars = make_scratches(networks, f4(0))
+    frozen = np.zeros((0, 0), f4)
+    for block in range(first, last):
+        inside = min(LANES, batch - block * LANES)
+        constants_bar[:] = f4(0)
+        carry_bar = np.zeros_like(after)
+        for step in range(steps):
+            t = steps - 1 - step
+            before = tape[block, t]
+            load(w, record, block, t)
+            advance_block(w, c, networks, scratches, before, after)
+
+            w_bar[:] = f4(0)
+            w_bar[NEXT : NEXT + MOVED] = carry_bar[:MOVED]
+            for i in range(inside):
+                window = block * LANES + i
+                for k in range(STATES):
+                    w_bar[NEXT + k * LANES + i] += states_bar[window, t, k]
+                for k in range(4):
+                    w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[window, t, k]
+            advance_adjoint(w, c, w_bar, constants_bar)
+            compensate_adjoint(
+                networks[0], scratches[0], bars[0], w_bar, carry_bar[MOVED:], units,
+                gates_bar[block], inner_bar[block], outer_bar[block],
+            )  # fmt: skip
+            for k in range(1, 3):
+                compensate_adjoint(
+                    networks[k], scratches[k], bars[k], w_bar, carry_bar[MOVED:], units, frozen, frozen, frozen
+                )
+            sense_adjoint(w, c, w_bar, constants_bar)
+            carry_bar[:MOVED] = w_bar[:MOVED]
+            if len(codes_bar) > 0:
+                for i in range(inside):
+                    for k in range(codes):
+                        codes_bar[block * LANES + i, t, k] = w_bar[(CODES + k) * LANES + i]
+        for i in range(inside):
+            for k in range(start_bar.shape[1]):
+                start_bar[block * LANES + i, k] = carry_bar[k * LANES + i]
+        for k in range(CONSTANTS):
+            c_bar[block, k] = constants_bar[k * LANES : (k + 1) * LANES].sum()
