@@ -97,6 +97,11 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str = ""
 
     @property
+    def rear_axle(self) -> float:
+        """How far behind the pose point the rear axle lies [m]."""
+        return -(self.wheel_positions[2][0] + self.wheel_positions[3][0]) / 2
+
+    @property
     def wheelbase(self) -> float:
         """Distance between the axles [m]."""
         front_left, front_right, rear_left, rear_right = (x for x, _ in self.wheel_positions)

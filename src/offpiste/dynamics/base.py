@@ -23,6 +23,7 @@ class Vehicle:
         max_steer: road-wheel angle at a steering command of 1 [rad].
         control: names (of `conventions.CONTROL`) that the log has.
         actuators: names (of `conventions.ACTUATORS`) that the log has; "steer" only together with "steer_rate".
+        rear_axle: how far behind the pose point the rear axle lies [m].
     """
 
     mass: float
@@ -30,6 +31,7 @@ class Vehicle:
     max_steer: float
     control: tuple[str, ...]
     actuators: tuple[str, ...]
+    rear_axle: float = 0.0
 
     def __post_init__(self) -> None:
         if "steer" in self.actuators and "steer_rate" not in self.actuators:

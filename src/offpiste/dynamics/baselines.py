@@ -34,7 +34,8 @@ class ConstantMotion(Dynamics):
 
 
 class Kinematic(Dynamics):
-    """Bicycle at constant speed that turns by its geometry (`kinematic`): yaw rate = v tan(delta) / wheelbase.
+    """Bicycle at constant speed that turns by its geometry (`kinematic`): yaw rate = v tan(delta) / wheelbase,
+    and the rear axle moves where it points.
 
     A steering angle that the log records follows its command through the fitted delay model, as in every other model.
     """
@@ -56,9 +57,9 @@ class Kinematic(Dynamics):
             steer = drive_train(self.vehicle, carry.state, carry.actuators, control).steer
             vx = carry.state[:, 3]
             yaw_rate = vx * torch.tan(steer) / self.vehicle.wheelbase
-            # Without slip it moves where it points; the start's lateral velocity, held for 5 s, would be a straw man.
-            rolling = torch.cat((carry.state[:, :4], torch.zeros_like(carry.state[:, 4:])), dim=-1)
-            state = _moved(rolling, torch.stack((vx, torch.zeros_like(vx), yaw_rate), dim=-1))
+            # The rear axle does not slip; the start's lateral velocity, held for 5 s, would be a straw man.
+            velocity = torch.stack((vx, self.vehicle.rear_axle * yaw_rate, yaw_rate), dim=-1)
+            state = _moved(torch.cat((carry.state[:, :3], velocity), dim=-1), velocity)
             return Carry(state, *self.actuators.step(lags, carry.actuators, control, vx, carry.hidden, carry.cell))
 
         return step

@@ -122,6 +122,7 @@ def vehicle_of(dataset: Dataset) -> Vehicle:
         max_steer=rig.vehicle.max_steer,
         control=present_control(rig),
         actuators=present_actuators(rig),
+        rear_axle=rig.vehicle.rear_axle,
     )
 
 
