@@ -132,8 +132,8 @@ absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
 [vehicle]
 mass = 800.0
 max_steer = 0.4
-pose_point = "1.1 m ahead of the rear axle"
-wheel_positions = [[1.1, 0.6], [1.1, -0.6], [-1.1, 0.6], [-1.1, -0.6]]
+pose_point = "the rear axle"
+wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
 [channels.position]
 topic = "odometry"
 fields = ["x", "y", "z"]

@@ -22,7 +22,7 @@ WRONG = {
     "unknown key of a channel": (RIG + "gain = 2.0\n", r"`gain`.*channels"),
     "missing key": (edited('name = "small"', ""), r"`name`"),
     "wrong type": (edited("mass = 800.0", 'mass = "heavy"'), r"mass"),
-    "three wheels": (edited(", [-1.1, -0.6]]", "]"), r"wheel_positions"),
+    "three wheels": (edited(", [0.0, -0.6]]", "]"), r"wheel_positions"),
     "unknown channel": (edited("[channels.brake]", "[channels.break]"), r"unknown channel 'break'.*brake"),
     "wrong number of fields": (edited('["x", "y", "z"]', '["x"]'), r"channels\.position\.fields has 1 .* 2 or 3"),
     "wrong unit": (RIG + 'unit = "m/s"\n', r"unit 'm/s' does not measure steer; use one of: 1, percent"),
@@ -40,7 +40,7 @@ WRONG = {
     "no mass": (edited("mass = 800.0", "mass = 0.0"), r"vehicle\.mass is 0\.0 kg"),
     "mass is no number": (edited("mass = 800.0", "mass = nan"), r"vehicle\.mass is nan kg"),
     "wheels swapped": (
-        edited("[[1.1, 0.6], [1.1, -0.6]", "[[-3.1, 0.6], [-3.1, -0.6]"),
+        edited("[[2.2, 0.6], [2.2, -0.6]", "[[-3.1, 0.6], [-3.1, -0.6]"),
         r"front wheels are not ahead",
     ),
     "steering in degrees": (edited("max_steer = 0.4", "max_steer = 23.0"), r"max_steer is 23\.0 rad.*below pi/2"),

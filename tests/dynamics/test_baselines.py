@@ -1,6 +1,7 @@
 """The baselines against their closed forms."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -36,10 +37,16 @@ def test_the_kinematic_bicycle_turns_by_its_geometry(vx):
     assert states[-1, 3] == vx
 
 
-def test_the_kinematic_bicycle_does_not_slip():
-    states = drive(Kinematic(COMMANDED).double(), [0, 0, 0, 5, 1.0, 0.3], [0, 0, 0])
-    assert (states[:, 4:] == 0).all()
-    assert states[-1, :3].tolist() == pytest.approx([10, 0, 0])
+@pytest.mark.parametrize("rear_axle", [0.0, 1.1])
+def test_the_kinematic_bicycles_rear_axle_does_not_slip(rear_axle):
+    model = Kinematic(replace(COMMANDED, rear_axle=rear_axle)).double()
+    states = drive(model, [0, 0, 0, 5, 1.0, 0.3], [0, 0, 0.5])
+    torch.testing.assert_close(states[:, 4], rear_axle * states[:, 5])
+    yaw = states[:, 2]
+    axle = states[:, :2] - rear_axle * torch.stack((yaw.cos(), yaw.sin()), dim=-1)
+    moved, heading = axle.diff(dim=0), (yaw[1:] + yaw[:-1]) / 2
+    sideways = moved[:, 1] * heading.cos() - moved[:, 0] * heading.sin()
+    assert sideways.abs().max() < 0.01 * moved.norm(dim=-1).min()
 
 
 def test_lateral_velocity_moves_to_the_left_of_the_heading():
