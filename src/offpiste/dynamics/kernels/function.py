@@ -4,7 +4,7 @@ The first call compiles for some 20 seconds; the machine code is kept beside the
 written.
 """
 
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from offpiste.dynamics.kernels.threads import spread
 from offpiste.trajectory import Carry, Terrain, Trajectory
 
 
-def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
+def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> TypeGuard[Parametric | Hybrid]:
     """Whether `rollout_recorded` can roll this model out, here and in this type.
 
     It can step `Parametric` and `Hybrid` on the CPU in float32; where gradients are wanted, only while the actuators'
