@@ -45,7 +45,7 @@ class TrainConfig:
     actuator_epochs: int = 8
     batch: int = 128
     stride: int = 5
-    learning_rate: float = 3e-3
+    learning_rate: float = 1e-3
     constants_learning_rate: float = 2e-2
     gradient_clip: float = 1.0
     start: Literal["causal", "smoothed"] = "causal"

@@ -80,6 +80,7 @@ def run_stage(
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig) -> float:
     """Mean loss over the judged windows of a part, without gradients."""
     index = windows.every(config.stride)
+    index = index if len(index) else np.arange(len(windows))
     with torch.no_grad():
         losses = [stage.loss(windows.gather(part)) for part in np.array_split(index, math.ceil(len(index) / 512))]
     return float(torch.cat(losses).mean())
