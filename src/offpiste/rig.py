@@ -129,7 +129,7 @@ class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         topics: all topics stamped by that clock.
         speed: the vehicle's speed by the wheels, among them; several fields are averaged [m/s after conversion].
-        max_lag: lags from minus to plus half of it are tried [s].
+        max_lag: lags from minus half of it to all of it are tried [s].
     """
 
     topics: tuple[str, ...]

@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from offpiste.dataset.extract import extract_rows
-from offpiste.dataset.splits import PARTS, parse_split, window_starts
+from offpiste.dataset.splits import PARTS, Split, parse_split, window_starts
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset
 from offpiste.errors import DatasetError
 from offpiste.logs import read_drive
+from offpiste.logs.drive import drive_name
 from offpiste.progress import track
 from offpiste.rig import Rig
 
@@ -26,7 +27,7 @@ def make_dataset(
         LogError, RigError: a log cannot be read with this rig; drives extracted before stay.
         DatasetError: two logs of one name, or another dataset at `out`.
     """
-    names = [Path(log).resolve().name.split(".")[0] for log in logs]
+    names = [drive_name(log) for log in logs]
     for name in names:
         if names.count(name) > 1:
             raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
@@ -38,11 +39,11 @@ def make_dataset(
             tell(f"{name}: already there")
             continue
         drive = read_drive(log, rig)
-        tell(_described(add_drive(out, name, extract_rows(drive), parts, drive.notes)))
+        tell(_described(add_drive(out, name, extract_rows(drive), parts, drive.notes), parts))
     return open_dataset(out)
 
 
-def _described(drive: StoredDrive) -> str:
+def _described(drive: StoredDrive, split: Split) -> str:
     rows = drive.rows
     windows = [len(window_starts(rows.valid & (drive.part == number))) for number in range(len(PARTS))]
     share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
@@ -50,6 +51,6 @@ def _described(drive: StoredDrive) -> str:
         f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
         f"{rows.valid.mean():.1%} of the rows complete; windows: {share}"
     ]
-    if windows[1] == 0 or windows[2] == 0:
-        lines.append(f"  warning: {drive.name} is too short for the split's every part")
+    if split.kind in ("blocks", "fold") and min(windows) == 0:
+        lines.append(f"  warning: too short for {split.text}: a part of it has no window")
     return "\n".join(lines + [f"  {note}" for note in drive.notes])

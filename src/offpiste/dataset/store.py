@@ -182,6 +182,7 @@ def _write_whole(path: Path, write: Any) -> None:
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
         write(partial)
+        partial.chmod(0o755)
         partial.replace(path)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

@@ -49,7 +49,13 @@ def drive_from_log(log: Log, rig: Rig) -> Drive:
     if rig.alignment is not None:
         channels, said = align_clock(log, rig, rig.alignment, channels)
         notes += said
-    return Drive(log.path.resolve().name.split(".")[0], rig, channels, tuple(notes))
+    return Drive(drive_name(log.path), rig, channels, tuple(notes))
+
+
+def drive_name(path: str | Path) -> str:
+    """What a log is called: its file name without the ending, or its folder's name."""
+    path = Path(path).resolve()
+    return path.name if path.is_dir() else path.stem
 
 
 def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from offpiste.dataset.windows import Batch, Windows
@@ -79,8 +79,7 @@ def run_stage(
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig) -> float:
     """Mean loss over the judged windows of a part, without gradients."""
-    index = windows.every(config.stride)
-    index = index if len(index) else np.arange(len(windows))
+    index = _strided(windows, config.stride)
     with torch.no_grad():
         losses = [stage.loss(windows.gather(part)) for part in np.array_split(index, math.ceil(len(index) / 512))]
     return float(torch.cat(losses).mean())
@@ -119,6 +118,12 @@ class _State:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
 
+def _strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
+    """Windows a stride apart, or all of them where they are so few that none is left."""
+    index = windows.every(stride, phase=phase)
+    return index if len(index) else np.arange(len(windows))
+
+
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
@@ -126,7 +131,7 @@ def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int) -> float:
     # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
     rng = np.random.default_rng((config.seed, epoch))
-    order = rng.permutation(train.every(config.stride, phase=int(rng.integers(config.stride))))
+    order = rng.permutation(_strided(train, config.stride, phase=int(rng.integers(config.stride))))
     batches = np.array_split(order, math.ceil(len(order) / config.batch))
     total = 0.0
     for number, index in enumerate(track(batches, f"{stage.name} {epoch + 1}/{stage.epochs}")):
