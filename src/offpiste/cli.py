@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from offpiste.errors import OffpisteError
+from offpiste.errors import OffpisteError, RigError
 from offpiste.training.config import TrainConfig
 
 Log = Annotated[str, tyro.conf.arg(metavar="LOG")]
@@ -43,7 +43,7 @@ class Inspect:
     rig: str | None = None
     """A preset's name or a rig file; without one, the log is judged by what it shows."""
     write_rig: Path | None = None
-    """Write a first rig for this log."""
+    """Write a first rig for this log to a new file."""
     json: bool = False
     """Print findings for machines."""
 
@@ -59,8 +59,11 @@ class Inspect:
         rig = load_rig(self.rig) if self.rig else None
         clock = rig.clock if rig else Clock()
         log = open_log(self.log, clock_column=clock.column, clock_unit=clock.unit)
+        if self.write_rig and self.write_rig.exists():
+            raise RigError("is there already", where=self.write_rig, how="give --write-rig a new name")
         if self.write_rig:
             write_text(self.write_rig, draft_rig(log))
+            print(f"wrote {self.write_rig}", file=sys.stderr)  # noqa: T201
         inspection = inspect_log(log, rig)
         _tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         return 0 if inspection.usable else 1

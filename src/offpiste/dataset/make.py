@@ -3,6 +3,9 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from offpiste.conventions import MIN_JUDGED_SPEED
 from offpiste.dataset.extract import extract_rows
 from offpiste.dataset.splits import PARTS, Split, parse_split, window_starts
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset
@@ -27,6 +30,8 @@ def make_dataset(
         LogError, RigError: a log cannot be read with this rig; drives extracted before stay.
         DatasetError: two logs of one name, or another dataset at `out`.
     """
+    if not logs:
+        raise DatasetError("no log is given", how="name one or more logs")
     names = [drive_name(log) for log in logs]
     for name in names:
         if names.count(name) > 1:
@@ -45,12 +50,16 @@ def make_dataset(
 
 def _described(drive: StoredDrive, split: Split) -> str:
     rows = drive.rows
-    windows = [len(window_starts(rows.valid & (drive.part == number))) for number in range(len(PARTS))]
+    fast = np.hypot(rows.state_causal[:, 3], rows.state_causal[:, 4]) > MIN_JUDGED_SPEED
+    starts = [window_starts(rows.valid & (drive.part == number)) for number in range(len(PARTS))]
+    windows = [int(fast[found].sum()) for found in starts]
     share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
     lines = [
         f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
-        f"{rows.valid.mean():.1%} of the rows complete; windows: {share}"
+        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_JUDGED_SPEED} m/s: {share}"
     ]
     if split.kind in ("blocks", "fold") and min(windows) == 0:
-        lines.append(f"  warning: too short for {split.text}: a part of it has no window")
+        lines.append(
+            f"  warning: too short or slow for {split.text}: a part has no window; split by drives (drives:FILE)"
+        )
     return "\n".join(lines + [f"  {note}" for note in drive.notes])

@@ -92,7 +92,7 @@ class Windows:
             raise DatasetError(
                 f"the {part} part has no window of {seconds:g} s that starts above {min_speed:g} m/s",
                 where=dataset.path,
-                how="record a longer drive, or choose another --split",
+                how="give longer or faster drives, or choose another --split",
             )
 
     def __len__(self) -> int:

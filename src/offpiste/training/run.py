@@ -46,6 +46,9 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         RunError: no run there, not finished, damaged, or of another version.
     """
     folder = Path(folder)
+    check_device(device)
+    if not folder.is_dir():
+        raise RunError("no such folder", where=folder, how="give the folder that `offpiste train` wrote")
     if (folder / "config.json").exists() and not (folder / "model.json").exists():
         raise RunError("training has not finished", where=folder, how="go on with `offpiste train --resume`")
     about = load_json(folder / "model.json")
@@ -93,6 +96,19 @@ def seen_stretches(dataset: Dataset) -> list[tuple[str, float, float]]:
         for first, last in edges.reshape(-1, 2):
             stretches.append((drive.name, float(drive.rows.time[first]), float(drive.rows.time[last - 1])))
     return stretches
+
+
+def check_device(name: str) -> None:
+    """Raise unless torch can compute there.
+
+    Raises:
+        RunError: no such device, or torch was built without it.
+    """
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error
 
 
 def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:

@@ -22,7 +22,7 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.optimise import MEND, Stage, run_stage
 from offpiste.training.record import also_tensorboard, metrics_writer
-from offpiste.training.run import build, save_run, vehicle_of
+from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.trajectory import RecordedTerrain, Trajectory
 
 
@@ -42,6 +42,7 @@ def train(
         DatasetError: a part has no window.
         TrainingError: something is not finite; the last good checkpoint stays.
     """
+    check_device(config.device)
     vehicle = vehicle_of(dataset)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
     windows = Windows(dataset, "train", start=config.start, device=config.device)
@@ -74,6 +75,7 @@ def train(
     if any(p.requires_grad for p in dynamics.parameters()):
         fit("model", dynamics, loss_of(dynamics), config.epochs)
     save_run(folder, dynamics, config, dataset, scale)
+    tell(f"{folder}: each stage kept its best epoch by validation")
     return dynamics
 
 
