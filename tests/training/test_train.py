@@ -10,13 +10,13 @@ from safetensors.torch import load_file
 from factories import circle_rows, small_rig
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
-from offpiste.dataset.windows import Windows
-from offpiste.dynamics import Dynamics, Hybrid
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Hybrid
 from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training import optimise
 from offpiste.training.config import TrainConfig
 from offpiste.training.folds import fold_folders, train_folds
-from offpiste.training.run import build, load_run, refuse_seen
+from offpiste.training.run import load_run, refuse_seen
 from offpiste.training.train import predict, train
 
 QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
@@ -56,16 +56,20 @@ def kill_after(epochs: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(optimise, "_train_epoch", train_epoch)
 
 
-def test_training_lowers_the_error(dataset: Dataset, tmp_path: Path) -> None:
-    trained = train(dataset, replace(QUICK, model="parametric", epochs=8), tmp_path / "run")
-    untrained = build("parametric", trained.vehicle, seed=0)
-    batch = Windows(dataset, "train").gather(np.arange(0, 2000, 100))
+def test_a_stage_finds_what_its_loss_asks_for(dataset: Dataset, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    line, windows = torch.nn.Linear(1, 1), Windows(dataset, "train")
 
-    def error(dynamics: Dynamics) -> float:
-        with torch.no_grad():
-            return float((predict(dynamics, batch).state - batch.target)[..., :2].norm(dim=-1).mean())
+    def misfit(batch: Batch) -> torch.Tensor:
+        speed = batch.state[:, 3:4]
+        return (line(speed) - 2 * speed + 1)[:, 0].square()
 
-    assert error(trained) < 0.9 * error(untrained)
+    config = replace(QUICK, learning_rate=0.1)
+    stage = optimise.Stage("line", line, misfit, 150)
+    before = optimise.mean_loss(stage, windows, config)
+    optimise.run_stage(stage, windows, windows, config, tmp_path, lambda record: None)
+    assert optimise.mean_loss(stage, windows, config) < 0.01 * before
+    assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], line.weight)
 
 
 def test_every_epoch_is_recorded(run: Path) -> None:
