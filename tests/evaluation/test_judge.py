@@ -166,3 +166,10 @@ def test_trajectories_are_those_that_were_judged() -> None:
     np.testing.assert_allclose(
         np.linalg.norm(states[:, -1, :2] - target[:, -1, :2], axis=1), found.distance(), rtol=1e-5, atol=1e-6
     )
+
+
+def test_no_windows_have_no_trajectories() -> None:
+    # A fold may hold none of the worst windows.
+    windows = circling()
+    model = ConstantMotion(COMMANDED)
+    assert trajectories(model, windows, np.zeros(0, dtype=np.int64), lookup=None).shape == (0, windows.horizon, 6)

@@ -122,6 +122,8 @@ def trajectories(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: str | None, chunk: int = CHUNK
 ) -> Float[np.ndarray, "n T 6"]:
     """Predicted states after each step of some windows, positions relative to each window's start."""
+    if not len(index):
+        return np.empty((0, windows.horizon, 6))
     states = [_rolled_out(dynamics, windows, part, lookup)[1] for part in _chunks(index, chunk)]
     return np.asarray(torch.cat(states).cpu().numpy())
 
