@@ -41,7 +41,7 @@ class TrainConfig:
 
     model: str = "b"
     epochs: int = 30
-    bicycle_epochs: int = 8
+    bicycle_epochs: int = 30
     actuator_epochs: int = 8
     batch: int = 128
     stride: int = 5
