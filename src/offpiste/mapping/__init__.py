@@ -1,0 +1,1 @@
+"""The ground as a map, and how models read it."""
