@@ -69,6 +69,19 @@ class BagLog(Log):
         """One topic a ROS topic; a type that cannot be decoded says why, and has no fields."""
         return self._topics
 
+    def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
+        """Stamps [s] and decoded messages of a topic, in the order of the file, one at a time: for bulk data.
+
+        Args:
+            stamps: as for `read`.
+
+        Raises:
+            LogError: no such topic, a type that cannot be decoded, or the file is damaged there.
+        """
+        found = self._found(topic)
+        for received, message in self._messages(found.name, found.type):
+            yield _stamp(received, message, stamps), message
+
     def _describe(self, name: str, notes: list[str]) -> Topic:
         connections = [c for reader in self._readers for c in reader.connections if c.topic == name]
         main = max(connections, key=lambda c: c.msgcount)
@@ -106,7 +119,7 @@ class BagLog(Log):
         getters = [_getter(field) for field in fields]
         time, rows = [], []
         for received, message in self._messages(topic.name, topic.type):
-            time.append(((stamps == "header" and _header_stamp(message)) or received) / 10**9)  # exact, unlike 1e9
+            time.append(_stamp(received, message, stamps))
             rows.append([get(message) for get in getters])
         if len(time) < topic.count:
             raise LogError(
@@ -115,6 +128,11 @@ class BagLog(Log):
                 how="the bag was cut short or mixed; record or copy it again",
             )
         return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(getters)))
+
+
+def _stamp(received: int, message: object, stamps: str) -> float:
+    """A message's time [s] by the clock that is asked for."""
+    return ((stamps == "header" and _header_stamp(message)) or received) / 10**9  # exact, unlike 1e9
 
 
 def _header_stamp(message: Any) -> int:

@@ -69,10 +69,7 @@ class Log(ABC):
         Raises:
             LogError: no such topic or field, no sample in it, or the file is damaged there.
         """
-        found = self.topics.get(topic)
-        if found is None:
-            known = ", ".join(sorted(self.topics)) or "none"
-            raise LogError(f"no topic '{topic}'", where=self.path, how=f"it has: {known}")
+        found = self._found(topic)
         if found.count == 0:
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="declare its channels absent in the rig")
         missing = [f for f in fields if f not in found.fields]
@@ -83,3 +80,10 @@ class Log(ABC):
                 how=f"it has: {', '.join(found.fields[:40]) or 'no numeric field'}",
             )
         return self._read(found, fields, stamps)
+
+    def _found(self, topic: str) -> Topic:
+        found = self.topics.get(topic)
+        if found is None:
+            known = ", ".join(sorted(self.topics)) or "none"
+            raise LogError(f"no topic '{topic}'", where=self.path, how=f"it has: {known}")
+        return found

@@ -1,0 +1,78 @@
+"""Ground truth of a simulated log: what no real log has, read by oracles only."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from offpiste.errors import LogError
+from offpiste.logs.bags import BagLog
+from offpiste.logs.grid_map import MapLayers, layers_from_grid_map
+from offpiste.logs.open import open_log
+from offpiste.logs.pointcloud import points_from_message
+
+WHEELS_TOPIC, MAP_TOPIC = "/truth/wheels", "/truth/map"
+
+PROPERTIES = ("friction", "cornering_stiffness", "rolling_resistance", "sinkage_drag")
+"""Layers of the map besides the elevation, and the order of `Truth.properties`."""
+
+WHEEL = np.dtype([(name, "<f4") for name in ("x", "y", "z", *PROPERTIES, "load", "slip_ratio", "slip_angle", "kind")])
+"""A wheel's record on `WHEELS_TOPIC`; the units are those of `Truth`."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulator knew; wheels are front-left, front-right, rear-left, rear-right.
+
+    Attributes:
+        time: header stamps [s].
+        contact: where the wheels touch the ground, in the world frame [m].
+        properties: of the ground there (`PROPERTIES`).
+        kind: of the ground there.
+        load: normal load [N].
+        slip_ratio: limited to [-1, 1].
+        slip_angle: [rad].
+        map: the whole world: `elevation` [m] and `PROPERTIES`.
+    """
+
+    time: Float[np.ndarray, " n"]
+    contact: Float[np.ndarray, "n 4 3"]
+    properties: Float[np.ndarray, "n 4 4"]
+    kind: Int[np.ndarray, "n 4"]
+    load: Float[np.ndarray, "n 4"]
+    slip_ratio: Float[np.ndarray, "n 4"]
+    slip_angle: Float[np.ndarray, "n 4"]
+    map: MapLayers
+
+
+def read_truth(path: str | Path) -> Truth:
+    """The ground truth of a simulated drive.
+
+    Raises:
+        LogError: the log has none, or cannot be read.
+    """
+    log = open_log(path)
+    if not isinstance(log, BagLog) or not {WHEELS_TOPIC, MAP_TOPIC} <= set(log.topics):
+        raise LogError(
+            "no ground truth in it: only simulated logs have it", where=path, how="record one with `offpiste simulate`"
+        )
+    grid = next((message for _, message in log.messages(MAP_TOPIC)), None)
+    rows = [(time, points_from_message(message)) for time, message in log.messages(WHEELS_TOPIC)]
+    if grid is None or not rows or any(len(points) != 4 or points.dtype.names != WHEEL.names for _, points in rows):
+        raise LogError("its ground truth is incomplete", where=path, how="record it again with `offpiste simulate`")
+    wheels = np.stack([points for _, points in rows])
+    return Truth(
+        time=np.array([time for time, _ in rows]),
+        contact=_columns(wheels, ("x", "y", "z")),
+        properties=_columns(wheels, PROPERTIES),
+        kind=wheels["kind"].astype(np.int64),
+        load=wheels["load"].astype(np.float64),
+        slip_ratio=wheels["slip_ratio"].astype(np.float64),
+        slip_angle=wheels["slip_angle"].astype(np.float64),
+        map=layers_from_grid_map(grid),
+    )
+
+
+def _columns(wheels: np.ndarray, names: tuple[str, ...]) -> Float[np.ndarray, "n 4 k"]:
+    return np.stack([wheels[name].astype(np.float64) for name in names], axis=2)

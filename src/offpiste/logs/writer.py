@@ -1,0 +1,118 @@
+"""Write MCAP files of ROS 2 messages that any tool reads, and that survive an interruption."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from mcap.writer import CompressionType, Writer
+
+from offpiste.errors import LogError
+from offpiste.logs.message_types import message_types
+
+_CHUNK_TIME = 10**9
+"""A chunk is closed, and reaches the operating system, once it spans this [ns]: what a killed recorder loses."""
+_CHUNK_SIZE = 4 << 20
+"""The same for its size [bytes]: what the writer keeps in memory, twice."""
+
+
+class _Entry(NamedTuple):
+    topic: str
+    msgtype: str
+    stamp: int
+    data: bytes
+
+
+class McapWriter:
+    """Writes messages straight into a file of the final name; the same messages give the same bytes.
+
+    When its `with` block ends, by an exception or Ctrl-C too, the file gets its index and end. A killed process leaves
+    whole chunks without an index, which `offpiste.logs.open_log` reads as well. Chunks are put together in a thread of
+    their own: Ctrl-C is raised in the main thread only, so that it never leaves half a record.
+
+    Args:
+        path: a new `.mcap` file.
+
+    Raises:
+        LogError: the file exists, has another ending, or cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if self.path.suffix != ".mcap":
+            raise LogError("a recording is an MCAP file", where=path, how="give it the ending .mcap")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("xb")
+        except FileExistsError as error:
+            raise LogError("exists already", where=path, how="remove it, or give another name") from error
+        except OSError as error:
+            raise LogError(f"cannot be written: {error.strerror}", where=path, how="give another name") from error
+        self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.LZ4)
+        self._mcap.start(profile="ros2", library="offpiste")
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[str, int] = {}
+        self._batch: list[_Entry] = []
+        self._size = 0
+        self._worker = ThreadPoolExecutor(max_workers=1)
+        self._at_work: Future[None] | None = None
+
+    def __enter__(self) -> "McapWriter":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def write(self, topic: str, message: Any, stamp_ns: int) -> None:
+        """Append a message (of `offpiste.logs.message_types`), stamped [ns since 1970]; it is serialised at once."""
+        msgtype = message.__msgtype__
+        data = bytes(message_types().serialize_cdr(message, msgtype, little_endian=True))
+        self._batch.append(_Entry(topic, msgtype, stamp_ns, data))
+        self._size += len(data)
+        if self._size >= _CHUNK_SIZE or stamp_ns - self._batch[0].stamp >= _CHUNK_TIME:
+            self._hand_over()
+
+    def close(self) -> None:
+        """Write what is left, the index and the end; done when the `with` block ends."""
+        if self._file.closed:
+            return
+        try:
+            self._hand_over()
+            self._at_work = self._worker.submit(self._mcap.finish)
+            self._wait()
+        finally:
+            self._worker.submit(self._file.close)
+            self._worker.shutdown()
+
+    def _hand_over(self) -> None:
+        self._wait()
+        # The list is emptied by the worker: an interruption here hands it over twice, the second time empty.
+        self._at_work = self._worker.submit(self._put, self._batch)
+        self._batch, self._size = [], 0
+
+    def _wait(self) -> None:
+        """Let the worker finish its chunk: no more than one waits, so that memory is bounded.
+
+        Raises:
+            LogError: it could not be written.
+        """
+        try:
+            if self._at_work is not None:
+                self._at_work.result()
+        except OSError as error:
+            what = f"cannot be written: {error.strerror}"
+            raise LogError(what, where=self.path, how="make room on the disk") from error
+
+    def _put(self, batch: list[_Entry]) -> None:
+        for topic, msgtype, stamp, data in batch:
+            self._mcap.add_message(self._channel(topic, msgtype), stamp, data, stamp)
+        batch.clear()
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+
+    def _channel(self, topic: str, msgtype: str) -> int:
+        if msgtype not in self._schemas:
+            definition, _ = message_types().generate_msgdef(msgtype, ros_version=2)
+            self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", definition.encode())
+        if (topic, msgtype) not in self._channels:
+            self._channels[topic, msgtype] = self._mcap.register_channel(topic, "cdr", self._schemas[msgtype])
+        return self._channels[topic, msgtype]

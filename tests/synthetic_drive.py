@@ -1,0 +1,98 @@
+"""Samples of a kinematic bicycle on rolling ground: what a simulated vehicle yields, by known equations."""
+
+from functools import cache
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from offpiste.rig import load_rig
+from offpiste.simulation.sample import VehicleSample, WheelTruth
+from offpiste.simulation.world import Bushes, Trees, World, WorldSettings
+
+DT = 0.02
+
+
+def small_world() -> World:
+    """A plain that tilts, neither square nor symmetric: 7 x 4 nodes."""
+    ny, nx = 4, 7
+    y, x = np.meshgrid(np.arange(ny), np.arange(nx), indexing="ij")
+    none, feet = np.zeros(0), np.zeros((0, 3))
+    return World(
+        settings=WorldSettings(),
+        origin=(-3.0, 5.0),
+        resolution=0.5,
+        elevation=x + 10.0 * y,
+        kinds=np.full((7, ny, nx), 1 / 7),
+        wetness=np.zeros((ny, nx)),
+        properties=np.stack([100.0 * k + x + 10.0 * y for k in range(4)], axis=2),
+        grass_height=np.zeros((ny, nx)),
+        trees=Trees(feet, none, none, none),
+        bushes=Bushes(feet, none, none, none),
+        trails=(),
+    )
+
+
+@cache
+def samples(seconds: float = 60.0, seed: int = 0) -> tuple[VehicleSample, ...]:
+    """Throttle, brake and steering vary; the pose point is the middle of the wheelbase, which does not slip there."""
+    rig = load_rig("proving_ground").vehicle
+    random, time = np.random.default_rng(seed), np.arange(0, seconds, DT)
+    throttle = np.clip(0.6 * _wander(random, time, 4.0) + 0.3, 0, 1)
+    brake = np.where(throttle < 0.02, np.clip(_wander(random, time, 3.0), 0, 1), 0.0)
+    steer = np.clip(0.4 * _wander(random, time, 2.5), -1, 1)
+    angle, pressure = _lagged(rig.max_steer * steer, 0.12), _lagged(brake, 0.08)
+    v = np.zeros(len(time))
+    for i in range(1, len(time)):
+        v[i] = max(v[i - 1] + DT * (3.0 * throttle[i - 1] - 5.0 * pressure[i - 1] - 0.15 * v[i - 1]), 0.0)
+    slip = np.arctan(0.5 * np.tan(angle))
+    yaw_rate = v * np.cos(slip) * np.tan(angle) / rig.wheelbase
+    yaw = 0.3 + np.cumsum(yaw_rate) * DT
+    x, y = np.cumsum(v * np.cos(yaw + slip)) * DT, np.cumsum(v * np.sin(yaw + slip)) * DT
+    z = 0.5 * np.sin(x / 20)
+    rate = np.gradient(angle, DT)
+    pitch = -np.arctan(np.gradient(z, DT) / np.maximum(v, 0.1))
+    return tuple(
+        VehicleSample(
+            time=float(time[i]),
+            position=np.array((x[i], y[i], z[i])),
+            orientation=Rotation.from_euler("ZYX", (yaw[i], pitch[i], 0.0)).as_quat(),
+            velocity=np.array((v[i] * np.cos(yaw[i] + slip[i]), v[i] * np.sin(yaw[i] + slip[i]), 0.0)),
+            angular_velocity=np.array((-np.sin(pitch[i]) * yaw_rate[i], 0.0, np.cos(pitch[i]) * yaw_rate[i])),
+            command=np.array((throttle[i], brake[i], steer[i])),
+            brake_pressure=float(pressure[i]),
+            steer_angle=float(angle[i]),
+            steer_rate=float(rate[i]),
+            engine_speed=1200.0 + 4000.0 * throttle[i],
+            wheel_speed=np.full(4, v[i]),
+            suspension=np.full(4, 0.1),
+            truth=_truth(i),
+        )
+        for i in range(len(time))
+    )
+
+
+def _truth(row: int) -> WheelTruth:
+    """Every number in it is another one."""
+    return WheelTruth(
+        contact=row + np.arange(12.0).reshape(4, 3) / 16,
+        properties=np.arange(16.0).reshape(4, 4) / 32,
+        kind=np.array((0, 1, 2, row % 7)),
+        load=2000.0 + np.arange(4.0) + row,
+        slip_ratio=np.array((-1.0, -0.5, 0.25, 1.0)),
+        slip_angle=np.array((0.0, 0.125, -0.25, 0.5)),
+    )
+
+
+def _lagged(command: np.ndarray, seconds: float) -> np.ndarray:
+    out = np.empty(len(command))
+    out[0] = command[0]
+    for i in range(1, len(command)):
+        out[i] = out[i - 1] + DT / seconds * (command[i - 1] - out[i - 1])
+    return out
+
+
+def _wander(random: np.random.Generator, time: np.ndarray, period: float) -> np.ndarray:
+    """A smooth random signal of unit spread."""
+    knots = np.arange(time[0], time[-1] + 2 * period, period / 2)
+    return CubicSpline(knots, random.standard_normal(len(knots)))(time)
