@@ -14,6 +14,7 @@ from torch import Tensor
 
 from offpiste.conventions import CONTROL, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, rollout
+from offpiste.dynamics.encoder import Identity
 from offpiste.dynamics.kernels.function import rollout_recorded
 from offpiste.trajectory import Carry, RecordedTerrain, Terrain, Trajectory
 
@@ -50,7 +51,8 @@ def main() -> None:
     print(f"{'codes':>5} {'batch':>5} | {'eager':>7} {'+back':>7} | {'kernel':>7} {'+back':>7} | ratio   [ms]")
     for codes in (0, 4):
         torch.manual_seed(0)
-        model = Hybrid(Vehicle(1200.0, 2.1, 0.5, CONTROL, ()), codes=codes)
+        vehicle = Vehicle(1200.0, 2.1, 0.5, CONTROL, ())
+        model = Hybrid(vehicle, encoder=Identity(codes - 1) if codes else None)
         torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.05)
         for batch in (128, 1024):
             carry, controls, terrain = inputs(model, batch)

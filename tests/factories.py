@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT
 from offpiste.dataset.extract import Rows
-from offpiste.dynamics import MODELS, Dynamics, Hybrid, Vehicle
+from offpiste.dynamics import Hybrid, Vehicle
+from offpiste.dynamics.encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.rig import Rig, parse_rig
 from offpiste.trajectory import History, RecordedTerrain, Terrain
@@ -18,13 +19,16 @@ from offpiste.trajectory import History, RecordedTerrain, Terrain
 torch.set_num_threads(1)
 """Tensors here are small: threads cost more than they bring."""
 
-VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, actuators=ACTUATORS)
+VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, actuators=ACTUATORS, features=2)
 """A vehicle whose log has everything."""
 
 COMMANDED = replace(VEHICLE, actuators=())
 """The same, but its log has commands only."""
 
-ALL_MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {**MODELS, "codes": lambda vehicle: Hybrid(vehicle, codes=3)}
+
+def coded(vehicle: Vehicle, codes: int) -> Hybrid:
+    """A hybrid that reads codes of this length, 0 for none."""
+    return Hybrid(vehicle, encoder=Identity(codes - 1) if codes else None)
 
 
 def unsettled(module: nn.Module, *, scale: float = 0.2, seed: int = 0) -> nn.Module:

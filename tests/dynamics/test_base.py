@@ -7,18 +7,19 @@ from dataclasses import replace
 import pytest
 import torch
 
-from factories import ALL_MODELS, COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
+from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.conventions import ACTUATORS, CONTROL
-from offpiste.dynamics import Dynamics, Vehicle, as_callable, rollout
+from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.trajectory import Carry, RecordedTerrain, Terrain, TerrainSource, Trajectory
 
-CODES = {"codes": 3}
-models = pytest.mark.parametrize("name", ALL_MODELS)
+CODES = {"df": 3, "hold": 3}
+"""Two features and a flag."""
+models = pytest.mark.parametrize("name", MODELS)
 
 
 def built(name: str, vehicle: Vehicle = VEHICLE) -> Dynamics:
     torch.manual_seed(0)
-    return unsettled(ALL_MODELS[name](vehicle).double())
+    return unsettled(MODELS[name](vehicle).double())
 
 
 def situation(name: str, **options: int) -> Situation:
@@ -29,7 +30,7 @@ def predict(model: Dynamics, at: Situation) -> Trajectory:
     return rollout(model, model.start(at.history, at.state, at.actuators), at.controls, at.source)
 
 
-@pytest.mark.parametrize("name", [name for name in ALL_MODELS if name != "ctrv"])
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "ctrv"])
 def test_gradients_of_a_rollout_equal_finite_differences(name):
     model, at = built(name), situation(name, batch=2, steps=3)
 
@@ -180,6 +181,6 @@ def test_a_gpu_agrees_with_the_cpu(name, dtype):
 
 
 def test_commands_alone_are_enough_for_every_model():
-    for name in ALL_MODELS:
+    for name in MODELS:
         at = situation(name).filled(COMMANDED, math.nan)
         assert predict(built(name, COMMANDED), at).state.isfinite().all()

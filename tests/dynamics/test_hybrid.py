@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from factories import COMMANDED, VEHICLE, Situation, flat, ground, unsettled
+from factories import COMMANDED, VEHICLE, Situation, coded, flat, ground, unsettled
 from offpiste.conventions import DT, GRAVITY
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.bicycle import Constants
@@ -38,7 +38,7 @@ def at_rest(yaw: float = 0.0, vx: float = 0.0) -> Tensor:
 @pytest.mark.parametrize("vehicle", [VEHICLE, COMMANDED])
 @pytest.mark.parametrize("codes", [0, 3])
 def test_an_untrained_hybrid_is_its_bicycle(vehicle, codes):
-    hybrid, parametric = Hybrid(vehicle, codes=codes).double(), Parametric(vehicle).double()
+    hybrid, parametric = coded(vehicle, codes).double(), Parametric(vehicle).double()
     at = Situation(codes=codes)
     found, wanted = (
         rollout(m, m.start(at.history, at.state, at.actuators), at.controls, at.source) for m in (hybrid, parametric)
@@ -61,7 +61,7 @@ def test_one_unit_of_compensation_is_one_unit_of_acceleration():
 
 
 def test_codes_history_and_hidden_state_change_the_compensation():
-    model = unsettled(Hybrid(VEHICLE, codes=3).double())
+    model = unsettled(coded(VEHICLE, 3).double())
     at, other = Situation(batch=1, codes=3, seed=1), Situation(batch=1, codes=3, seed=2)
 
     def predict(history, terrain):

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT
+from offpiste.dataset.cells import Cells
 from offpiste.errors import LogError
 from offpiste.geometry import local_polynomial
 from offpiste.logs.channel import Channel
@@ -26,6 +27,7 @@ class Rows:
         control: throttle [0..1], brake [0..1], steer [-1..1]; NaN where absent.
         normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel.
         valid: rows where nothing that the log should have is missing.
+        cells: the ground cells under the wheels and their features, where a map gave them.
     """
 
     time: Float[np.ndarray, " N"]
@@ -36,6 +38,7 @@ class Rows:
     control: Float[np.ndarray, "N 3"]
     normal: Float[np.ndarray, "D N 4 3"]
     valid: Bool[np.ndarray, " N"]
+    cells: Cells | None = None
 
     @property
     def distance(self) -> float:

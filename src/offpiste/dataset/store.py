@@ -3,7 +3,9 @@
 import json
 import shutil
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,9 +15,11 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
+from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import Rows, present_actuators, present_control
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.errors import DatasetError
+from offpiste.mapping.terrain import TerrainMap
 from offpiste.rig import Rig
 
 SCHEMA = 1
@@ -24,33 +28,40 @@ _ROWS = ("time", "state", "state_causal", "actuators", "control", "normal", "val
 
 @dataclass(frozen=True)
 class StoredDrive:
-    """One drive of a dataset."""
+    """One drive of a dataset.
+
+    Attributes:
+        load_map: reads the map that the features of this drive come from; None where there is none.
+    """
 
     name: str
     rows: Rows
     part: Int[np.ndarray, " N"]
     notes: tuple[str, ...]
+    load_map: Callable[[], TerrainMap] | None = None
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """All drives of a dataset, in the order of their names."""
+    """All drives of a dataset, in the order of their names.
+
+    Attributes:
+        features: names of the terrain features under each wheel; empty for a dataset without.
+    """
 
     path: Path
     rig: Rig
     split: Split
     drives: tuple[StoredDrive, ...]
+    features: tuple[str, ...] = ()
 
     def relabelled(self, split: Split) -> "Dataset":
         """The same rows under another split (folds)."""
-        drives = tuple(
-            StoredDrive(d.name, d.rows, split.label(d.name, d.rows.state[:, :2] + d.rows.origin), d.notes)
-            for d in self.drives
-        )
-        return Dataset(self.path, self.rig, split, drives)
+        drives = tuple(replace(d, part=split.label(d.name, d.rows.state[:, :2] + d.rows.origin)) for d in self.drives)
+        return replace(self, split=split, drives=drives)
 
 
-def create(path: Path, rig: Rig, split: Split) -> None:
+def create(path: Path, rig: Rig, split: Split, features: tuple[str, ...] = ()) -> None:
     """Begin a dataset, or go on with one that was made with the same rig and split.
 
     Raises:
@@ -68,12 +79,13 @@ def create(path: Path, rig: Rig, split: Split) -> None:
                 name for name in ("brake", "steer", "steer_rate", "engine_rpm") if name not in present_actuators(rig)
             ],
         },
+        "features": list(features),
         "pca": None,
     }
     if path.exists():
         found = _attributes(path)
-        for key in ("schema", "rig", "split", "split_drives"):
-            if found.get(key) != json.loads(json.dumps(meta[key])):
+        for key in ("schema", "rig", "split", "split_drives", "features"):
+            if found.get(key, [] if key == "features" else None) != json.loads(json.dumps(meta[key])):
                 raise DatasetError(
                     f"already holds a dataset with another {key}", where=path, how="choose another --out, or delete it"
                 )
@@ -87,8 +99,13 @@ def drive_names(path: Path) -> list[str]:
     return sorted(f.name for f in path.iterdir() if (f / "zarr.json").exists() and not f.name.startswith("."))
 
 
-def add_drive(path: Path, name: str, rows: Rows, split: Split, notes: tuple[str, ...]) -> StoredDrive:
+def add_drive(
+    path: Path, name: str, rows: Rows, split: Split, notes: tuple[str, ...], terrain: TerrainMap | None = None
+) -> StoredDrive:
     """Write one drive into a dataset, whole or not at all.
+
+    Args:
+        terrain: what its features were read from; kept where predictions are judged on it.
 
     Raises:
         DatasetError: there is a drive of this name already.
@@ -99,23 +116,35 @@ def add_drive(path: Path, name: str, rows: Rows, split: Split, notes: tuple[str,
         )
     part = split.label(name, rows.state[:, :2] + rows.origin)
 
+    judged = terrain is not None and bool(np.any(part > 0))
+
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
         group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
-        for key, values in {**{key: getattr(rows, key) for key in _ROWS}, "part": part}.items():
-            # One uncompressed chunk an array: windows are read with plain offsets.
-            array = group.create_array(
-                key,
-                shape=values.shape,
-                dtype=values.dtype,
-                chunks=values.shape,
-                compressors=None,
-                config={"write_empty_chunks": True},
-            )
-            array[...] = values
+        _write_arrays(group, {**{key: getattr(rows, key) for key in _ROWS}, "part": part})
+        if rows.cells is not None:
+            _write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
+        if terrain is not None and judged:
+            about = {"origin": terrain.origin.tolist(), "resolution": terrain.resolution}
+            arrays = {"elevation": terrain.elevation, "features": terrain.features}
+            _write_arrays(group.create_group("map", attributes=about), arrays)
 
     _write_whole(path / name, write)
-    return StoredDrive(name, rows, part, notes)
+    return StoredDrive(name, rows, part, notes, (lambda: _read_map(path, name)) if judged else None)
+
+
+def _write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
+    """One uncompressed chunk an array: windows are read with plain offsets."""
+    for key, values in arrays.items():
+        array = group.create_array(
+            key,
+            shape=values.shape,
+            dtype=values.dtype,
+            chunks=values.shape,
+            compressors=None,
+            config={"write_empty_chunks": True},
+        )
+        array[...] = values
 
 
 def open_dataset(path: str | Path) -> Dataset:
@@ -137,7 +166,8 @@ def open_dataset(path: str | Path) -> Dataset:
         )
     rig = msgspec.convert(attributes["rig"], type=Rig)
     split = stored_split(attributes["split"], attributes["split_drives"])
-    return Dataset(path, rig, split, tuple(_read_drive(path, name) for name in names))
+    features = tuple(attributes.get("features", ()))
+    return Dataset(path, rig, split, tuple(_read_drive(path, name) for name in names), features)
 
 
 def stored_split(text: str, drives: list[list[str]]) -> Split:
@@ -148,18 +178,42 @@ def stored_split(text: str, drives: list[list[str]]) -> Split:
 
 
 def _read_drive(path: Path, name: str) -> StoredDrive:
-    try:
+    with _reading(path, name):
         group = zarr.open_group(path / name, mode="r")
         arrays = {key: _whole_array(group, key) for key in (*_ROWS, "part")}
+        cells = _read_cells(group["cells"]) if "cells" in group else None
         attributes: dict[str, Any] = dict(group.attrs)
-        rows = Rows(origin=np.array(attributes["origin"]), **{key: arrays[key] for key in _ROWS})
+        rows = Rows(origin=np.array(attributes["origin"]), cells=cells, **{key: arrays[key] for key in _ROWS})
+        load_map = (lambda: _read_map(path, name)) if "map" in group else None
+        return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]), load_map)
+
+
+def _read_cells(group: Any) -> Cells:
+    return Cells(**{field.name: _whole_array(group, field.name) for field in fields(Cells)})
+
+
+def _read_map(path: Path, name: str) -> TerrainMap:
+    with _reading(path, name):
+        group = zarr.open_group(path / name / "map", mode="r")
+        about: dict[str, Any] = dict(group.attrs)
+        return TerrainMap(
+            np.array(about["origin"]),
+            about["resolution"],
+            _whole_array(group, "elevation"),
+            _whole_array(group, "features"),
+        )
+
+
+@contextmanager
+def _reading(path: Path, name: str) -> Iterator[None]:
+    try:
+        yield
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise DatasetError(
             f"drive '{name}' cannot be read ({type(error).__name__}: {error})",
             where=path,
             how=f"delete {path / name} and run `offpiste extract` again",
         ) from error
-    return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]))
 
 
 def _whole_array(group: zarr.Group, key: str) -> np.ndarray:

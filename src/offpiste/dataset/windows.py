@@ -1,18 +1,21 @@
 """Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
+from offpiste.dataset.cells import CellTable, UnderWheels
 from offpiste.dataset.extract import present_actuators, present_control
 from offpiste.dataset.splits import PARTS, window_starts
 from offpiste.dataset.store import Dataset
 from offpiste.errors import DatasetError
 from offpiste.geometry import wrap_angle
+from offpiste.mapping.lookup import MapStack, stack_maps
 from offpiste.trajectory import History, Terrain
 
 
@@ -27,6 +30,7 @@ class Batch:
         terrain: recorded, rows t ... t+T-1.
         target: states of rows t+1 ... t+T.
         target_actuators: actuators of the same rows.
+        ground: features under the recorded wheels, in datasets that have them; `terrain` has no codes yet.
     """
 
     history: History
@@ -36,6 +40,7 @@ class Batch:
     terrain: Terrain
     target: Float[Tensor, "B T 6"]
     target_actuators: Float[Tensor, "B T 4"]
+    ground: UnderWheels | None = None
 
 
 class Windows:
@@ -72,6 +77,8 @@ class Windows:
         self._control = self._column([r.control for r in rows])
         self._normal = self._column([r.normal[0] for r in rows])
         self._valid = self._column([r.valid for r in rows])
+        cells = [r.cells for r in rows if r.cells is not None]
+        self._cells = CellTable(cells, self.device) if dataset.features else None
         self.control, self.actuators = present_control(dataset.rig), present_actuators(dataset.rig)
 
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
@@ -85,6 +92,10 @@ class Windows:
             drives.append(np.full(len(found), number))
         self.rows: Int[np.ndarray, " n"] = np.concatenate(starts)
         self.drive: Int[np.ndarray, " n"] = np.concatenate(drives)
+        self.wheels: Float[Tensor, "4 2"] = torch.as_tensor(
+            dataset.rig.wheel_positions(), dtype=torch.float32, device=self.device
+        )
+        self._drives = dataset.drives
         self.drive_names = tuple(d.name for d in dataset.drives)
         self._offset = offset
         if not len(self.rows):
@@ -130,7 +141,14 @@ class Windows:
             terrain=self._terrain(now),
             target=self._state[ahead] - place[:, None],
             target_actuators=self._actuators[ahead],
+            ground=None if self._cells is None else self._cells.under(past, now),
         )
+
+    def features_at_starts(self) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
+        """Features under the wheels at the start of every window, and whether they are there."""
+        if self._cells is None:
+            raise DatasetError("no terrain features", how="extract them with `--features ground-truth`")
+        return self._cells.at(torch.as_tensor(self.rows, device=self.device))
 
     def path(
         self, index: Int[np.ndarray, " B"], *, behind: int = 50, ahead: int = 400
@@ -148,6 +166,23 @@ class Windows:
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), None, :2]
         position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
         return position, self._normal[near][..., 0, :]
+
+    def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
+        """Where windows start: px, py in the world frame [m], in double precision."""
+        start = self._start[torch.as_tensor(self.rows[index], device=self.device), :2].double()
+        origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
+        return start + torch.as_tensor(origin, device=self.device)
+
+    @cached_property
+    def maps(self) -> tuple[MapStack, Int[np.ndarray, " drives"]] | None:
+        """The maps of the drives that have windows, and which of them each drive reads (-1: none)."""
+        used = [n for n in np.unique(self.drive) if self._drives[n].load_map is not None]
+        if not used:
+            return None
+        loaders = [self._drives[n].load_map for n in used]
+        number = np.full(len(self._drives), -1)
+        number[used] = np.arange(len(used))
+        return stack_maps([load() for load in loaders if load is not None], device=self.device), number
 
     def _terrain(self, rows: Int[Tensor, "B T"]) -> Terrain:
         normal = self._normal[rows]

@@ -1,15 +1,21 @@
 """Dynamics models: one interface, all batched, any device and float type."""
 
+from collections.abc import Callable
+
 from offpiste.dynamics.base import Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.baselines import ConstantMotion, Kinematic, Recurrent
+from offpiste.dynamics.encoder import Identity
 from offpiste.dynamics.hybrid import Hybrid, Parametric
 
-MODELS: dict[str, type[ConstantMotion] | type[Kinematic] | type[Recurrent] | type[Parametric] | type[Hybrid]] = {
+MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {
     "ctrv": ConstantMotion,
     "kinematic": Kinematic,
     "lstm": Recurrent,
     "parametric": Parametric,
     "b": Hybrid,
+    "b-history": lambda vehicle: Hybrid(vehicle, history=64),
+    "df": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.features)),
+    "hold": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.features), holds=True),
 }
 """Models by the names of DESIGN.md and the paper; each is built from a `Vehicle`."""
 

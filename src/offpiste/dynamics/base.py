@@ -24,6 +24,7 @@ class Vehicle:
         control: names (of `conventions.CONTROL`) that the log has.
         actuators: names (of `conventions.ACTUATORS`) that the log has; "steer" only together with "steer_rate".
         rear_axle: how far behind the pose point the rear axle lies [m].
+        features: how many terrain features the dataset has under each wheel.
     """
 
     mass: float
@@ -32,6 +33,7 @@ class Vehicle:
     control: tuple[str, ...]
     actuators: tuple[str, ...]
     rear_axle: float = 0.0
+    features: int = 0
 
     def __post_init__(self) -> None:
         if "steer" in self.actuators and "steer_rate" not in self.actuators:

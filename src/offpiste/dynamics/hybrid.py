@@ -9,6 +9,7 @@ from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, Step, Vehicle
 from offpiste.dynamics.bicycle import Constants, Force, Rates, forces, rates
 from offpiste.dynamics.constants import BicycleConstants
+from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.dynamics.recurrent import Compensator
 from offpiste.trajectory import Carry, History, Terrain
@@ -46,15 +47,23 @@ class Hybrid(Dynamics):
 
     It sees vx, vy, yaw rate, actuators and controls that the log has, the mean normal, the parametric forces and the
     codes of the four wheels; never position or yaw.
+
+    Args:
+        encoder: of the terrain features; None for `b`.
+        holds: the codes of the start stay for the whole horizon (`hold`): what looking ahead is worth shows beside it.
+        history: units of the networks that read the last 0.2 s.
     """
 
-    def __init__(self, vehicle: Vehicle, *, codes: int = 0) -> None:
+    def __init__(
+        self, vehicle: Vehicle, *, encoder: FeatureEncoder | None = None, holds: bool = False, history: int = 20
+    ) -> None:
         super().__init__()
-        self.vehicle, self.codes = vehicle, codes
+        self.vehicle, self.encoder, self.holds = vehicle, encoder, holds
+        self.codes = codes = encoder.size if encoder is not None else 0
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
         inputs = 3 + len(vehicle.actuators) + len(vehicle.control) + 3 + 4 + 4 * codes
-        self.compensator = Compensator(inputs, 4)
+        self.compensator = Compensator(inputs, 4, init_hidden=history, init_width=history)
         self.force_scale: Tensor
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
         self.register_buffer("force_scale", torch.tensor([vehicle.mass / 2, vehicle.mass, vehicle.mass, 1.0]))

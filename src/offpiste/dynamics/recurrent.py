@@ -12,14 +12,25 @@ class Compensator(nn.Module):
     compensator leaves the physics as it is.
     """
 
-    def __init__(self, inputs: int, outputs: int, *, hidden: int = 4, width: int = 20, init_hidden: int = 20) -> None:
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        *,
+        hidden: int = 4,
+        width: int = 20,
+        init_hidden: int = 20,
+        init_width: int = 20,
+    ) -> None:
         super().__init__()
         self.hidden = hidden
         self.cell = nn.LSTMCell(inputs, hidden)
         last = nn.Linear(width, outputs)
         self.output = nn.Sequential(nn.Linear(hidden + inputs, width), nn.Tanh(), last)
         self.init_cell = nn.LSTM(inputs, init_hidden, batch_first=True)
-        self.init_output = nn.Sequential(nn.Linear(init_hidden, width), nn.Tanh(), nn.Linear(width, 2 * hidden))
+        self.init_output = nn.Sequential(
+            nn.Linear(init_hidden, init_width), nn.Tanh(), nn.Linear(init_width, 2 * hidden)
+        )
         self.mean: Tensor
         self.scale: Tensor
         self.register_buffer("mean", torch.zeros(inputs))

@@ -127,7 +127,7 @@ def evaluate_models(
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = _with_baselines(models, dataset, device)
-    ways: Sequence[Lookup | None] = lookups if _has_slope(dataset) else (None,)
+    ways: Sequence[Lookup | None] = lookups if _has_ground(dataset) else (None,)
 
     predictions = [
         _Prediction(
@@ -269,9 +269,11 @@ def _shown_case(errors: dict[Case, Errors], model: Judged, start: Start) -> Case
     return max(found, key=lambda case: case.lookup == "map")
 
 
-def _has_slope(dataset: Dataset) -> bool:
+def _has_ground(dataset: Dataset) -> bool:
     """Whether there is anything to read from the ground."""
-    return any(bool(np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) > 0) for drive in dataset.drives)
+    return bool(dataset.features) or any(
+        bool(np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) > 0) for drive in dataset.drives
+    )
 
 
 def _window_numbers(

@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT
-from offpiste.dataset.path_terrain import path_terrain
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, rollout
 from offpiste.geometry import wrap_angle
+from offpiste.training.ground import encoded, map_source
 from offpiste.training.losses import summed_loss
-from offpiste.trajectory import RecordedTerrain, TerrainSource
+from offpiste.trajectory import RecordedTerrain
 
 HORIZONS = (1, 2, 3, 4, 5)
 """When errors are kept [s after the start]."""
@@ -136,8 +136,9 @@ def _chunks(index: Int[np.ndarray, " n"], size: int) -> list[np.ndarray]:
 def _rolled_out(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: str | None
 ) -> tuple[Batch, Float[Tensor, "B T 6"]]:
-    batch = windows.gather(index)
-    source: TerrainSource = path_terrain(windows, index) if lookup == "map" else RecordedTerrain(batch.terrain)
+    batch = encoded(dynamics, windows.gather(index))
+    predicted_places = lookup == "map"
+    source = map_source(dynamics, windows, index, batch) if predicted_places else RecordedTerrain(batch.terrain)
     carry = dynamics.start(batch.history, batch.state, batch.actuators)
     return batch, rollout(dynamics, carry, batch.control, source).state
 

@@ -11,6 +11,7 @@ from offpiste.evaluation.report import write_report
 from offpiste.evaluation.table import render_table
 from offpiste.progress import track
 from offpiste.training.folds import fold_folders
+from offpiste.training.ground import encoder_of
 from offpiste.training.run import Run, load_run, refuse_seen, vehicle_of
 
 
@@ -52,6 +53,13 @@ def judge_runs(
 
 def _refuse_unfit(run: Run, dataset: Dataset) -> None:
     needed, given = run.dynamics.vehicle, vehicle_of(dataset)
+    reads = encoder_of(run.dynamics) is not None
+    if reads and needed.features != given.features:
+        raise RunError(
+            f"reads {needed.features} terrain features; the dataset has {given.features}",
+            where=run.folder,
+            how="judge it on a dataset that was extracted with the same --features",
+        )
     for kind in ("control", "actuators"):
         if getattr(needed, kind) != getattr(given, kind):
             raise RunError(

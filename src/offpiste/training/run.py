@@ -12,7 +12,7 @@ from torch import Tensor
 from offpiste.dataset.extract import present_actuators, present_control
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
-from offpiste.dynamics import MODELS, Dynamics, Vehicle
+from offpiste.dynamics import MODELS, Dynamics, Hybrid, Vehicle
 from offpiste.errors import RunError
 from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_json, save_tensors
 from offpiste.training.config import TrainConfig, Weights
@@ -139,6 +139,7 @@ def vehicle_of(dataset: Dataset) -> Vehicle:
         control=present_control(rig),
         actuators=present_actuators(rig),
         rear_axle=rig.vehicle.rear_axle,
+        features=len(dataset.features),
     )
 
 
@@ -152,4 +153,10 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
         raise RunError(f"no model '{model}'", how=f"models are: {', '.join(MODELS)}")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return MODELS[model](vehicle)
+        dynamics = MODELS[model](vehicle)
+    if isinstance(dynamics, Hybrid) and dynamics.encoder is not None and not vehicle.features:
+        raise RunError(
+            f"model '{model}' reads terrain features and the dataset has none",
+            how="extract with `--features`, or train `b`",
+        )
+    return dynamics

@@ -19,6 +19,7 @@ from offpiste.errors import RunError, TrainingError
 from offpiste.training.actuators import actuator_loss
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
+from offpiste.training.ground import encoded, encoder_of
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.optimise import MEND, Stage, run_stage
 from offpiste.training.record import also_tensorboard, metrics_writer
@@ -81,6 +82,7 @@ def train(
 
 def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
     """Roll out a batch of windows over its recorded terrain, by the kernels where they can."""
+    batch = encoded(dynamics, batch)
     carry = dynamics.start(batch.history, batch.state, batch.actuators)
     if isinstance(dynamics, Parametric | Hybrid) and supports(dynamics, batch.state.device, batch.state.dtype):
         return rollout_recorded(dynamics, carry, batch.control, batch.terrain)
@@ -93,7 +95,9 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
         return
     index = windows.every(25) if len(windows.every(25)) else np.arange(len(windows))
     with torch.no_grad():
-        seen = dynamics.recorded_inputs(windows.gather(index).history).flatten(0, 1)
+        if (encoder := encoder_of(dynamics)) is not None:
+            encoder.fill_with(*windows.features_at_starts())
+        seen = dynamics.recorded_inputs(encoded(dynamics, windows.gather(index)).history).flatten(0, 1)
     network = dynamics.compensator if isinstance(dynamics, Hybrid) else dynamics.network
     network.standardise_on(seen)
 

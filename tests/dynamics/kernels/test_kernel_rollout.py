@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from factories import coded
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import ConstantMotion, Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.kernels.function import rollout_recorded, supports
@@ -39,7 +40,7 @@ def example(
     """A model with random weights, in float64, its actuators frozen."""
     torch.manual_seed(seed)
     vehicle = Vehicle(mass=1200.0, wheelbase=2.1, max_steer=0.5, control=control, actuators=actuators)
-    model = Hybrid(vehicle, codes=codes) if kind is Hybrid else Parametric(vehicle)
+    model = coded(vehicle, codes) if kind is Hybrid else Parametric(vehicle)
     for parameter in model.parameters():
         parameter.data += 0.3 * torch.randn_like(parameter)
     for name, buffer in model.named_buffers():
@@ -199,6 +200,6 @@ def test_kernels_stay_inside_their_arrays(tmp_path: Path) -> None:
         "NUMBA_BOUNDSCHECK": "1",
         "NUMBA_OPT": "1",
         "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": str(Path(__file__).parent),
+        "PYTHONPATH": os.pathsep.join((str(Path(__file__).parent), str(Path(__file__).parents[2]))),
     }
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)

@@ -1,0 +1,57 @@
+"""A simulator's true ground properties in the place of visual features: what no camera can exceed."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.extract import Rows
+from offpiste.mapping.lookup import look_up, stack_maps
+from offpiste.mapping.terrain import TerrainMap, wheel_places
+from offpiste.rig import Rig
+
+REACH = 75.0
+"""Metres around the driven path that a prediction of 5 s may read."""
+
+
+@dataclass(frozen=True)
+class Grounded:
+    """Rows with the true ground under their wheels, and the map it was read from."""
+
+    rows: Rows
+    map: TerrainMap
+
+
+def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
+    """Put the true normals and features under the wheels of a drive.
+
+    The wheels' places are those of a vehicle that stands level, as predictions have them.
+    """
+    xy = rows.state[:, :2].astype(np.float64) + rows.origin
+    known = np.isfinite(xy).all(axis=1)
+    low, high = xy[known].min(axis=0) - REACH, xy[known].max(axis=0) + REACH
+    ground = truth.cropped(low, high)
+    ground = replace(ground, features=ground.features.astype(np.float16))
+    ny, nx = ground.elevation.shape
+
+    places = wheel_places(np.where(known[:, None], xy, np.inf), rows.state[:, 2], rig.wheel_positions())
+    found = look_up(
+        stack_maps([ground]),
+        torch.zeros(places.shape[:2], dtype=torch.long),
+        torch.as_tensor(np.where(np.isfinite(places), places, np.inf) - rows.origin),
+        torch.as_tensor(np.broadcast_to(rows.origin, places.shape).copy()),
+    )
+    column, row = np.moveaxis(np.round((np.nan_to_num(places) - ground.origin) / ground.resolution), -1, 0).astype(int)
+    cell = np.clip(row, 0, ny - 1) * nx + np.clip(column, 0, nx - 1)
+    valid = found.valid.numpy()
+    visited, first, index = np.unique(cell[valid], return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty(len(order), np.int32)
+    number[order] = np.arange(len(order), dtype=np.int32)
+    under = np.full(places.shape[:2], -1, np.int32)
+    under[valid] = number[index]
+    features = ground.features.reshape(ny * nx, -1)[visited[order]]
+    cells = Cells(under, features[None], np.ones((1, len(features)), bool))
+    normal = found.normal.numpy().astype(np.float32)[None]
+    return Grounded(replace(rows, normal=normal, cells=cells), ground)

@@ -1,0 +1,55 @@
+"""From terrain features under a wheel to what the network reads of them."""
+
+from abc import ABC, abstractmethod
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+
+class FeatureEncoder(nn.Module, ABC):
+    """Codes of single cells; the same weights serve all four wheels. Subclasses are final.
+
+    Attributes:
+        size: E, length of a code.
+        mean: what stands for missing features, from training cells.
+    """
+
+    size: int
+    mean: Tensor
+
+    @abstractmethod
+    def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
+        """Codes of cells; features that are not valid are not looked at."""
+
+    def missing(self) -> Float[Tensor, " E"]:
+        """The code of a cell without features."""
+        nothing = self.mean[None]
+        return self(nothing, torch.zeros(1, dtype=torch.bool, device=nothing.device))[0]
+
+    def fill_with(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> None:
+        """Take the mean of training cells."""
+        if valid.any():
+            self.mean.copy_(features[valid].double().mean(dim=0))
+
+
+class Identity(FeatureEncoder):
+    """`df`: the features as they are, missing ones filled, and a flag: +1 where missing, -1 where present."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.size = features + 1
+        self.register_buffer("mean", torch.zeros(features))
+
+    def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
+        """Features and flag."""
+        return with_flag(features, valid, self.mean)
+
+
+def with_flag(
+    features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"], mean: Float[Tensor, " F"]
+) -> Float[Tensor, "M G"]:
+    """Missing features replaced by the mean, and the flag behind them (G = F + 1; DESIGN.md, decision 8)."""
+    known = torch.where(valid[:, None], features.to(mean.dtype), mean)
+    flag = torch.where(valid, -1.0, 1.0).to(mean.dtype)
+    return torch.cat((known, flag[:, None]), dim=-1)

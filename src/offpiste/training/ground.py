@@ -1,0 +1,82 @@
+"""Where a model reads the ground: under the recorded wheels, or on a map under the wheels that it predicts."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from offpiste.dataset.path_terrain import path_terrain
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics, Hybrid
+from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.errors import DatasetError
+from offpiste.mapping.lookup import MapTerrain
+from offpiste.trajectory import Terrain, TerrainSource
+
+
+def encoder_of(dynamics: Dynamics) -> FeatureEncoder | None:
+    """The encoder of a model that reads terrain features."""
+    return dynamics.encoder if isinstance(dynamics, Hybrid) else None
+
+
+def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
+    """The batch with the codes of the recorded ground, as `dynamics` encodes it; each cell is encoded once.
+
+    Raises:
+        DatasetError: the model reads features and the dataset has none.
+    """
+    encoder = encoder_of(dynamics)
+    if encoder is None:
+        return batch
+    if batch.ground is None:
+        raise DatasetError("the model reads terrain features and the dataset has none", how="extract with --features")
+    codes = encoder(batch.ground.features, batch.ground.valid).to(batch.state.dtype)
+    ahead = batch.ground.ahead
+    if isinstance(dynamics, Hybrid) and dynamics.holds:
+        ahead = ahead[:, :1].expand_as(ahead)
+    past = Terrain(batch.history.terrain.normal, codes[batch.ground.past])
+    return replace(
+        batch,
+        history=replace(batch.history, terrain=past),
+        terrain=Terrain(batch.terrain.normal, codes[ahead]),
+    )
+
+
+def map_source(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch) -> TerrainSource:
+    """The ground where predictions go, as a planner reads it: the drive's map, or the slope of the driven path.
+
+    Args:
+        batch: of the same windows, encoded.
+
+    Raises:
+        DatasetError: a drive has no map.
+    """
+    if windows.maps is None:
+        return path_terrain(windows, index)
+    maps, numbers = windows.maps
+    number = numbers[windows.drive[index]]
+    if (number < 0).any():
+        name = windows.drive_names[windows.drive[index][number < 0][0]]
+        raise DatasetError(f"drive '{name}' has no map", how="extract it again")
+    source = MapTerrain(
+        maps,
+        torch.as_tensor(number, device=windows.device),
+        windows.places(index),
+        windows.wheels,
+        encoder_of(dynamics),
+    )
+    held = isinstance(dynamics, Hybrid) and dynamics.holds
+    return _Held(source, batch.terrain.latent[:, 0]) if held else source
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Codes of the start, normals of the predicted places."""
+
+    source: MapTerrain
+    latent: Float[Tensor, "B 4 E"]
+
+    def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
+        return Terrain(replace(self.source, encode=None).at(t, state).normal, self.latent)

@@ -1,0 +1,129 @@
+"""True ground under recorded wheels: the same numbers whether read by row or on the map, and through the files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from factories import circle_rows, small_rig
+from offpiste.dataset import store
+from offpiste.dataset.ground_truth import with_ground_truth
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import MODELS, Hybrid
+from offpiste.errors import DatasetError, RunError
+from offpiste.mapping.terrain import TerrainMap, wheel_places
+from offpiste.training.ground import encoded, map_source
+from offpiste.training.run import build, vehicle_of
+
+SPLIT = parse_split("blocks:0.5,0.25,0.25")
+NAMES = ("column", "row", "constant")
+
+
+def truth(shape=(800, 700), resolution=0.25) -> TerrainMap:
+    """A tilted plane around the circles of `circle_rows`; features tell the cell."""
+    row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    origin = np.array([20.0, -140.0])
+    z = 0.2 * (origin[0] + resolution * column) - 0.1 * (origin[1] + resolution * row)
+    return TerrainMap(origin, resolution, z, np.stack((column, row, np.full(shape, 0.5)), axis=-1).astype(np.float32))
+
+
+def made(path: Path) -> store.Dataset:
+    store.create(path, small_rig(), SPLIT, NAMES)
+    for number in range(2):
+        grounded = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), truth(), small_rig())
+        store.add_drive(path, f"drive {number}", grounded.rows, SPLIT, (), grounded.map)
+    return store.open_dataset(path)
+
+
+def test_cells_are_those_under_the_wheels_each_once():
+    rows, rig = circle_rows(600), small_rig()
+    grounded = with_ground_truth(rows, truth(), rig)
+    cells = grounded.rows.cells
+    places = wheel_places(rows.state[:, :2] + rows.origin, rows.state[:, 2], rig.wheel_positions())
+    wanted = np.round((places - truth().origin) / truth().resolution)
+    np.testing.assert_array_equal(cells.features[0, cells.index, :2], wanted)
+    assert len(np.unique(cells.features[0], axis=0)) == cells.features.shape[1]
+    # Numbered by first visit.
+    first = [np.flatnonzero((cells.index == n).any(axis=1))[0] for n in range(cells.features.shape[1])]
+    assert (np.diff(first) >= 0).all()
+    slope = -grounded.rows.normal[..., :2] / grounded.rows.normal[..., 2:]
+    np.testing.assert_allclose(slope, np.broadcast_to([0.2, -0.1], slope.shape), atol=1e-4)
+
+
+def test_wheels_off_the_map_have_no_cell_and_flat_ground():
+    grounded = with_ground_truth(circle_rows(600), truth(shape=(420, 330)), small_rig())
+    away = grounded.rows.cells.index < 0
+    assert 0 < away.mean() < 1
+    assert (grounded.rows.normal[0][away] == [0, 0, 1]).all()
+    assert (grounded.rows.normal[0][~away][:, 2] < 1).all()
+
+
+def test_recorded_and_predicted_places_read_the_same_ground(tmp_path):
+    dataset = made(tmp_path / "data.zarr")
+    windows = Windows(dataset, "test", start="smoothed")
+    assert set(windows.drive) == {0, 1}
+    index = np.arange(0, len(windows), 37)
+    df = build("df", vehicle_of(dataset), seed=0)
+    batch = encoded(df, windows.gather(index))
+    source = map_source(df, windows, index, batch)
+    for t in (1, 100, 249):
+        # A vehicle that is predicted where it was recorded must find what was recorded.
+        on_map = source.at(t, batch.target[:, t - 1])
+        torch.testing.assert_close(on_map.normal, batch.terrain.normal[:, t], atol=1e-4, rtol=0)
+        same = (on_map.latent == batch.terrain.latent[:, t]).all(dim=-1)
+        # Float32 places may fall on the other side of a border between cells.
+        assert same.float().mean() > 0.99
+        torch.testing.assert_close(on_map.latent, batch.terrain.latent[:, t], atol=1.0, rtol=1e-3)
+
+
+def test_hold_keeps_the_codes_of_the_start_on_the_record_and_on_the_map(tmp_path):
+    dataset = made(tmp_path / "data.zarr")
+    windows, index = Windows(dataset, "test"), np.array([0, 50])
+    hold, df = (build(name, vehicle_of(dataset), seed=0) for name in ("hold", "df"))
+    held, free = encoded(hold, windows.gather(index)), encoded(df, windows.gather(index))
+    assert (held.terrain.latent == free.terrain.latent[:, :1]).all()
+    assert not (free.terrain.latent == free.terrain.latent[:, :1]).all()
+    torch.testing.assert_close(held.history.terrain.latent, free.history.terrain.latent)
+    far = free.target[:, -1]
+    on_map = map_source(hold, windows, index, held).at(249, far)
+    torch.testing.assert_close(on_map.latent, free.terrain.latent[:, 0])
+    torch.testing.assert_close(on_map.normal, map_source(df, windows, index, free).at(249, far).normal)
+
+
+def test_models_without_an_encoder_do_not_see_features(tmp_path):
+    dataset = made(tmp_path / "data.zarr")
+    windows, index = Windows(dataset, "test"), np.array([0, 50])
+    b = MODELS["b"](vehicle_of(dataset))
+    batch = encoded(b, windows.gather(index))
+    assert batch.terrain.latent.shape[-1] == 0
+    assert map_source(b, windows, index, batch).at(0, batch.state).latent.shape == (2, 4, 0)
+
+
+def test_a_model_of_features_refuses_a_dataset_without(tmp_path):
+    path = tmp_path / "plain.zarr"
+    store.create(path, small_rig(), SPLIT)
+    store.add_drive(path, "drive", circle_rows(2400), SPLIT, ())
+    plain = store.open_dataset(path)
+    with pytest.raises(RunError, match="dataset has none"):
+        build("df", vehicle_of(plain), seed=0)
+    df = build("df", vehicle_of(made(tmp_path / "data.zarr")), seed=0)
+    assert isinstance(df, Hybrid)
+    with pytest.raises(DatasetError, match="dataset has none"):
+        encoded(df, Windows(plain, "test").gather(np.array([0])))
+
+
+def test_a_dataset_with_other_features_is_not_mixed_in(tmp_path):
+    made(tmp_path / "data.zarr")
+    with pytest.raises(DatasetError, match="features"):
+        store.create(tmp_path / "data.zarr", small_rig(), SPLIT)
+
+
+def test_maps_are_kept_only_where_predictions_are_judged(tmp_path):
+    path, split = tmp_path / "data.zarr", parse_split("blocks:1,0,0")
+    store.create(path, small_rig(), split, NAMES)
+    grounded = with_ground_truth(circle_rows(2400), truth(), small_rig())
+    store.add_drive(path, "drive", grounded.rows, split, (), grounded.map)
+    assert store.open_dataset(path).drives[0].load_map is None
+    assert made(tmp_path / "other.zarr").drives[0].load_map().resolution == 0.25
