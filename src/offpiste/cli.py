@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -81,6 +81,9 @@ class Extract:
     """The dataset, e.g. dataset.zarr; drives that it holds already are kept."""
     split: str = "blocks:0.7,0.1,0.2"
     """blocks:TRAIN,VALIDATION,TEST by time, fold:K/N, places:METRES, or drives:FILE."""
+    features: Literal["none", "ground-truth", "ground-kind"] = "none"
+    """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
+    `ground-kind`: what the ground is of."""
     flat: bool = False
     """Leave out the slope of the driven path: all ground is flat (an ablation)."""
 
@@ -90,7 +93,14 @@ class Extract:
         from offpiste.rig import load_rig
 
         rig = load_rig(self.rig)
-        make_dataset(self.logs, rig.without_slope() if self.flat else rig, self.out, split=self.split, tell=_tell)
+        make_dataset(
+            self.logs,
+            rig.without_slope() if self.flat else rig,
+            self.out,
+            split=self.split,
+            features=self.features,
+            tell=_tell,
+        )
         return 0
 
 

@@ -1,12 +1,18 @@
 """A simulator's true ground properties in the place of visual features: what no camera can exceed."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 
+from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import Rows
+from offpiste.errors import LogError
+from offpiste.logs.truth import read_truth_map
 from offpiste.mapping.lookup import look_up, stack_maps
 from offpiste.mapping.terrain import TerrainMap, wheel_places
 from offpiste.rig import Rig
@@ -15,12 +21,39 @@ REACH = 75.0
 """Metres around the driven path that a prediction of 5 s may read."""
 
 
-@dataclass(frozen=True)
-class Grounded:
+FeatureSource = Literal["none", "ground-truth", "ground-kind"]
+
+LAYERS: dict[FeatureSource, tuple[str, ...]] = {
+    "none": (),
+    "ground-truth": GROUND_PROPERTIES,
+    "ground-kind": (*GROUND_KINDS, "wetness"),
+}
+"""Layers of a simulator's map that stand in for visual features: what the ground does to a tyre, or what it is of. On
+ground whose kinds drive alike the second are a placebo."""
+
+
+class Grounded(NamedTuple):
     """Rows with the true ground under their wheels, and the map it was read from."""
 
     rows: Rows
     map: TerrainMap
+
+
+def truth_map(log: str | Path, names: Sequence[str]) -> TerrainMap:
+    """Elevation and some layers of the map that a simulated log carries.
+
+    Raises:
+        LogError: the log has none, or lacks a layer.
+    """
+    found = read_truth_map(log)
+    layers = found.layers
+    missing = [name for name in ("elevation", *names) if name not in layers]
+    if missing:
+        raise LogError(
+            f"its true map has no layer '{missing[0]}'", where=log, how="record it again with `offpiste simulate`"
+        )
+    features = np.stack([layers[name] for name in names], axis=-1)
+    return TerrainMap(np.array(found.origin), found.resolution, layers["elevation"], features)
 
 
 def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:

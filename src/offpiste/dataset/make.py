@@ -7,6 +7,7 @@ import numpy as np
 
 from offpiste.conventions import MIN_JUDGED_SPEED
 from offpiste.dataset.extract import extract_rows
+from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.splits import PARTS, Split, parse_split, window_starts
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset
 from offpiste.errors import DatasetError
@@ -22,12 +23,16 @@ def make_dataset(
     out: Path,
     *,
     split: str = "blocks:0.7,0.1,0.2",
+    features: FeatureSource = "none",
     tell: Callable[[str], None] = lambda line: None,
 ) -> Dataset:
     """Extract drives into a dataset; drives that are in it already are left as they are.
 
+    Args:
+        features: what the dataset says of the ground under the wheels (`dataset.ground_truth.LAYERS`).
+
     Raises:
-        LogError, RigError: a log cannot be read with this rig; drives extracted before stay.
+        LogError, RigError: a log cannot be read with this rig, or has no ground truth; drives extracted before stay.
         DatasetError: two logs of one name, or another dataset at `out`.
     """
     if not logs:
@@ -37,14 +42,17 @@ def make_dataset(
         if names.count(name) > 1:
             raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
     parts = parse_split(split)
-    create(out, rig, parts)
+    create(out, rig, parts, LAYERS[features])
     done = set(drive_names(out))
     for log, name in track(list(zip(logs, names, strict=True)), "extract"):
         if name in done:
             tell(f"{name}: already there")
             continue
         drive = read_drive(log, rig)
-        tell(_described(add_drive(out, name, extract_rows(drive), parts, drive.notes), parts))
+        rows, terrain = extract_rows(drive), None
+        if features != "none":
+            rows, terrain = with_ground_truth(rows, truth_map(log, LAYERS[features]), rig)
+        tell(_described(add_drive(out, name, rows, parts, drive.notes, terrain), parts))
     return open_dataset(out)
 
 

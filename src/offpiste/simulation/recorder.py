@@ -18,12 +18,14 @@ from offpiste.logs.writer import McapWriter
 from offpiste.simulation.imperfections import Drift, Imperfections, Noise, misaligned, with_noise
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.sensor_messages import Mounting, mountings_message
-from offpiste.simulation.world import GROUND_PROPERTIES, World
+from offpiste.simulation.world import GROUND_KINDS, GROUND_PROPERTIES, World
 
 START_NS = 1_700_000_000 * 10**9
 """The stamp of a drive's time 0: always the same, so that files are."""
 FULL_PRESSURE = 10e6
 """Brake pressure at 1 [Pa]: of the order of a hydraulic disc brake's at lock-up."""
+MAP_RESOLUTION = 0.5
+"""Distance of the nodes of the true map in a log [m]: a kind of ground reaches further."""
 GRAVITY = 9.81
 BODY, MAP = "base_link", "map"
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -181,10 +183,13 @@ def true_wheels_message(truth: WheelTruth, stamp: int) -> Any:
 
 
 def true_map_message(world: World, stamp: int) -> Any:
-    """A grid_map_msgs/GridMap of the whole world: elevation and ground properties."""
-    layers = {"elevation": world.elevation}
+    """A grid_map_msgs/GridMap of the whole world: elevation, ground properties, kinds and wetness."""
+    layers = {"elevation": world.elevation, "wetness": world.wetness}
     layers |= {name: world.properties[:, :, i] for i, name in enumerate(GROUND_PROPERTIES)}
-    return grid_map_from_layers(layers, world.origin, world.resolution, stamp_ns=stamp, frame=MAP)
+    layers |= dict(zip(GROUND_KINDS, world.kinds, strict=True))
+    every = max(1, round(MAP_RESOLUTION / world.resolution))
+    coarse = {name: layer[::every, ::every] for name, layer in layers.items()}
+    return grid_map_from_layers(coarse, world.origin, every * world.resolution, stamp_ns=stamp, frame=MAP)
 
 
 def _joints(head: Any, names: list[str], position: Any, velocity: Any) -> Any:

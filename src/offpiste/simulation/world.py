@@ -5,16 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-GROUND_PROPERTIES = ("friction", "cornering_stiffness", "rolling_resistance", "sinkage_drag")
-"""What the ground does to a tyre, in the order of `World.properties` (grounds.toml has units and sources):
+from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES
 
-friction: largest horizontal force over load [1]; cornering_stiffness: lateral force over load at small slip angles
-[1/rad]; rolling_resistance: resistance over load [1]; sinkage_drag: further resistance over
-load at full wheel slip [1].
-"""
-
-GROUND_KINDS = ("packed_sand", "loose_sand", "dirt_trail", "gravel", "mud", "dry_grass", "wet_grass")
-"""Kinds of ground, in the order of `World.kinds`."""
+__all__ = ["GROUND_KINDS", "GROUND_PROPERTIES", "Bushes", "Trees", "World", "WorldSettings"]
 
 
 @dataclass(frozen=True)
