@@ -91,7 +91,7 @@ def inspect_log(log: Log, rig: Rig | None = None) -> Inspection:
         rig: judges the channels as it converts them, so that the right rig silences a finding. Without one all
             topics are judged as recorded, and motion through a rig drafted from names (`draft_rig`).
     """
-    log = RememberedLog(log)
+    log = RememberedLog(log, rig)
     clock = rig.clock if rig else Clock()
     recorded, findings = read_topics(log, stamps=clock.stamps)
     if rig is None:

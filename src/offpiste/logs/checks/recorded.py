@@ -10,8 +10,9 @@ from jaxtyping import Float
 from offpiste.errors import LogError
 from offpiste.logs.checks.finding import Finding
 from offpiste.logs.log import Log, Samples, Topic
+from offpiste.rig import Rig
 
-_BULK = re.compile(r"(Image|PointCloud2?|LaserScan|OccupancyGrid|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$")
+_BULK = re.compile(r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$")
 """Types that are slow to read and tell nothing about the motion."""
 _MAX_FIELDS = 64
 """No more fields of a topic are looked at."""
@@ -35,11 +36,16 @@ class Recorded:
 
 
 class RememberedLog(Log):
-    """Another log, each topic of which is decoded once for all checks (a bag would be decoded anew by every read)."""
+    """Another log, each topic of which is decoded once for all checks (a bag would be decoded anew by every read).
 
-    def __init__(self, log: Log) -> None:
+    Args:
+        rig: what it reads is looked at, whatever it is.
+    """
+
+    def __init__(self, log: Log, rig: Rig | None = None) -> None:
         self.path, self.warnings = log.path, log.warnings
         self._log = log
+        self._sources = (*rig.channels.values(), *((rig.alignment.speed,) if rig.alignment else ())) if rig else ()
         self._samples: dict[tuple[str, str], Samples] = {}
 
     @property
@@ -47,8 +53,15 @@ class RememberedLog(Log):
         """The other log's topics."""
         return self._log.topics
 
+    def quantities(self, topic: Topic) -> tuple[str, ...]:
+        """Fields worth a look; entries of arrays (scans, covariances) are none unless the rig reads them (joints)."""
+        plain = tuple(f for f in topic.fields if not f.endswith("]"))[:_MAX_FIELDS]
+        asked = {field for source in self._sources if source.topic == topic.name for field in source.fields}
+        more = tuple(f for f in topic.fields if f in asked and f not in plain)
+        return plain + more or topic.fields[:1]
+
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
-        quantities = _quantities(topic)
+        quantities = self.quantities(topic)
         if not set(fields) <= set(quantities):
             return self._log.read(topic.name, fields, stamps=stamps)
         key = (topic.name, stamps)
@@ -62,7 +75,7 @@ class RememberedLog(Log):
         return Samples(samples.time, samples.values[:, [quantities.index(f) for f in fields]])
 
 
-def read_topics(log: Log, *, stamps: str) -> tuple[dict[str, Recorded], list[Finding]]:
+def read_topics(log: RememberedLog, *, stamps: str) -> tuple[dict[str, Recorded], list[Finding]]:
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
     Args:
@@ -71,7 +84,7 @@ def read_topics(log: Log, *, stamps: str) -> tuple[dict[str, Recorded], list[Fin
     recorded: dict[str, Recorded] = {}
     findings: list[Finding] = []
     for name, topic in log.topics.items():
-        fields = _quantities(topic)
+        fields = log.quantities(topic)
         if topic.count == 0 or not fields or _BULK.search(topic.type):
             continue
         readable, errors = _readable(log, name, fields, stamps)
@@ -83,11 +96,6 @@ def read_topics(log: Log, *, stamps: str) -> tuple[dict[str, Recorded], list[Fin
         same = np.array_equal(other, samples.time, equal_nan=True)
         recorded[name] = Recorded(topic, samples.time, None if same else other, readable, samples.values)
     return recorded, findings
-
-
-def _quantities(topic: Topic) -> tuple[str, ...]:
-    """Fields that are quantities of their own: entries of arrays (scans, covariances) are none."""
-    return tuple(f for f in topic.fields if not f.endswith("]"))[:_MAX_FIELDS] or topic.fields[:1]
 
 
 def _readable(log: Log, name: str, fields: tuple[str, ...], stamps: str) -> tuple[tuple[str, ...], list[LogError]]:
