@@ -1,0 +1,98 @@
+"""A world seen from above, as a map for people: natural colours, hillshade, trails, plants and a driven path."""
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+
+from offpiste.simulation.ground import colour_table
+from offpiste.simulation.surface import normals_of
+from offpiste.simulation.world import World
+
+SUN = np.array([-0.5, 0.45, 0.74])
+"""Towards the light: from the upper left, as on maps."""
+
+_GRASS = np.array([0.62, 0.60, 0.30]), np.array([0.33, 0.43, 0.17])
+_CROWN, _BUSH, _SHADOW = "#3d5a2a", "#6f7a4a", "#2a2418"
+
+
+def top_view(
+    world: World, path: Float[np.ndarray, "n 2"] | None = None, speed: Float[np.ndarray, " n"] | None = None
+) -> Figure:
+    """A picture of a world and, if given, of a drive through it.
+
+    Args:
+        path: x, y of the vehicle [m].
+        speed: along it, shown as the path's colour [m/s].
+    """
+    figure = Figure(figsize=(8.6, 8) if speed is not None else (8, 8), dpi=150, layout="constrained")
+    axes = figure.subplots()
+    draw_top_view(world, axes, path, speed)
+    settings = world.settings
+    axes.set_title(f"{settings.preset}, seed {settings.seed}", fontsize=10, loc="left")
+    return figure
+
+
+def draw_top_view(
+    world: World,
+    axes: Axes,
+    path: Float[np.ndarray, "n 2"] | None = None,
+    speed: Float[np.ndarray, " n"] | None = None,
+) -> None:
+    """The same, into given axes."""
+    x0, y0 = world.origin
+    ny, nx = world.elevation.shape
+    extent = (x0, x0 + (nx - 1) * world.resolution, y0, y0 + (ny - 1) * world.resolution)
+    axes.imshow(shaded_colours(world), origin="lower", extent=extent, interpolation="bilinear")
+    for loop in world.trails:
+        axes.plot(*np.concatenate((loop, loop[:1])).T, color="white", linewidth=0.6, alpha=0.55, dashes=(6, 6))
+    _discs(axes, world.bushes.foot[:, :2], world.bushes.radius, _BUSH)
+    _discs(axes, world.trees.foot[:, :2], world.trees.crown_radius, _CROWN)
+    if path is not None:
+        _draw_path(axes, path, speed)
+    axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
+
+
+def shaded_colours(world: World) -> Float[np.ndarray, "ny nx 3"]:
+    """Colours of the ground and its tall grass, with hillshade, sRGB [0..1]."""
+    dry, wet = colour_table().astype(np.float32)
+    shares = np.moveaxis(world.kinds, 0, -1)
+    wetness = world.wetness[..., None]
+    colour = (1 - wetness) * (shares @ dry) + wetness * (shares @ wet)
+    cover = np.clip(world.grass_height / 0.6, 0, 0.75)[..., None]
+    straw, green = _GRASS
+    colour = (1 - cover) * colour + cover * ((1 - wetness) * straw + wetness * green)
+    light = normals_of(world.elevation, world.resolution) @ (SUN / np.linalg.norm(SUN))
+    shade = 0.35 + 0.65 * np.clip(light, 0, None) / (SUN[2] / np.linalg.norm(SUN))
+    return np.clip(colour * shade[..., None], 0, 1)
+
+
+def _discs(axes: Axes, centre: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, " n"], colour: str) -> None:
+    for offset, face, alpha in ((0.35, _SHADOW, 0.45), (0.0, colour, 1.0)):
+        shifted = centre + offset * radius[:, None] * np.array([1.0, -1.0])
+        axes.add_collection(
+            EllipseCollection(
+                2 * radius,
+                2 * radius,
+                np.zeros(len(radius)),
+                units="xy",
+                offsets=shifted,
+                offset_transform=axes.transData,
+                facecolor=face,
+                edgecolor="none",
+                alpha=alpha,
+            )
+        )
+
+
+def _draw_path(axes: Axes, path: Float[np.ndarray, "n 2"], speed: Float[np.ndarray, " n"] | None) -> None:
+    axes.plot(*path.T, color="black", linewidth=2.4)
+    axes.plot(*path[0], marker="o", markersize=6, color="white", markeredgecolor="black")
+    if speed is None:
+        axes.plot(*path.T, color="#ff8c1a", linewidth=1.4)
+        return
+    pieces = LineCollection(list(np.stack((path[:-1], path[1:]), axis=1)), cmap="plasma", linewidths=1.6, zorder=3)
+    pieces.set_array((speed[:-1] + speed[1:]) / 2)
+    axes.add_collection(pieces)
+    axes.figure.colorbar(pieces, ax=axes, shrink=0.7, label="speed [m/s]")
