@@ -44,9 +44,9 @@ class McapWriter:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("xb")
-        except FileExistsError as error:
-            raise LogError("exists already", where=path, how="remove it, or give another name") from error
         except OSError as error:
+            if self.path.exists():
+                raise LogError("exists already", where=path, how="remove it, or give another name") from error
             raise LogError(f"cannot be written: {error.strerror}", where=path, how="give another name") from error
         self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.LZ4)
         self._mcap.start(profile="ros2", library="offpiste")

@@ -1,0 +1,222 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from offpiste.errors import LogError
+from offpiste.logs import open_log
+from offpiste.logs.bags import BagLog
+from offpiste.logs.message_types import header, make, message_types
+from offpiste.logs.writer import McapWriter
+
+START = 1_700_000_000 * 10**9
+PERIOD = 20_000_000
+
+
+def speed(i: int) -> object:
+    """Message i: pressure i Pa, stamped START + i * 20 ms, half a second before it is recorded."""
+    return make(
+        "sensor_msgs/FluidPressure", header=header(at(i) - 500_000_000, "b"), fluid_pressure=float(i), variance=0.0
+    )
+
+
+def at(i: int) -> int:
+    return START + i * PERIOD
+
+
+def write(path: Path, count: int) -> Path:
+    with McapWriter(path) as writer:
+        for i in range(count):
+            writer.write("/brake", speed(i), at(i))
+    return path
+
+
+def pressures(path: Path) -> list[float]:
+    return open_log(path).read("/brake", ["fluid_pressure"]).values[:, 0].tolist()
+
+
+def test_any_reader_reads_it(tmp_path: Path) -> None:
+    path = write(tmp_path / "drive.mcap", 200)
+    with AnyReader([path]) as reader:
+        assert [(c.topic, c.msgtype) for c in reader.connections] == [("/brake", "sensor_msgs/msg/FluidPressure")]
+        read = [(stamp, reader.deserialize(raw, c.msgtype)) for c, stamp, raw in reader.messages()]
+    assert [stamp for stamp, _ in read] == [at(i) for i in range(200)]
+    assert [message.fluid_pressure for _, message in read] == list(range(200))
+    assert read[3][1].header.frame_id == "b"
+
+
+def test_it_is_chunked_compressed_indexed_and_says_what_its_types_are(tmp_path: Path) -> None:
+    path = write(tmp_path / "drive.mcap", 200)
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert reader.get_header().profile == "ros2"
+    assert summary is not None
+    assert summary.statistics.message_count == 200
+    # A chunk ends with the first message a second after its first one: 51 messages of 20 ms.
+    assert [chunk.message_end_time - chunk.message_start_time for chunk in summary.chunk_indexes] == [
+        10**9, 10**9, 10**9, 46 * PERIOD,
+    ]  # fmt: skip
+    assert {chunk.compression for chunk in summary.chunk_indexes} == {"lz4"}
+    (schema,) = summary.schemas.values()
+    assert (schema.name, schema.encoding) == ("sensor_msgs/msg/FluidPressure", "ros2msg")
+    assert b"MSG: std_msgs/Header" in schema.data
+    assert b"MSG: builtin_interfaces/Time" in schema.data
+
+
+def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
+    first = write(tmp_path / "a.mcap", 120).read_bytes()
+    time.sleep(0.01)
+    assert write(tmp_path / "b.mcap", 120).read_bytes() == first
+
+
+def test_messages_may_change_once_they_are_written(tmp_path: Path) -> None:
+    axes = np.zeros(1, np.float32)
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for i in range(5):
+            axes[0] = i
+            joy = make("sensor_msgs/Joy", header=header(at(i), ""), axes=axes, buttons=np.zeros(0, np.int32))
+            writer.write("/joy", joy, at(i))
+    assert open_log(tmp_path / "drive.mcap").read("/joy", ["axes[0]"]).values[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    path = write(tmp_path / "drive.mcap", 3)
+    before = path.read_bytes()
+    with pytest.raises(LogError, match="exists already; remove it, or give another name"):
+        McapWriter(path)
+    assert path.read_bytes() == before
+
+
+def test_files_that_cannot_be(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"give it the ending \.mcap"):
+        McapWriter(tmp_path / "drive.bag")
+    (tmp_path / "file").touch()
+    with pytest.raises(LogError, match="cannot be written: File exists"):
+        McapWriter(tmp_path / "file" / "drive.mcap")
+    assert write(tmp_path / "new" / "folder" / "drive.mcap", 1).is_file()
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("offpiste.logs.writer.Writer.flush", full)
+    with pytest.raises(LogError, match=r"drive\.mcap: cannot be written: No space left on device; make room"):
+        write(tmp_path / "drive.mcap", 200)
+
+
+def test_an_exception_leaves_a_finished_file_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+
+    def interrupted() -> None:
+        with McapWriter(path) as writer:
+            for i in range(77):
+                writer.write("/brake", speed(i), at(i))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert pressures(path) == list(range(77))
+    assert open_log(path).warnings == ()
+
+
+def test_bytes_reach_the_disk_every_second_of_the_drive(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for i in range(500):
+            writer.write("/brake", speed(i), at(i))
+        writer._wait()
+        assert pressures(path) == list(range(459))  # 9 chunks of 51; the rest is not older than a second
+        assert len(writer._batch) == 500 - 459
+
+
+def test_large_messages_do_not_pile_up(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for i in range(40):
+            image = np.full(1 << 20, i, np.uint8)
+            message = make("sensor_msgs/CompressedImage", header=header(at(i), ""), format="jpeg", data=image)
+            writer.write("/camera", message, at(i))
+            assert sum(len(entry.data) for entry in writer._batch) < 5 << 20
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_file_cut_anywhere_gives_its_first_messages(tmp_path: Path, seed: int) -> None:
+    whole = write(tmp_path / "whole.mcap", 400).read_bytes()
+    random = np.random.default_rng(seed)
+    for i, size in enumerate(random.integers(2000, len(whole), 5)):
+        path = tmp_path / f"cut_{i}.mcap"
+        path.write_bytes(whole[:size])
+        found = pressures(path)
+        assert found == list(range(len(found)))
+        # All chunks that are whole are found: the loss is a chunk at most, and what follows the cut.
+        assert len(found) >= 400 * (size - 2000) / len(whole) - 51
+
+
+RECORD = """
+import sys
+sys.path.insert(0, {tests!r})
+from test_writer import McapWriter, at, speed
+with McapWriter({path!r}) as writer:
+    print("started", flush=True)
+    for i in range(10**9):
+        writer.write("/brake", speed(i), at(i))
+"""
+
+
+def killed(path: Path, by: signal.Signals, after: float) -> subprocess.CompletedProcess[str]:
+    """A recording process that gets a signal after some seconds."""
+    script = RECORD.format(tests=str(Path(__file__).parent), path=str(path))
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        time.sleep(after)
+        os.kill(process.pid, by)
+        out, err = process.communicate()
+        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def test_a_killed_recorder_leaves_what_the_reader_recovers(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    assert killed(path, signal.SIGKILL, 0.5).returncode == -signal.SIGKILL
+    log = open_log(path)
+    assert "the recorder was killed" in log.warnings[0]
+    found = log.read("/brake", ["fluid_pressure"]).values[:, 0]
+    assert len(found) > 100
+    np.testing.assert_array_equal(found, np.arange(len(found)))
+
+
+@pytest.mark.parametrize("after", [0.3, 0.41])
+def test_ctrl_c_at_any_moment_leaves_a_finished_file(tmp_path: Path, after: float) -> None:
+    path = tmp_path / "drive.mcap"
+    done = killed(path, signal.SIGINT, after)
+    assert "KeyboardInterrupt" in done.stderr
+    log = open_log(path)
+    assert log.warnings == ()
+    found = log.read("/brake", ["fluid_pressure"]).values[:, 0]
+    assert len(found) > 100
+    np.testing.assert_array_equal(found, np.arange(len(found)))
+
+
+def test_messages_come_back_one_by_one(tmp_path: Path) -> None:
+    log = BagLog(write(tmp_path / "drive.mcap", 3))
+    assert [(t, m.fluid_pressure) for t, m in log.messages("/brake")] == [
+        (1_700_000_000 - 0.5, 0.0), (1_700_000_000 - 0.48, 1.0), (1_700_000_000 - 0.46, 2.0),
+    ]  # fmt: skip
+    assert next(log.messages("/brake", stamps="receive"))[0] == 1_700_000_000
+    with pytest.raises(LogError, match="no topic '/breaks'; it has: /brake"):
+        next(log.messages("/breaks"))
+
+
+def test_grid_map_is_a_known_type() -> None:
+    definition, _ = message_types().generate_msgdef("grid_map_msgs/msg/GridMap", ros_version=2)
+    assert definition.startswith("std_msgs/Header header\ngrid_map_msgs/GridMapInfo info\nstring[] layers\n")
