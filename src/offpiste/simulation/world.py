@@ -87,4 +87,4 @@ class World:
     grass_height: Float[np.ndarray, "ny nx"]
     trees: Trees
     bushes: Bushes
-    trails: tuple[Float[np.ndarray, "n 2"], ...]
+    trails: tuple[Float[np.ndarray, "_ 2"], ...]
