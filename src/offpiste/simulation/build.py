@@ -1,5 +1,7 @@
 """A world from its settings."""
 
+import zlib
+
 import numpy as np
 
 from offpiste.errors import OffpisteError
@@ -25,7 +27,8 @@ def make_world(settings: WorldSettings) -> World:
     """
     preset = load_preset(settings.preset)
     _check(settings)
-    random = {part: np.random.default_rng([settings.seed, i]) for i, part in enumerate(_PARTS)}
+    of_preset = zlib.crc32(settings.preset.encode())
+    random = {part: np.random.default_rng([settings.seed, of_preset, i]) for i, part in enumerate(_PARTS)}
 
     # A square of nodes around the origin.
     nodes = round(settings.size / settings.resolution) + 1

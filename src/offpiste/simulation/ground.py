@@ -7,6 +7,7 @@ from importlib import resources
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter
 
 from offpiste.simulation.noise import smooth_noise, smooth_step
 from offpiste.simulation.presets import Preset
@@ -95,7 +96,7 @@ def lay_grounds(
         kinds[k] += np.float32(open_weight[k]) + np.float32(trail_weight[k] - open_weight[k]) * on_trail
     _soft_maximum(kinds)
     likes_water = np.array([ground.likes_water for ground in grounds()], np.float32)
-    wetness = water + 0.15 * np.tensordot(likes_water, kinds, axes=1)
+    wetness = water + 0.1 * np.tensordot(likes_water, kinds, axes=1)
     return kinds, np.clip(wetness, 0, 1).astype(np.float32)
 
 
@@ -110,10 +111,12 @@ def mix_properties(
     """
     table = property_table()
     mean = table.mean(axis=(0, 1))
-    dry, wet = (mean + contrast * (table - mean)).astype(np.float32)
+    # Deviations from the mean are mixed, so that without contrast not even rounding tells the kinds apart.
+    dry, wet = (contrast * (table - mean)).astype(np.float32)
     shares = np.ascontiguousarray(kinds.reshape(len(kinds), -1).T)
     mixed = shares @ dry
     mixed += (shares @ (wet - dry)) * wetness.reshape(-1, 1)
+    mixed += mean.astype(np.float32)
     return mixed.reshape(*wetness.shape, len(GROUND_PROPERTIES))
 
 
@@ -124,9 +127,11 @@ def _water(
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],
 ) -> Float[np.ndarray, "ny nx"]:
-    """How wet a place is before its ground is known, about the preset's wetness: more where it lies low."""
+    """How wet a place is before its ground is known, about the preset's wetness: more where it lies low and level."""
+    step = x[1] - x[0]
     low = (elevation.mean() - elevation) / (elevation.std() + np.float32(0.1))
-    varied = 0.8 * smooth_noise(rng, x, y, 14.0) + 0.4 * low
+    slope = np.hypot(*np.gradient(gaussian_filter(elevation, 2.0 / step), step))
+    varied = 0.8 * smooth_noise(rng, x, y, 14.0) + 0.4 * low + np.float32(0.6) * (1 - slope / (slope.mean() + 1e-3))
     return np.float32(preset.wetness) + np.float32(preset.wetness_spread) * varied
 
 

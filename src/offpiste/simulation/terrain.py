@@ -34,12 +34,12 @@ def carve_trails(
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],
-    trails: tuple[Float[np.ndarray, "n 2"], ...],
+    trails: tuple[Float[np.ndarray, "_ 2"], ...],
     trail_distance: Float[np.ndarray, "ny nx"],
 ) -> Float[np.ndarray, "ny nx"]:
     """Elevation with trails: level across, smooth along, in places with ditch and bank; ruts and roughness on top."""
     step = x[1] - x[0]
-    bed = _trail_bed(gaussian_filter(elevation, 4.0 / step), trails, float(x[0]), float(y[0]), float(step))
+    bed = _trail_bed(gaussian_filter(elevation, 7.0 / step), trails, float(x[0]), float(y[0]), float(step))
     on_trail = smooth_step(trail_distance, HALF_WIDTH + 4.5, HALF_WIDTH + 0.2)
     carved = elevation + on_trail * (bed - elevation)
 
@@ -104,7 +104,7 @@ def _slump(elevation, rise):  # type: ignore[no-untyped-def]
 
 def _trail_bed(
     smoothed: Float[np.ndarray, "ny nx"],
-    trails: tuple[Float[np.ndarray, "n 2"], ...],
+    trails: tuple[Float[np.ndarray, "_ 2"], ...],
     x0: float,
     y0: float,
     step: float,

@@ -16,11 +16,11 @@ HALF_WIDTH = 2.0
 NEAR = 8.0
 """Distances to a trail are known up to here [m]."""
 
-SHARPEST = (8.5, 14.0)
+SHARPEST = (8.3, 11.0)
 """Radius of a loop's tightest bend, drawn evenly [m]."""
 
 
-def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray, "n 2"], ...]:
+def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray, "_ 2"], ...]:
     """Centre lines of a connected network in a square of `size` metres around the origin.
 
     One loop around the world, and smaller ones between its centre and its border, each of which crosses an earlier one.
@@ -47,7 +47,7 @@ def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray
 
 
 def distance_to_trails(
-    trails: tuple[Float[np.ndarray, "n 2"], ...], places: Float[np.ndarray, "m 2"]
+    trails: tuple[Float[np.ndarray, "_ 2"], ...], places: Float[np.ndarray, "m 2"]
 ) -> Float[np.ndarray, " m"]:
     """Distance to the nearest centre line, `NEAR` where it is farther [m]."""
     lines = np.concatenate([resample(loop, 0.1) for loop in trails])
@@ -72,9 +72,9 @@ def curvature(loop: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
 
 def _loop(rng: np.random.Generator, centre: Float[np.ndarray, " 2"], extent: float) -> Float[np.ndarray, "n 2"]:
     """r(angle) = 1 + a sum of waves, as wavy as the sharpest bend allows, scaled to the square +-extent."""
-    # Bends at least some 40 m apart, whatever the loop's length.
-    orders = np.arange(2, int(np.clip(extent / 7, 3, 18)) + 1)
-    amplitude = rng.uniform(0.2, 1.0, len(orders)) / orders**1.5
+    # Waves down to about 40 m long, whatever the loop's length.
+    orders = np.arange(2, int(np.clip(extent / 6, 3, 24)) + 1)
+    amplitude = rng.uniform(0.2, 1.0, len(orders)) / orders**0.9
     phase = rng.uniform(0, 2 * np.pi, len(orders))
     sharpest = min(rng.uniform(*SHARPEST), 0.6 * extent)
     angle = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
