@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter
 
 
 def smooth_noise(
@@ -12,20 +13,22 @@ def smooth_noise(
 ) -> Float[np.ndarray, "ny nx"]:
     """A random field with mean 0 and variance about 1: a cubic B-spline with normal coefficients.
 
-    It depends on place, not on how finely it is read: the same generator gives the same hills at every resolution.
+    The coefficients are smoothed, so that nothing shows of the lattice of knots. The field depends on place,
+    not on how finely it is read: the same generator gives the same hills at every resolution.
 
     Args:
         x, y: of the columns and rows [m].
-        grain: distance of the spline's knots, along x and y; bumps are about three times as wide [m].
+        grain: size of what is in it, along x and y: a bump is about three grains wide [m].
     """
-    grain_x, grain_y = np.broadcast_to(grain, 2)
-    basis_x, basis_y = _basis(x, float(grain_x)), _basis(y, float(grain_y))
+    knots_x, knots_y = np.broadcast_to(grain, 2) / 2
+    basis_x, basis_y = _basis(x, float(knots_x)), _basis(y, float(knots_y))
     coefficients = rng.standard_normal((basis_y.shape[1], basis_x.shape[1])).astype(np.float32)
-    return basis_y @ coefficients @ basis_x.T / np.float32(_MEAN_SQUARE)
+    coefficients = gaussian_filter(coefficients, 1.0, mode="wrap", truncate=4.0)
+    return basis_y @ coefficients @ basis_x.T / np.float32(_VARIANCE)
 
 
-_MEAN_SQUARE = 151 / 315
-"""Mean over a knot interval of the sum of squares of the cubic B-spline's four weights."""
+_VARIANCE = 0.2440
+"""Of a cubic B-spline whose coefficients were smoothed over one knot: along one axis, mean over an interval."""
 
 
 def _basis(at: Float[np.ndarray, " n"], grain: float) -> Float[np.ndarray, "n m"]:
