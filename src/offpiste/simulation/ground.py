@@ -95,8 +95,7 @@ def lay_grounds(
         kinds[k] += ground.likes_water * (water - preset.wetness)
         kinds[k] += np.float32(open_weight[k]) + np.float32(trail_weight[k] - open_weight[k]) * on_trail
     _soft_maximum(kinds)
-    likes_water = np.array([ground.likes_water for ground in grounds()], np.float32)
-    wetness = water + 0.1 * np.tensordot(likes_water, kinds, axes=1)
+    wetness = water + np.float32(0.1) * weighted_sum(kinds, np.array([ground.likes_water for ground in grounds()]))
     return kinds, np.clip(wetness, 0, 1).astype(np.float32)
 
 
@@ -113,11 +112,19 @@ def mix_properties(
     mean = table.mean(axis=(0, 1))
     # Deviations from the mean are mixed, so that without contrast not even rounding tells the kinds apart.
     dry, wet = (contrast * (table - mean)).astype(np.float32)
-    shares = np.ascontiguousarray(kinds.reshape(len(kinds), -1).T)
-    mixed = shares @ dry
-    mixed += (shares @ (wet - dry)) * wetness.reshape(-1, 1)
-    mixed += mean.astype(np.float32)
-    return mixed.reshape(*wetness.shape, len(GROUND_PROPERTIES))
+    mixed = np.empty((*wetness.shape, len(GROUND_PROPERTIES)), np.float32)
+    for p in range(len(GROUND_PROPERTIES)):
+        mixed[..., p] = np.float32(mean[p]) + weighted_sum(kinds, dry[:, p])
+        mixed[..., p] += wetness * weighted_sum(kinds, wet[:, p] - dry[:, p])
+    return mixed
+
+
+def weighted_sum(kinds: Float[np.ndarray, "K ny nx"], weights: Float[np.ndarray, " K"]) -> Float[np.ndarray, "ny nx"]:
+    """Sum over the kinds, in their order: a matrix product's last bits would depend on the number of threads."""
+    total = np.zeros(kinds.shape[1:], np.float32)
+    for share, weight in zip(kinds, weights, strict=True):
+        total += np.float32(weight) * share
+    return total
 
 
 def _water(

@@ -1,7 +1,7 @@
 """Smooth random fields: what hills, patches of ground and thickets are made of."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter
 
 
@@ -21,25 +21,25 @@ def smooth_noise(
         grain: size of what is in it, along x and y: a bump is about three grains wide [m].
     """
     knots_x, knots_y = np.broadcast_to(grain, 2) / 2
-    basis_x, basis_y = _basis(x, float(knots_x)), _basis(y, float(knots_y))
-    coefficients = rng.standard_normal((basis_y.shape[1], basis_x.shape[1])).astype(np.float32)
+    (first_x, weight_x), (first_y, weight_y) = _weights(x, float(knots_x)), _weights(y, float(knots_y))
+    coefficients = rng.standard_normal((first_y[-1] + 4, first_x[-1] + 4)).astype(np.float32)
     coefficients = gaussian_filter(coefficients, 1.0, mode="wrap", truncate=4.0)
-    return basis_y @ coefficients @ basis_x.T / np.float32(_VARIANCE)
+    # Term by term: a matrix product's last bits would depend on the number of threads.
+    rows = sum(weight_y[:, k, None] * coefficients[first_y + k] for k in range(4))
+    return sum(weight_x[:, k] * rows[:, first_x + k] for k in range(4)) / np.float32(_VARIANCE)
 
 
 _VARIANCE = 0.2440
 """Of a cubic B-spline whose coefficients were smoothed over one knot: along one axis, mean over an interval."""
 
 
-def _basis(at: Float[np.ndarray, " n"], grain: float) -> Float[np.ndarray, "n m"]:
-    """Weights of the knots at places; the four uniform cubic B-spline polynomials (de Boor, 1978)."""
-    position = (at - at[0]) / grain
-    index = position.astype(int)
-    t = position - index
+def _weights(at: Float[np.ndarray, " n"], knots: float) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:
+    """First of four coefficients, and their weights: the uniform cubic B-spline polynomials (de Boor, 1978)."""
+    position = (at - at[0]) / knots
+    first = position.astype(int)
+    t = position - first
     weights = np.stack(((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3), axis=1) / 6
-    basis = np.zeros((len(at), int(index[-1]) + 4), np.float32)
-    np.put_along_axis(basis, index[:, None] + np.arange(4), weights.astype(np.float32), axis=1)
-    return basis
+    return first, weights.astype(np.float32)
 
 
 def smooth_step(value: Float[np.ndarray, "..."], start: float, end: float) -> Float[np.ndarray, "..."]:

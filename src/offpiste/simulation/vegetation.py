@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
+from offpiste.simulation.ground import weighted_sum
 from offpiste.simulation.noise import smooth_noise, smooth_step
 from offpiste.simulation.presets import Preset
 from offpiste.simulation.surface import read_grid
@@ -77,7 +78,7 @@ def grow_grass(
     trail_distance: Float[np.ndarray, "ny nx"],
 ) -> Float[np.ndarray, "ny nx"]:
     """Height of tall grass, in patches, mostly on grassy ground; trails are worn short [m]."""
-    grassy = np.tensordot(np.array([_GRASSY.get(kind, 0.0) for kind in GROUND_KINDS], np.float32), kinds, axes=1)
+    grassy = weighted_sum(kinds, np.array([_GRASSY.get(kind, 0.0) for kind in GROUND_KINDS]))
     threshold = 1.2 - 2.4 * preset.grass  # of normal noise: the share above it is about `grass`
     patches = smooth_step(smooth_noise(rng, x, y, 5.0) + 0.3 * smooth_noise(rng, x, y, 1.0), threshold, threshold + 1.0)
     worn = smooth_step(trail_distance, 0.5 * HALF_WIDTH, 1.4 * HALF_WIDTH)
