@@ -35,6 +35,51 @@ class Demo:
 
 
 @dataclass(frozen=True)
+class Simulate:
+    """Record a drive on the proving ground: an off-road vehicle in a world made from a seed, as an MCAP log."""
+
+    out: Path = Path("drive.mcap")
+    """The log; twins are written beside it."""
+    world: str = "mojave"
+    """mojave, halter-ranch, dunes, coastal-scrub, or uniform (where looks vary and grip does not)."""
+    seconds: float = 60.0
+    """A drive that rolls over or gets stuck ends early."""
+    seed: int = 0
+    """Of the world, the driver and all noise."""
+    drive_seed: int | None = None
+    """Another drive in the same world."""
+    sensors: Literal["full", "light", "none"] = "light"
+    """Four cameras and two LiDARs; one of each, slower; or none."""
+    twins: int = 0
+    """Further drives with the same start and commands on other ground."""
+    grip_contrast: float = 1.0
+    """1: ground as tables have it; 0: all ground drives alike."""
+    appearance_noise: float = 1.0
+    """How far looks vary without meaning anything for grip."""
+    pose_noise: float = 0.0
+    """White noise of recorded positions [m]."""
+    pose_drift: float = 0.0
+    """Drift of recorded poses in a minute [m and degrees]."""
+    extrinsic_error: float = 0.0
+    """Angle between recorded and true mountings of sensors [degrees]."""
+    stamp_offset: float = 0.0
+    """How much too late cameras and LiDARs are stamped [ms]."""
+
+    def run(self) -> int:
+        """Make a world, drive through it, record."""
+        from offpiste.simulation.imperfections import Imperfections
+        from offpiste.simulation.simulate import DriveSettings, simulate
+        from offpiste.simulation.world import WorldSettings
+
+        world = WorldSettings(self.world, self.seed, self.grip_contrast, self.appearance_noise)
+        flaws = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
+        seed = self.seed if self.drive_seed is None else self.drive_seed
+        settings = DriveSettings(world, self.seconds, seed, self.sensors, imperfections=flaws)
+        simulate(settings, self.out, twins=self.twins, tell=_tell)
+        return 0
+
+
+@dataclass(frozen=True)
 class Inspect:
     """What a careful engineer would find out first about a log; exit code 1 if it is unusable for training."""
 
@@ -155,6 +200,7 @@ class Evaluate:
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
+    "simulate": Simulate,
     "inspect": Inspect,
     "extract": Extract,
     "train": Train,

@@ -1,0 +1,142 @@
+"""From settings to a recorded drive: world, driver, vehicle, sensors, recorder."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from offpiste.conventions import DT
+from offpiste.errors import OffpisteError
+from offpiste.logs.writer import McapWriter
+from offpiste.progress import track
+from offpiste.simulation.build import make_world
+from offpiste.simulation.drive import Commander, Replay, Start, drive, on_other_ground, with_driver
+from offpiste.simulation.driver import DriverSettings
+from offpiste.simulation.imperfections import Imperfections
+from offpiste.simulation.parameters import VehicleParameters, load_vehicle
+from offpiste.simulation.recorder import Recorder
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sensing import Sensing
+from offpiste.simulation.sensors import sensor_suite
+from offpiste.simulation.world import World, WorldSettings
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """A drive to be simulated; the same settings give the same bytes.
+
+    Attributes:
+        world: where.
+        seconds: how long; a drive that rolls over or gets stuck ends early.
+        seed: of driver, noise and light; the world has its own.
+        sensors: "full", "light" or "none".
+    """
+
+    world: WorldSettings = field(default_factory=WorldSettings)
+    seconds: float = 60.0
+    seed: int = 0
+    sensors: str = "light"
+    driver: DriverSettings = field(default_factory=DriverSettings)
+    imperfections: Imperfections = field(default_factory=Imperfections)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """How a drive went.
+
+    Attributes:
+        log: its file.
+        seconds: that were recorded.
+        metres: that were driven.
+        events: what happened, with the time [s].
+        path: of the pose point [m], and speed [m/s], at 50 Hz.
+    """
+
+    log: Path
+    seconds: float
+    metres: float
+    events: tuple[tuple[float, str], ...]
+    path: np.ndarray
+    speed: np.ndarray
+
+    def __str__(self) -> str:
+        told = "".join(f"; {event} at {time:.1f} s" for time, event in self.events)
+        median = float(np.median(self.speed)) if len(self.speed) else 0.0
+        return f"{self.log}: {self.seconds:.0f} s, {self.metres:.0f} m, median {median:.1f} m/s{told}"
+
+
+def simulate(
+    settings: DriveSettings, out: Path, *, twins: int = 0, tell: Callable[[str], None] = lambda line: None
+) -> list[Driven]:
+    """Record a drive, and `twins` of it: the same start and the same commands, open loop, on other ground.
+
+    Args:
+        out: an .mcap file; the k-th twin's is called NAME-twin-k.mcap.
+
+    Raises:
+        OffpisteError: a setting is out of range, or a file exists already.
+    """
+    steps = round(settings.seconds / DT)
+    if steps < 1:
+        raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
+    files = [out, *(out.with_name(f"{out.stem}-twin-{k}{out.suffix}") for k in range(1, twins + 1))]
+    parameters = load_vehicle()
+    world = make_world(settings.world)
+    start, driver = with_driver(world, parameters, seed=settings.seed, settings=settings.driver)
+    commands: list[np.ndarray] = []
+    driven = [record(settings, world, parameters, start, driver, files[0], steps=steps, commands=commands)]
+    tell(str(driven[0]))
+    for k, file in enumerate(files[1:], start=1):
+        other = make_world(replace(settings.world, seed=settings.world.seed + 1_000_003 * k))
+        ground, replay = on_other_ground(world, other), Replay(np.stack(commands))
+        driven.append(record(settings, ground, parameters, start, replay, file, steps=len(commands)))
+        tell(str(driven[-1]))
+    return driven
+
+
+def record(
+    settings: DriveSettings,
+    world: World,
+    parameters: VehicleParameters,
+    start: Start,
+    commander: Commander,
+    out: Path,
+    *,
+    steps: int,
+    commands: list[np.ndarray] | None = None,
+) -> Driven:
+    """Drive and write every message; an interruption leaves a readable file.
+
+    Args:
+        commands: what was commanded is appended here.
+    """
+    suite = sensor_suite(settings.sensors)
+    noise, light = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2))
+    sensing = Sensing(world, suite, light) if suite.cameras or suite.lidars else None
+    events: list[tuple[float, str]] = []
+    path, speed = [], []
+    with McapWriter(out) as writer:
+        recorder = Recorder(
+            writer, wheel_radius=parameters.rolling_radius, rng=noise, imperfections=settings.imperfections
+        )
+        recorder.start(world, suite.mountings())
+        samples = drive(world, parameters, start, commander, steps=steps)
+        for sample in _shown(samples, steps, out.name):
+            recorder.vehicle(sample)
+            for topic, message in sensing.observe(sample, recorder) if sensing else ():
+                recorder.sensor(topic, message)
+            events += [(sample.time, event) for event in sample.events]
+            path.append(sample.position[:2])
+            speed.append(float(np.hypot(*sample.velocity[:2])))
+            if commands is not None:
+                commands.append(sample.command)
+    driven = np.array(path).reshape(-1, 2)
+    metres = float(np.hypot(*np.diff(driven, axis=0).T).sum())
+    return Driven(out, len(path) * DT, metres, tuple(events), driven, np.array(speed))
+
+
+def _shown(samples: Iterator[VehicleSample], steps: int, name: str) -> Iterator[VehicleSample]:
+    """The same samples with a progress bar over the drive's seconds."""
+    for _, sample in zip(track(range(steps), f"simulate {name}"), samples, strict=False):
+        yield sample
