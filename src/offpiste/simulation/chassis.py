@@ -13,7 +13,7 @@ from offpiste.simulation.world import World
 TOUCH_STIFFNESS, TOUCH_DAMPING, TOUCH_FRICTION = 80e3, 4e3, 0.5
 """Of one chassis point on the ground [N/m, N s/m, 1]."""
 
-TREE_STIFFNESS, TREE_DAMPING = 300e3, 10e3
+TREE_STIFFNESS, TREE_DAMPING = 300e3, 30e3
 """Of a trunk against the body [N/m, N s/m]."""
 
 PUSH_SPEED = 0.3

@@ -10,7 +10,7 @@ import numpy as np
 
 from offpiste.simulation.surface import compiled
 
-COULOMB_SPEED = 1e-3
+COULOMB_SPEED = 1e-4
 """Below this wheel speed [rad/s] a brake holds like stiff oil instead of like dry friction."""
 
 

@@ -28,13 +28,13 @@ MIN_SLIP_SPEED = 0.5
 
 @compiled
 def substep(  # type: ignore[no-untyped-def]
-    p, dt, command, around, elevation, properties, x0, y0, resolution,
+    q, dt, command, around, elevation, properties, x0, y0, resolution,
     qpos, qvel, actuators, speeds, deflection, truth, touched, body_forces, joint_forces, scratch,
 ):  # fmt: skip
     """Advance actuators, engine, wheel spins and tyres by dt, and write the forces on the bodies.
 
     Args:
-        p: `VehicleParameters.as_record()`.
+        q: `VehicleParameters.as_record()`.
         command: [3] throttle, (delayed) brake, steer.
         around: `chassis.surroundings`.
         elevation, properties, x0, y0, resolution: of the world.
@@ -48,7 +48,6 @@ def substep(  # type: ignore[no-untyped-def]
         joint_forces: [10], overwritten.
         scratch: [5, 6].
     """
-    q = p[0]
     body = axes(qpos[3], qpos[4], qpos[5], qpos[6])
     actuators[PRESSURE] = braked_pressure(actuators[PRESSURE], command[1], dt, q)
     actuators[STEER], actuators[STEER_RATE] = steered(actuators[STEER], actuators[STEER_RATE], command[2], dt, q)
