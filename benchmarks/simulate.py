@@ -39,9 +39,8 @@ def main() -> None:
     physics(world, DT, sampled=True)  # compiles
     for name, sampled in (("physics alone", False), ("physics and samples", True)):
         ratios = [physics(world, options.seconds, sampled=sampled) for _ in range(options.runs)]
-        print(
-            f"{name:20} {statistics.median(ratios):6.0f} x real time (of {options.runs} runs, {min(ratios):.0f} to {max(ratios):.0f})"
-        )
+        spread = f"{min(ratios):.0f} to {max(ratios):.0f} in {options.runs} runs"
+        print(f"{name:20} {statistics.median(ratios):6.0f} x real time ({spread})")
 
 
 if __name__ == "__main__":
