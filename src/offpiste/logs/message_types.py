@@ -36,7 +36,12 @@ def message_types() -> Typestore:
 
 def make(msgtype: str, **fields: Any) -> Any:
     """A message; `msgtype` without the middle part: `nav_msgs/Odometry`."""
-    return message_types().types[msgtype.replace("/", "/msg/")](**fields)
+    return _class(msgtype)(**fields)
+
+
+@functools.cache
+def _class(msgtype: str) -> Any:
+    return message_types().types[msgtype.replace("/", "/msg/")]
 
 
 def header(stamp_ns: int, frame: str) -> Any:
@@ -47,13 +52,13 @@ def header(stamp_ns: int, frame: str) -> Any:
 
 def vector(xyz: Any, kind: str = "geometry_msgs/Vector3") -> Any:
     """A geometry_msgs/Vector3 or Point."""
-    x, y, z = map(float, xyz)
+    x, y, z = np.asarray(xyz, dtype=np.float64).tolist()
     return make(kind, x=x, y=y, z=z)
 
 
 def quaternion(xyzw: Any) -> Any:
     """A geometry_msgs/Quaternion."""
-    x, y, z, w = map(float, xyzw)
+    x, y, z, w = np.asarray(xyzw, dtype=np.float64).tolist()
     return make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
 

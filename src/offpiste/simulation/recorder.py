@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
+from offpiste.conventions import GRAVITY
+from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.grid_map import grid_map_from_layers
 from offpiste.logs.message_types import header, make, quaternion, vector
 from offpiste.logs.pointcloud import message_from_points
@@ -26,7 +27,6 @@ FULL_PRESSURE = 10e6
 """Brake pressure at 1 [Pa]: of the order of a hydraulic disc brake's at lock-up."""
 MAP_RESOLUTION = 0.5
 """Distance of the nodes of the true map in a log [m]: a kind of ground reaches further."""
-GRAVITY = 9.81
 BODY, MAP = "base_link", "map"
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
@@ -36,7 +36,7 @@ class Recorder:
 
     Args:
         writer: an open file.
-        wheel_radius: that turns the wheels' speed into their rotation [m].
+        wheel_radius: the rolling radius that turned the wheels' rotation into their speed [m].
         rng: of noise, drift and wrong calibrations.
     """
 
@@ -98,7 +98,7 @@ class Recorder:
     def _imu(self, before: VehicleSample, sample: VehicleSample, measured: VehicleSample, stamp: int) -> Any:
         """Specific force: mean acceleration since the last sample, plus gravity, in the body frame."""
         acceleration = (sample.velocity - before.velocity) / (sample.time - before.time) + np.array((0, 0, GRAVITY))
-        force = Rotation.from_quat(sample.orientation).inv().apply(acceleration)
+        force = in_body(sample, acceleration)
         force += self._noise.acceleration * self._noise_rng.standard_normal(3)
         return imu_message(force, measured.angular_velocity, stamp)
 
@@ -106,6 +106,11 @@ class Recorder:
 def stamp_ns(time: float) -> int:
     """A drive's time [s] as a stamp."""
     return START_NS + round(time * 1e9)
+
+
+def in_body(sample: VehicleSample, vector_world: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    """A vector of the world as the vehicle's body sees it."""
+    return vector_world @ rotation_from_quaternion(sample.orientation[None])[0]
 
 
 def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) -> dict[str, Any]:
@@ -129,7 +134,7 @@ def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) 
 
 def odometry_message(sample: VehicleSample, stamp: int) -> Any:
     """A nav_msgs/Odometry: the pose in frame map, the twist in the body's frame (nav_msgs/Odometry.msg)."""
-    velocity = Rotation.from_quat(sample.orientation).inv().apply(sample.velocity)
+    velocity = in_body(sample, sample.velocity)
     pose = make(
         "geometry_msgs/Pose",
         position=vector(sample.position, "geometry_msgs/Point"),

@@ -12,7 +12,9 @@ from offpiste.logs.checks.finding import Finding
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.rig import Rig
 
-_BULK = re.compile(r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$")
+_BULK = re.compile(
+    r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
+)
 """Types that are slow to read and tell nothing about the motion."""
 _MAX_FIELDS = 64
 """No more fields of a topic are looked at."""

@@ -1,0 +1,295 @@
+"""What is recorded is what is read back; `inspect` finds nothing in a clean drive, and each planted fault."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from offpiste.conventions import GRAVITY, GROUND_KINDS, GROUND_PROPERTIES
+from offpiste.errors import LogError
+from offpiste.logs import Drive, open_log, read_drive
+from offpiste.logs.bags import BagLog
+from offpiste.logs.checks import Inspection, inspect_log
+from offpiste.logs.message_types import header
+from offpiste.logs.truth import read_truth
+from offpiste.logs.writer import McapWriter
+from offpiste.rig import load_rig
+from offpiste.simulation.imperfections import Imperfections, Noise, with_noise
+from offpiste.simulation.parameters import load_vehicle
+from offpiste.simulation.recorder import START_NS, Recorder, stamp_ns, vehicle_messages
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sensor_messages import Mounting, image_message
+from synthetic_drive import DT, samples, small_world
+
+RIG = load_rig("proving_ground")
+RADIUS = load_vehicle().rolling_radius
+CAMERA = Mounting("camera_front", (1.0, 0.0, 1.2), (-0.5, 0.5, -0.5, 0.5))
+
+
+def record(path: Path, *, seconds: float = 60.0, seed: int = 0, **flaws: float) -> Path:
+    with McapWriter(path) as writer:
+        rng, imperfections = np.random.default_rng(seed), Imperfections(**flaws)
+        recorder = Recorder(writer, wheel_radius=RADIUS, rng=rng, imperfections=imperfections)
+        recorder.start(small_world(), [CAMERA])
+        for sample in samples(seconds):
+            recorder.vehicle(sample)
+    return path
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("recorded") / "drive.mcap")
+
+
+@pytest.fixture(scope="module")
+def drive(clean: Path) -> Drive:
+    return read_drive(clean, RIG)
+
+
+def true(attribute: str) -> np.ndarray:
+    return np.array([getattr(sample, attribute) for sample in samples()])
+
+
+def test_the_rig_is_the_vehicle() -> None:
+    vehicle = load_vehicle()
+    x, y = vehicle.wheelbase / 2, vehicle.track / 2
+    np.testing.assert_allclose(RIG.wheel_positions(), [[x, y], [x, -y], [-x, y], [-x, -y]])
+    assert (RIG.vehicle.mass, RIG.vehicle.max_steer) == (vehicle.mass, vehicle.max_steer)
+    assert RIG.channels["wheel_speed"].scale == vehicle.rolling_radius
+
+
+def test_topics_and_types(clean: Path) -> None:
+    rows = len(samples())
+    with AnyReader([clean]) as reader:
+        found = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+    assert found == {
+        "/odometry": ("nav_msgs/msg/Odometry", rows),
+        "/command": ("sensor_msgs/msg/Joy", rows),
+        "/steering": ("sensor_msgs/msg/JointState", rows),
+        "/brake": ("sensor_msgs/msg/FluidPressure", rows),
+        "/engine": ("sensor_msgs/msg/JointState", rows),
+        "/wheels": ("sensor_msgs/msg/JointState", rows),
+        "/imu": ("sensor_msgs/msg/Imu", rows - 1),
+        "/tf_static": ("tf2_msgs/msg/TFMessage", 1),
+        "/truth/map": ("grid_map_msgs/msg/GridMap", 1),
+        "/truth/wheels": ("sensor_msgs/msg/PointCloud2", rows),
+    }
+
+
+def test_stamps_are_the_samples_times_since_a_fixed_moment(drive: Drive) -> None:
+    assert drive.notes == ()
+    for channel in drive.channels.values():
+        np.testing.assert_allclose(channel.time - START_NS / 1e9, true("time"), atol=5e-7)
+
+
+@pytest.mark.parametrize(
+    ("channel", "expected", "sigma"),
+    [
+        ("position", true("position"), 0.005),
+        ("throttle", true("command")[:, :1], 0),
+        ("brake", true("command")[:, 1:2], 0),
+        ("steer", true("command")[:, 2:], 0),
+        ("steer_angle", true("steer_angle")[:, None], np.radians(0.1)),
+        ("steer_rate", true("steer_rate")[:, None], np.radians(0.5)),
+        ("engine_rpm", true("engine_speed")[:, None] / 1000, 0.01),
+        ("wheel_speed", true("wheel_speed"), 0.02),
+        ("angular_velocity", true("angular_velocity"), 0.005),
+    ],
+)
+def test_channels_are_what_was_written_in_unit_and_sign(
+    drive: Drive, channel: str, expected: np.ndarray, sigma: float
+) -> None:
+    error = drive.channels[channel].values - expected
+    if sigma == 0:
+        np.testing.assert_allclose(error, 0, atol=1e-7)  # float32
+    else:
+        np.testing.assert_allclose(error.std(axis=0), sigma, rtol=0.1)
+        np.testing.assert_allclose(error.mean(axis=0), 0, atol=0.1 * sigma)
+
+
+def test_brake_pressure_is_never_negative(drive: Drive) -> None:
+    pressure = drive.channels["brake_pressure"].values[:, 0]
+    assert pressure.min() == 0
+    pressed = true("brake_pressure") > 0.05
+    np.testing.assert_allclose((pressure - true("brake_pressure"))[pressed].std(), 0.003, rtol=0.2)
+
+
+def test_orientation_and_body_twist(drive: Drive) -> None:
+    recorded, known = drive.channels["orientation"].values, true("orientation")
+    angle = 2 * np.arccos(np.clip(np.abs(np.sum(recorded * known, axis=1)), 0, 1))
+    np.testing.assert_allclose(np.degrees(np.sqrt(np.mean(angle**2))), 0.05 * np.sqrt(3), rtol=0.1)
+    # Of the kinematic bicycle the body's lateral velocity is forward velocity times half the front wheels' tangent.
+    velocity, flat = drive.channels["linear_velocity"].values, np.abs(np.gradient(true("position")[:, 2], DT)) < 0.02
+    expected = 0.5 * np.tan(true("steer_angle")) * velocity[:, 0]
+    assert np.abs(velocity[:, 1] - expected)[flat].std() < 0.03
+    assert velocity[:, 0].max() > 8
+
+
+def test_imu_feels_gravity_and_the_turn(clean: Path) -> None:
+    log = BagLog(clean)
+    fields = [f"linear_acceleration.{axis}" for axis in "xyz"]
+    force = log.read("/imu", fields).values
+    still = np.linalg.norm(true("velocity"), axis=1)[1:] < 0.01
+    np.testing.assert_allclose(force[still].mean(axis=0), (0, 0, GRAVITY), atol=0.3)
+    v, rate = true("wheel_speed")[1:, 0], true("angular_velocity")[1:, 2]
+    assert np.corrcoef(force[:, 1], v * rate)[0, 1] > 0.9
+
+
+def test_truth_comes_back(clean: Path) -> None:
+    truth, world = read_truth(clean), small_world()
+    known = [sample.truth for sample in samples()]
+    np.testing.assert_allclose(truth.time - START_NS / 1e9, true("time"), atol=5e-7)
+    for name in ("contact", "properties", "kind", "load", "slip_ratio", "slip_angle"):
+        np.testing.assert_array_equal(getattr(truth, name), [getattr(t, name) for t in known], err_msg=name)
+    assert truth.map.origin == world.origin
+    assert truth.map.resolution == world.resolution
+    np.testing.assert_array_equal(truth.map.layers["elevation"], world.elevation)
+    for i, name in enumerate(GROUND_PROPERTIES):
+        np.testing.assert_array_equal(truth.map.layers[name], world.properties[:, :, i])
+    assert set(GROUND_KINDS) <= set(truth.map.layers)
+
+
+def test_real_logs_have_no_truth(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "real.mcap") as writer:
+        for topic, message in vehicle_messages(samples()[0], START_NS, wheel_radius=RADIUS).items():
+            writer.write(topic, message, START_NS)
+    with pytest.raises(LogError, match=r"real\.mcap: no ground truth in it: only simulated logs have it"):
+        read_truth(tmp_path / "real.mcap")
+
+
+def test_same_seed_same_bytes_another_seed_another_file(tmp_path: Path) -> None:
+    first, again, other = (
+        record(tmp_path / f"{name}.mcap", seconds=3.0, seed=seed).read_bytes()
+        for name, seed in (("first", 0), ("again", 0), ("other", 1))
+    )
+    assert first == again
+    assert first != other
+
+
+def test_mountings_events_and_sensors(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        recorder = Recorder(writer, wheel_radius=RADIUS, rng=np.random.default_rng(0))
+        recorder.start(small_world(), [CAMERA])
+        recorder.vehicle(replace(samples()[0], events=("rollover", "left the world")))
+        stamp = recorder.sensor_stamp_ns(0.25)
+        recorder.sensor("/camera/image/compressed", image_message(np.zeros((4, 6, 3), np.uint8), stamp, CAMERA.frame))
+    log = BagLog(tmp_path / "drive.mcap")
+    ((_, transforms),) = log.messages("/tf_static")
+    (mounted,) = transforms.transforms
+    assert (mounted.header.frame_id, mounted.child_frame_id) == ("base_link", "camera_front")
+    assert (mounted.transform.translation.x, mounted.transform.rotation.x) == (1.0, -0.5)
+    ((_, events),) = log.messages("/events")
+    assert [(status.name, status.level) for status in events.status] == [("rollover", 2), ("left the world", 2)]
+    ((at, image),) = log.messages("/camera/image/compressed")
+    assert (at, image.format) == (1_700_000_000.25, "jpeg")
+
+
+def test_imperfections_reach_the_log(tmp_path: Path, drive: Drive) -> None:
+    path = record(tmp_path / "flawed.mcap", pose_noise_m=0.1, pose_drift=2.0, extrinsic_error_deg=3.0)
+    flawed = read_drive(path, RIG)
+    error = (flawed.channels["position"].values - true("position"))[:, :2]
+    assert 0.09 < np.diff(error, axis=0).std() / np.sqrt(2) < 0.11
+    assert 0.5 < np.abs(error[-100:].mean(axis=0)).max() < 20
+    # What is measured in the body's frame does not drift.
+    for name in ("linear_velocity", "throttle", "steer_angle"):
+        np.testing.assert_allclose(flawed.channels[name].values, drive.channels[name].values, atol=0.02, err_msg=name)
+    ((_, message),) = BagLog(path).messages("/tf_static")
+    rotation = message.transforms[0].transform.rotation
+    inner = abs(np.dot((rotation.x, rotation.y, rotation.z, rotation.w), CAMERA.rotation))
+    assert np.degrees(2 * np.arccos(inner)) == pytest.approx(3.0)
+    with McapWriter(tmp_path / "late.mcap") as writer:
+        late = Recorder(
+            writer, wheel_radius=RADIUS, rng=np.random.default_rng(0), imperfections=Imperfections(stamp_offset_ms=40.0)
+        )
+        assert late.sensor_stamp_ns(1.0) == START_NS + 1_040_000_000
+
+
+# inspect
+
+
+def serious(found: Inspection) -> list[str]:
+    return [str(f) for f in found.findings if f.severity != "note"]
+
+
+def test_inspect_finds_no_fault_in_a_clean_drive(clean: Path) -> None:
+    found = inspect_log(open_log(clean), RIG)
+    assert found.findings == ()
+    assert found.usable
+    assert serious(inspect_log(open_log(clean))) == []
+
+
+Edit = Callable[[int, VehicleSample], VehicleSample]
+
+
+def faulty(
+    path: Path, *, edit: Edit = lambda _, s: s, late: str = "", by: float = 0.0, lost: str = "", drop: object = ()
+) -> Inspection:
+    """A drive with samples changed, one topic stamped late, or rows of one topic dropped."""
+    rng = np.random.default_rng(0)
+    with McapWriter(path) as writer:
+        for i, sample in enumerate(samples(30.0)):
+            measured = with_noise(edit(i, sample), Noise(), Imperfections(), rng)
+            messages = vehicle_messages(measured, stamp_ns(sample.time), wheel_radius=RADIUS)
+            if late:
+                messages[late].header = header(stamp_ns(sample.time + by), "base_link")
+            for topic, message in messages.items():
+                if topic != lost or i not in drop:
+                    writer.write(topic, message, stamp_ns(sample.time))
+    return inspect_log(open_log(path), RIG)
+
+
+def steered(factor: float, _: int, sample: VehicleSample) -> VehicleSample:
+    return replace(sample, command=sample.command * (1, 1, factor))
+
+
+def jumping(i: int, sample: VehicleSample) -> VehicleSample:
+    return replace(sample, position=sample.position + (1.5 if 500 <= i < 900 else 0.0))
+
+
+def fast(_: int, sample: VehicleSample) -> VehicleSample:
+    return replace(sample, velocity=3.6 * sample.velocity)
+
+
+@pytest.mark.parametrize(
+    ("fault", "where", "what", "mend"),
+    [
+        ({"edit": partial(steered, -1)}, "steer", "is positive to the right", "channels.steer.sign = -1"),
+        (
+            {"edit": lambda _, s: replace(s, steer_angle=-s.steer_angle)},
+            "steer_angle", "is positive to the right", "channels.steer_angle.sign = -1",
+        ),
+        (
+            {"edit": lambda _, s: replace(s, steer_angle=np.degrees(s.steer_angle))},
+            "steer_angle", "leaves its range", 'channels.steer_angle.unit = "deg"',
+        ),
+        (
+            {"edit": lambda _, s: replace(s, command=s.command * (1, 100, 1))},
+            "brake", "leaves its range", 'channels.brake.unit = "percent"',
+        ),
+        (
+            {"edit": lambda _, s: replace(s, brake_pressure=100 * s.brake_pressure)},
+            "brake_pressure", "leaves its range", "channels.brake_pressure.",
+        ),
+        ({"edit": fast}, "linear_velocity", "is not in m/s", 'channels.linear_velocity.unit = "km/h"'),
+        ({"late": "/steering", "by": 0.5}, "steer_angle", "is stamped after the motion", "steer_angle.delay = 0.5"),
+        ({"late": "/command", "by": 0.6}, "steer", "is stamped after the motion", "channels.steer.delay = 0."),
+        ({"late": "/wheels", "by": 0.4}, "/wheels", "is late", "channels.wheel_speed.delay = 0.4"),
+        ({"lost": "/steering", "drop": range(800, 900)}, "/steering", "has a gap", "the drive is cut there"),
+        ({"lost": "/odometry", "drop": range(0, 1500, 7)}, "/odometry", "samples are missing", "larger queue"),
+        ({"edit": jumping}, "position", "jumps", "cut the log there"),
+    ],
+)  # fmt: skip
+def test_inspect_finds_each_planted_fault_in_its_channel(
+    tmp_path: Path, fault: dict, where: str, what: str, mend: str
+) -> None:
+    found = faulty(tmp_path / "drive.mcap", **fault).findings
+    assert found
+    assert found[0].where == where, found
+    assert what in found[0].what, found
+    assert mend in found[0].mend, found
