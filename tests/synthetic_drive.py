@@ -1,4 +1,4 @@
-"""Samples of a kinematic bicycle on rolling ground: what a simulated vehicle yields, by known equations."""
+"""Samples to record: of a kinematic bicycle on rolling ground, by known equations, and of the simulated vehicle."""
 
 from functools import cache
 
@@ -7,7 +7,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from offpiste.rig import load_rig
+from offpiste.simulation.parameters import load_vehicle
 from offpiste.simulation.sample import VehicleSample, WheelTruth
+from offpiste.simulation.vehicle import VehicleSimulation
 from offpiste.simulation.world import Bushes, Trees, World, WorldSettings
 
 DT = 0.02
@@ -96,3 +98,42 @@ def _wander(random: np.random.Generator, time: np.ndarray, period: float) -> np.
     """A smooth random signal of unit spread."""
     knots = np.arange(time[0], time[-1] + 2 * period, period / 2)
     return CubicSpline(knots, random.standard_normal(len(knots)))(time)
+
+
+def plain(friction: float, size: float = 400.0, resolution: float = 1.0) -> World:
+    """Flat ground of one grip, around the origin."""
+    n = int(size / resolution) + 1
+    flat, none, feet = np.zeros((n, n)), np.zeros(0), np.zeros((0, 3))
+    kinds = np.zeros((7, n, n))
+    kinds[0] = 1
+    return World(
+        settings=WorldSettings(),
+        origin=(-size / 2, -size / 2),
+        resolution=resolution,
+        elevation=flat,
+        kinds=kinds,
+        wetness=flat,
+        properties=np.broadcast_to((friction, 10 * friction, 0.05, 0.05), (n, n, 4)).copy(),
+        grass_height=flat,
+        trees=Trees(feet, none, none, none),
+        bushes=Bushes(feet, none, none, none),
+        trails=(),
+    )
+
+
+@cache
+def simulated(seconds: float = 60.0, seed: int = 0, friction: float = 0.7) -> tuple[VehicleSample, ...]:
+    """The proving ground's vehicle under a driver whose speed and steering in mind wander smoothly."""
+    random, time = np.random.default_rng(seed), np.arange(0, seconds, DT)
+    wanted = np.clip(5 + 2.5 * _wander(random, time, 5.0), 0, 12)
+    steer = np.clip(0.5 * _wander(random, time, 3.0), -1, 1)
+    vehicle = VehicleSimulation(plain(friction), load_vehicle(), x=0.0, y=0.0, yaw=0.3)
+    found = []
+    for row in range(len(time)):
+        found.append(vehicle.sample())
+        speed = float(np.hypot(*found[-1].velocity[:2]))
+        lack = wanted[row] - speed
+        throttle = np.clip(0.15 + 0.3 * lack, 0, 1) if lack > -0.5 else 0.0
+        brake = np.clip(-0.8 * (lack + 0.5), 0, 1)
+        vehicle.step(float(throttle), float(brake), float(steer[row] * min(1.0, 5 / max(speed, 1.0))))
+    return tuple(found)
