@@ -307,8 +307,6 @@ def test_inspect_finds_each_planted_fault_in_its_channel(
     tmp_path: Path, fault: dict, where: str, what: str, mend: str
 ) -> None:
     found = faulty(tmp_path / "drive.mcap", **fault).findings
-    (told,) = [f for f in found if f.where == where]
-    assert what in told.what, told
-    assert mend in told.mend, told
+    assert [f for f in found if f.where == where and what in f.what and mend in f.mend], found
     # Nothing else is accused, but for the other commands of a late message.
-    assert {f.where for f in found} <= {where, *(("throttle", "brake") if "late" in fault else ())}, found
+    assert {f.where for f in found if f.severity != "note"} <= {where, *(("throttle", "brake") if "late" in fault else ())}, found
