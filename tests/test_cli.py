@@ -6,7 +6,11 @@ from pathlib import Path
 import pytest
 
 from offpiste.cli import main
-from offpiste.experiments.bicycle_drive import write_drive
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world import WorldSettings
+
+
+RIG = ("--rig", "proving_ground")
 
 
 def run(*arguments: str) -> int:
@@ -17,11 +21,13 @@ def run(*arguments: str) -> int:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A generated drive, extracted and trained on: what the commands read."""
+    """A simulated drive, extracted and trained on: what the commands read."""
     folder = tmp_path_factory.mktemp("cli")
-    write_drive(folder / "drive.parquet", 120.0, 0)
+    world = WorldSettings("uniform", size=150.0, resolution=0.5)
+    driven = simulate(DriveSettings(world, 120.0, seed=1, sensors="none"), folder / "drive.mcap")
+    assert driven[0].seconds == 120.0
     dataset = str(folder / "dataset.zarr")
-    assert run("extract", str(folder / "drive.parquet"), "--rig", "bicycle", "--out", dataset) == 0
+    assert run("extract", str(folder / "drive.mcap"), *RIG, "--out", dataset) == 0
     quick = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100")
     assert run("train", dataset, "--out", str(folder / "b"), *quick) == 0
     return folder
@@ -52,14 +58,21 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
 
 
 def test_inspect_judges_for_machines(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert run("inspect", str(folder / "drive.parquet"), "--rig", "bicycle", "--json") == 0
+    assert run("inspect", str(folder / "drive.mcap"), *RIG, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"] is True
     (tmp_path / "still.csv").write_text("time,x,y\n" + "".join(f"{i / 50},0,0\n" for i in range(500)))
     assert run("inspect", str(tmp_path / "still.csv")) == 1
 
 
 def test_extract_goes_on_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("extract", str(folder / "drive.parquet"), "--rig", "bicycle", "--out", str(folder / "dataset.zarr"))
+    arguments = (
+        "extract",
+        str(folder / "drive.mcap"),
+        "--rig",
+        "proving_ground",
+        "--out",
+        str(folder / "dataset.zarr"),
+    )
     assert run(*arguments) == 0
     assert "drive: already there" in capsys.readouterr().out
 
@@ -69,17 +82,23 @@ def test_extract_goes_on_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
     [
         (("inspect", "nothing.mcap"), "nothing.mcap: no such file or folder"),
         (("inspect", ".", "--rig", "tartandrive9"), "tartandrive9: no such rig"),
-        (("extract", "nothing.csv", "--rig", "bicycle", "--out", "{tmp}/d.zarr"), "no such file or folder"),
-        (("extract", "{drive}", "--rig", "bicycle", "--out", "{tmp}/d.zarr", "--split", "random"), "not a split"),
-        (("extract", "{drive}", "{drive}", "--rig", "bicycle", "--out", "{tmp}/d.zarr"), "two logs are called 'drive'"),
-        (("extract", "{drive}", "--rig", "bicycle", "--out", "{dataset}", "--flat"), "another rig"),
+        (("extract", "nothing.csv", *RIG, "--out", "{tmp}/d.zarr"), "no such file or folder"),
+        (
+            ("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--split", "random"),
+            "not a split",
+        ),
+        (
+            ("extract", "{drive}", "{drive}", *RIG, "--out", "{tmp}/d.zarr"),
+            "two logs are called 'drive'",
+        ),
+        (("extract", "{drive}", *RIG, "--out", "{dataset}", "--flat"), "another rig"),
         (("train", "{tmp}/nothing.zarr", "--out", "{tmp}/run"), "not a dataset"),
         (("train", "{dataset}", "--out", "{run}"), "holds a run already"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--model", "dc9"), "no model 'dc9'"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--folds", "2"), "3 or more"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
         (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "is there already"),
-        (("extract", "--rig", "bicycle", "--out", "{tmp}/d.zarr"), "no log is given"),
+        (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
         (("evaluate", "{tmp}/nothing", "--dataset", "{dataset}"), "no such folder"),
         (("evaluate", "{tmp}", "--dataset", "{dataset}"), "not a run"),
         (("evaluate", "{run}", "--dataset", "{tmp}"), "not a dataset"),
@@ -90,7 +109,7 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
 ) -> None:
     places = {
         "tmp": tmp_path,
-        "drive": folder / "drive.parquet",
+        "drive": folder / "drive.mcap",
         "dataset": folder / "dataset.zarr",
         "run": folder / "b",
     }

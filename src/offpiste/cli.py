@@ -16,21 +16,21 @@ Log = Annotated[str, tyro.conf.arg(metavar="LOG")]
 
 @dataclass(frozen=True)
 class Demo:
-    """The whole path on a small generated drive; ends with a table and report.html."""
+    """The whole path on simulated drives; ends with a table and report.html."""
 
     out: Path = Path("demo")
     """Folder for everything that it makes."""
-    seconds: float = 300.0
-    """Length of the generated drive."""
-    epochs: int = 10
+    seconds: float = 120.0
+    """Length of each of seven drives."""
+    epochs: int = 8
     """Passes over the training windows."""
     seed: int = 0
 
     def run(self) -> int:
-        """Generate, inspect, extract, train, evaluate."""
-        from offpiste.experiments.demo import run_demo
+        """Simulate, inspect, extract, train, evaluate."""
+        from offpiste.experiments.demo import DemoSettings, run_demo
 
-        run_demo(self.out, seconds=self.seconds, epochs=self.epochs, seed=self.seed, tell=_tell)
+        run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=_tell)
         return 0
 
 

@@ -14,9 +14,10 @@ import tyro
 
 from offpiste.dataset.make import make_dataset
 from offpiste.experiments.judge_runs import judge_runs
+from offpiste.experiments.recorded import simulate_once
 from offpiste.files import write_text
 from offpiste.rig import load_rig
-from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
@@ -79,12 +80,7 @@ class Gate:
         ):
             path = self.out / "logs" / f"{self.world}-{number}.mcap"
             world = WorldSettings(self.world, 1000 if self.same_world else 1000 + number, self.contrast)
-            if not path.exists():
-                partial = path.with_name(f"{path.stem}.partial.mcap")
-                partial.unlink(missing_ok=True)
-                settings = DriveSettings(world, self.seconds, seed=number, sensors="none")
-                _tell(str(simulate(settings, partial)[0]))
-                partial.rename(path)
+            simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path, tell=_tell)
             found.append((path, part))
         return found
 
