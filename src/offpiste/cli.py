@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from offpiste.errors import OffpisteError, RigError
+from offpiste.progress import tell
 from offpiste.training.config import TrainConfig
 
 Log = Annotated[str, tyro.conf.arg(metavar="LOG")]
@@ -30,7 +31,7 @@ class Demo:
         """Simulate, inspect, extract, train, evaluate."""
         from offpiste.experiments.demo import DemoSettings, run_demo
 
-        run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=_tell)
+        run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=tell)
         return 0
 
 
@@ -75,7 +76,7 @@ class Simulate:
         flaws = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
         seed = self.seed if self.drive_seed is None else self.drive_seed
         settings = DriveSettings(world, self.seconds, seed, self.sensors, imperfections=flaws)
-        simulate(settings, self.out, twins=self.twins, tell=_tell)
+        simulate(settings, self.out, twins=self.twins, tell=tell)
         return 0
 
 
@@ -110,7 +111,7 @@ class Inspect:
             write_text(self.write_rig, draft_rig(log))
             print(f"wrote {self.write_rig}", file=sys.stderr)  # noqa: T201
         inspection = inspect_log(log, rig)
-        _tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
+        tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         return 0 if inspection.usable else 1
 
 
@@ -144,7 +145,7 @@ class Extract:
             self.out,
             split=self.split,
             features=self.features,
-            tell=_tell,
+            tell=tell,
         )
         return 0
 
@@ -172,9 +173,9 @@ class Train:
 
         dataset = open_dataset(self.dataset)
         if self.folds:
-            train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume, tell=_tell)
+            train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume, tell=tell)
         else:
-            train(dataset, self.train, self.out, resume=self.resume, tensorboard=self.tensorboard, tell=_tell)
+            train(dataset, self.train, self.out, resume=self.resume, tensorboard=self.tensorboard, tell=tell)
         return 0
 
 
@@ -194,7 +195,7 @@ class Evaluate:
         """Load, judge, report."""
         from offpiste.experiments.judge_runs import judge_runs
 
-        judge_runs(self.runs, self.dataset, self.out, device=self.device, tell=_tell)
+        judge_runs(self.runs, self.dataset, self.out, device=self.device, tell=tell)
         return 0
 
 
@@ -232,15 +233,3 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(1)
     except BrokenPipeError:
         sys.exit(1)
-
-
-def _tell(said: object) -> None:
-    """Print a line, or anything that rich can draw."""
-    if isinstance(said, str):
-        print(said, flush=True)  # noqa: T201
-    else:
-        from rich.console import Console
-
-        console = Console(highlight=False)
-        # A pipe has no width of its own, and 80 columns would break tables.
-        (console if console.is_terminal else Console(highlight=False, width=120)).print(said)

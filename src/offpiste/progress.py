@@ -1,4 +1,4 @@
-"""Progress bars with the time left on a terminal, and silence elsewhere."""
+"""What a person sees while they wait: bars with the time left on a terminal, lines and tables everywhere."""
 
 from collections.abc import Iterable, Iterator, Sized
 from typing import TypeVar
@@ -20,3 +20,13 @@ def track(items: Iterable[Item], description: str, *, total: int | None = None) 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         yield from progress.track(items, total=total, description=description)
+
+
+def tell(said: object) -> None:
+    """Print a line, or anything that rich can draw."""
+    if isinstance(said, str):
+        print(said, flush=True)  # noqa: T201
+        return
+    console = Console(highlight=False)
+    # A pipe has no width of its own, and 80 columns would break tables.
+    (console if console.is_terminal else Console(highlight=False, width=120)).print(said)

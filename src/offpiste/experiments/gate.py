@@ -16,6 +16,7 @@ from offpiste.dataset.make import make_dataset
 from offpiste.experiments.judge_runs import judge_runs
 from offpiste.experiments.recorded import simulate_once
 from offpiste.files import write_text
+from offpiste.progress import tell
 from offpiste.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world import WorldSettings
@@ -59,7 +60,7 @@ class Gate:
             self.out / "dataset.zarr",
             split=f"drives:{parts}",
             features=self.features,
-            tell=_tell,
+            tell=tell,
         )
         runs = []
         for model in self.models:
@@ -67,10 +68,10 @@ class Gate:
                 folder = self.out / "runs" / f"{model}-{seed}"
                 if not (folder / "model.json").exists():
                     config = replace(self.train, model=model, seed=seed)
-                    train(dataset, config, folder, resume=folder.exists(), tell=_tell)
+                    train(dataset, config, folder, resume=folder.exists(), tell=tell)
                 runs.append(folder)
-        judge_runs(runs, dataset.path, self.out / "report", tell=_tell)
-        _tell(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
+        judge_runs(runs, dataset.path, self.out / "report", tell=tell)
+        tell(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
 
     def simulate(self) -> list[tuple[Path, str]]:
         """The logs and their parts."""
@@ -80,7 +81,7 @@ class Gate:
         ):
             path = self.out / "logs" / f"{self.world}-{number}.mcap"
             world = WorldSettings(self.world, 1000 if self.same_world else 1000 + number, self.contrast)
-            simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path, tell=_tell)
+            simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path, tell=tell)
             found.append((path, part))
         return found
 
@@ -103,12 +104,6 @@ def verdict(metrics: dict[str, Any]) -> str:
                 line += f"   {100 * minus[key]['mean'] / own['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]"
         lines.append(line)
     return "\n".join(lines)
-
-
-def _tell(said: object) -> None:
-    from offpiste.cli import _tell as tell
-
-    tell(said)
 
 
 if __name__ == "__main__":
