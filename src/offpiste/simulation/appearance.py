@@ -55,14 +55,17 @@ class Texture:
 
 
 TEXTURES: Final[dict[str, Texture]] = {
-    "packed_sand": Texture(0.12, 0.06, (0.03, 0.005, -0.02), 0.10, stones=0.12),
-    "loose_sand": Texture(0.08, 0.05, (0.025, 0.005, -0.01), 0.12, ripples=0.20),
-    "dirt_trail": Texture(0.17, 0.08, (0.03, 0.005, -0.015), 0.14, stones=0.14),
+    "packed_sand": Texture(0.12, 0.06, (0.02, 0.005, -0.012), 0.10, stones=0.12),
+    "loose_sand": Texture(0.08, 0.05, (0.025, 0.005, -0.01), 0.12, ripples=0.13),
+    "dirt_trail": Texture(0.17, 0.08, (0.02, 0.005, -0.01), 0.14, stones=0.14),
     "gravel": Texture(0.25, 0.06, (0.025, 0.005, -0.015), 0.22, stones=0.50),
     "mud": Texture(0.10, 0.14, (0.015, 0.01, 0.0), 0.20),
     "dry_grass": Texture(0.26, 0.11, (-0.07, 0.01, -0.02), 0.16, blades=0.35),
     "wet_grass": Texture(0.26, 0.11, (0.05, 0.025, 0.0), 0.16, blades=0.45),
 }
+
+COMMON_ROCK: Final = 0.3
+"""How much alike the kinds of ground of one world are in colour, at `appearance_noise` 1."""
 
 SOIL: Final = (0.20, 0.14, 0.09)
 PLANTS: Final = ((0.14, 0.11, 0.08), (0.12, 0.17, 0.06), (0.20, 0.22, 0.13), (1.1, 1.15, 1.0))
@@ -148,7 +151,7 @@ def _nodes(
 
     # Colour: of the kinds, dry and wet, and from place to place for no reason.
     x, y = (resolution * np.arange(n) for n in world.elevation.shape[::-1])
-    bright, warm = (0.09 * noise * _patches(of_world, x, y) for _ in range(2))
+    bright, warm = (0.12 * noise * _patches(of_world, x, y) for _ in range(2))
     for channel, (dry, wet) in enumerate(_colours(of_world, noise).transpose(2, 0, 1, 3)):
         tint = np.exp(bright + (0.5, 0.0, -0.5)[channel] * warm)
         for first, shift in ((LOW, 0), (HIGH, 1)):
@@ -165,7 +168,7 @@ def _nodes(
         (RIPPLES, "ripples", 1.0),
     ):
         nodes[..., channel] = _byte(_mix(shares, np.array([getattr(t, name) for t in textures]) / full))
-    nodes[..., GLOSS] = _byte(world.wetness**2 * (0.25 + 0.75 * shares[GROUND_KINDS.index("mud")]))
+    nodes[..., GLOSS] = _byte(world.wetness**2 * (0.15 + 0.45 * shares[GROUND_KINDS.index("mud")]))
     nodes[..., TRAIL] = _byte(_distance_to_trails(world) / TRAIL_REACH)
     for channel, light_there in zip((SUN, OPEN), sunlit_ground(world, scene, light, of_drive), strict=True):
         nodes[..., channel] = _byte(light_there)
@@ -173,11 +176,14 @@ def _nodes(
 
 
 def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3 K"]:
-    """Linear RGB: dry and wet, either side of the accent. Soils of a country differ, whatever their grip."""
+    """Linear RGB: dry and wet, either side of the accent. Soils differ from country to country, whatever their grip."""
     colour = linear_from_srgb(colour_table())
+    local = noise * (rng.normal(0, 0.10, (len(GROUND_KINDS), 1)) + rng.normal(0, 0.04, (len(GROUND_KINDS), 3)))
+    colour = colour * np.exp(np.clip(local, -0.6, 0.6))
+    # All soils of one country are made of much the same rock.
+    colour += min(COMMON_ROCK * noise, 0.6) * (colour.mean(axis=1, keepdims=True) - colour)
     accent = np.array([TEXTURES[kind].accent for kind in GROUND_KINDS])
-    local = noise * (rng.normal(0, 0.06, (len(accent), 1)) + rng.normal(0, 0.03, (len(accent), 3)))
-    sides = np.stack((colour - accent, colour + accent), axis=1) * np.exp(np.clip(local, -0.5, 0.5))
+    sides = np.stack((colour - accent, colour + accent), axis=1)
     return np.clip(sides, 0.01, 1.0).transpose(0, 1, 3, 2)
 
 

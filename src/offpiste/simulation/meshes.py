@@ -77,8 +77,8 @@ def crown_mesh(trees: Trees, rng: np.random.Generator) -> Mesh:
     n = len(trees.height)
     radius = np.stack((trees.crown_radius, trees.crown_radius, 0.36 * trees.height), axis=1)
     centre = trees.foot + np.array([0.0, 0.0, 0.66]) * trees.height[:, None]
-    per_plant = int(np.clip(LEAVES / max(n, 1), 30, 600))
-    return _leaves("crown", centre, radius, per_plant, 0.28, rng)
+    per_plant = int(np.clip(LEAVES / max(n, 1), 30, 1500))
+    return _leaves("crown", centre, radius, per_plant, 8.0, rng)
 
 
 def bush_mesh(bushes: Bushes, rng: np.random.Generator) -> Mesh:
@@ -86,8 +86,8 @@ def bush_mesh(bushes: Bushes, rng: np.random.Generator) -> Mesh:
     n = len(bushes.height)
     radius = np.stack((bushes.radius, bushes.radius, 0.5 * bushes.height), axis=1)
     centre = bushes.foot + np.array([0.0, 0.0, 0.5]) * bushes.height[:, None]
-    per_plant = int(np.clip(LEAVES / max(n, 1), 20, 200))
-    return _leaves("bush", centre, radius, per_plant, 0.32, rng)
+    per_plant = int(np.clip(LEAVES / max(n, 1), 20, 400))
+    return _leaves("bush", centre, radius, per_plant, 6.0, rng)
 
 
 def grass_mesh(world: World, rng: np.random.Generator) -> Mesh:
@@ -128,17 +128,22 @@ def _leaves(
     centre: Float[np.ndarray, "n 3"],
     radius: Float[np.ndarray, "n 3"],
     per_plant: int,
-    size: float,
+    dense: float,
     rng: np.random.Generator,
 ) -> Mesh:
-    """Triangles within ellipsoids, more of them near the hull, of `size` times the plant's smallest radius."""
+    """Triangles within ellipsoids, more of them near the hull.
+
+    Args:
+        dense: area of all leaves over that of the smallest circle around the plant, about.
+    """
     n = len(centre)
     towards = rng.normal(size=(n, per_plant, 3))
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
     lumps = 1 + 0.15 * np.sin(5 * towards @ rng.normal(size=3))[..., None]
     depth = rng.uniform(0.25, 1.0, (n, per_plant, 1)) ** 0.5
     middle = centre[:, None] + towards * lumps * depth * radius[:, None]
-    shape = rng.normal(size=(n, per_plant, 3, 3)) * 0.6 * size * radius.min(axis=1)[:, None, None, None]
+    size = radius.min(axis=1)[:, None, None, None] * np.sqrt(dense / per_plant)
+    shape = rng.normal(size=(n, per_plant, 3, 3)) * size
     vertices = middle[:, :, None] + shape - shape.mean(axis=2, keepdims=True)
     count = n * per_plant
     return _mesh(surface, vertices, np.arange(3 * count).reshape(-1, 3), np.repeat(np.arange(n), per_plant))

@@ -18,7 +18,7 @@ from offpiste.simulation.world import World
 NOTHING = 1e30
 """Embree's distances above this mean that nothing is met."""
 
-BLOCK = 16_384
+BLOCK = 8192
 """Rays of one piece of work: little enough that its arrays stay in the cache."""
 
 

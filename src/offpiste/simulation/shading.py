@@ -99,7 +99,7 @@ def shade_ground(ground, light, x, y, facing, phase, footprint, shadow, n, d, c,
 
     if c[STONES] > 0.02 and footprint < STONE_SIZE / 2:
         sharp = min(STONE_SIZE / (2 * footprint) - 1, 1.0)
-        tone += c[STONES] * sharp * pebbles(ground.lattice, x / STONE_SIZE, y / STONE_SIZE)
+        tone += c[STONES] * sharp * pebbles(ground.lattice, x / STONE_SIZE + 0.25 * n[2], y / STONE_SIZE + 0.25 * n[1])
     if c[BLADES] > 0.02:
         # Blades hide the soil the more, the flatter one looks.
         bare = np.exp(-3 * c[BLADES] / facing)
@@ -113,7 +113,7 @@ def shade_ground(ground, light, x, y, facing, phase, footprint, shadow, n, d, c,
             tone += c[BLADES] * sharp * value_noise(ground.lattice, across, along)[0]
     if c[RIPPLES] > 0.02 and footprint < RIPPLE_LENGTH / 2:
         sharp = min(RIPPLE_LENGTH / (2 * footprint) - 1, 1.0)
-        along = (0.8 * x + 0.6 * y) / RIPPLE_LENGTH + 1.2 * n[8] + 0.8 * n[7]
+        along = (0.8 * x + 0.6 * y) / RIPPLE_LENGTH + 4.0 * n[9] + 2.5 * n[8] + 1.2 * n[7] + 0.5 * n[6]
         relief += c[RIPPLES] * sharp * np.cos(2 * np.pi * along) * (1 + n[6])
     if c[TRAIL] < 0.5:
         off = (c[TRAIL] * TRAIL_REACH - TRACK_OFFSET + 0.05 * wander_x) / TRACK_WIDTH

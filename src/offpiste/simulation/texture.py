@@ -90,9 +90,11 @@ def pebbles(lattice, x, y):  # type: ignore[no-untyped-def]
     for n in range(4):
         cell_x, cell_y = low_x + (n & 1), low_y + (n >> 1)
         i, j = np.int32(cell_x) & _WRAP, np.int32(cell_y) & _WRAP
-        off_x = np.float32(x - cell_x - 0.5) - np.float32(0.3) * lattice[j, i]
-        off_y = np.float32(y - cell_y - 0.5) - np.float32(0.3) * lattice[i, j]
+        off_x = np.float32(x - cell_x - 0.5) - np.float32(0.42) * lattice[j, i]
+        off_y = np.float32(y - cell_y - 0.5) - np.float32(0.42) * lattice[i, j]
         distance = off_x * off_x + off_y * off_y
         if distance < nearest:
             nearest, tone = distance, lattice[(j + 64) & _WRAP, i]
-    return np.float32(0.65) * tone + np.float32(0.2) if nearest < 0.14 else np.float32(-0.4)
+    # Large stones are rarer than small ones; round ones are brightest in the middle.
+    size = np.float32(0.16) + np.float32(0.10) * tone
+    return np.float32(0.5) * tone + np.float32(0.45) - nearest if nearest < size else np.float32(-0.3)
