@@ -1,18 +1,27 @@
 """How much faster than real time the proving ground runs: medians over several runs, on a world with hills.
 
 `python benchmarks/simulate.py [--seconds 20] [--runs 5]`. The vehicle alone: rigid bodies, tyres, drive train and a
-sample every 0.02 s.
+sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds that making a
+world takes. Peak memory is that of the process after each line.
 """
 
 import argparse
+import resource
 import statistics
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
 from offpiste.conventions import DT
+from offpiste.logs.writer import McapWriter
 from offpiste.simulation.build import make_world
+from offpiste.simulation.drive import drive, with_driver
 from offpiste.simulation.parameters import load_vehicle
+from offpiste.simulation.recorder import Recorder
+from offpiste.simulation.sensing import Sensing
+from offpiste.simulation.sensors import sensor_suite
 from offpiste.simulation.vehicle import VehicleSimulation
 from offpiste.simulation.world import World, WorldSettings
 
@@ -29,18 +38,48 @@ def physics(world: World, seconds: float, *, sampled: bool) -> float:
     return seconds / (time.perf_counter() - begin)
 
 
+def recorded(world: World, sensing: Sensing | None, seconds: float, file: Path) -> float:
+    """Real time over computing time of a drive that is recorded."""
+    parameters = load_vehicle()
+    start, driver = with_driver(world, parameters, seed=3)
+    begin, rows = time.perf_counter(), 0
+    with McapWriter(file) as writer:
+        recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=np.random.default_rng(0))
+        for sample in drive(world, parameters, start, driver, steps=round(seconds / DT)):
+            recorder.vehicle(sample)
+            for topic, message in sensing.observe(sample, recorder) if sensing else ():
+                recorder.sensor(topic, message)
+            rows += 1
+    return rows * DT / (time.perf_counter() - begin)
+
+
+def report(name: str, ratios: list[float]) -> None:
+    """A line: the median, how far runs differ, and memory."""
+    spread = f"{min(ratios):.2g} to {max(ratios):.2g} in {len(ratios)} runs"
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"{name:22} {statistics.median(ratios):6.2f} x real time ({spread}); peak memory {peak:.2f} GiB", flush=True)
+
+
 def main() -> None:
     """Print a line a part."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="of driving in a run")
     parser.add_argument("--runs", type=int, default=5)
     options = parser.parse_args()
-    world = make_world(WorldSettings(preset="mojave"))
+    world = make_world(WorldSettings(preset="mojave", seed=3))
     physics(world, DT, sampled=True)  # compiles
     for name, sampled in (("physics alone", False), ("physics and samples", True)):
         ratios = [physics(world, options.seconds, sampled=sampled) for _ in range(options.runs)]
-        spread = f"{min(ratios):.0f} to {max(ratios):.0f} in {options.runs} runs"
-        print(f"{name:20} {statistics.median(ratios):6.0f} x real time ({spread})")
+        report(name, ratios)
+    for profile, share in (("none", 1.0), ("light", 0.5), ("full", 0.1)):
+        suite = sensor_suite(profile)
+        sensing = Sensing(world, suite, np.random.default_rng(0)) if suite.lidars else None
+        with tempfile.TemporaryDirectory() as folder:
+            files = [Path(folder) / f"{run}.mcap" for run in range(options.runs + 1)]
+            recorded(world, sensing, 1.0, files[-1])  # compiles
+            report(
+                f"recorded, {profile}", [recorded(world, sensing, share * options.seconds, file) for file in files[:-1]]
+            )
 
 
 if __name__ == "__main__":

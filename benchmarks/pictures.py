@@ -1,0 +1,94 @@
+"""The pictures of the proving ground in docs/: `python benchmarks/pictures.py [docs]`.
+
+Four worlds from above, one frame of each camera with the LiDARs' points, a driven path.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from offpiste.conventions import DT
+from offpiste.simulation.appearance import make_appearance
+from offpiste.simulation.build import make_world
+from offpiste.simulation.camera import Camera, render
+from offpiste.simulation.drive import drive, with_driver
+from offpiste.simulation.lidar import Lidar
+from offpiste.simulation.parameters import load_vehicle
+from offpiste.simulation.pictures import overlay
+from offpiste.simulation.pose import Pose, standing
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.scene import world_scene
+from offpiste.simulation.sensors import full_suite
+from offpiste.simulation.top_view import draw_top_view
+from offpiste.simulation.world import World, WorldSettings
+
+PRESETS = ("mojave", "halter-ranch", "dunes", "coastal-scrub")
+
+
+def worlds() -> Figure:
+    """The four presets from above."""
+    figure = Figure(figsize=(12, 12), dpi=70, layout="constrained")
+    for axes, preset in zip(figure.subplots(2, 2).flat, PRESETS, strict=True):
+        draw_top_view(make_world(WorldSettings(preset)), axes)
+        axes.set_title(preset)
+    return figure
+
+
+def driven(world: World, seconds: float, seed: int) -> list[VehicleSample]:
+    """A drive without sensors."""
+    parameters = load_vehicle()
+    start, driver = with_driver(world, parameters, seed=seed)
+    return list(drive(world, parameters, start, driver, steps=round(seconds / DT)))
+
+
+def path(world: World, samples: list[VehicleSample]) -> Figure:
+    """Where a drive went, coloured by speed."""
+    figure = Figure(figsize=(8.6, 8), dpi=80, layout="constrained")
+    xy = np.array([s.position[:2] for s in samples])
+    speed = np.array([np.hypot(*s.velocity[:2]) for s in samples])
+    draw_top_view(world, figure.subplots(), xy, speed)
+    return figure
+
+
+def sensors(world: World, sample: VehicleSample) -> Figure:
+    """What the four cameras see at a moment, and the points of both LiDARs in them."""
+    scene, suite, rng = world_scene(world), full_suite(), np.random.default_rng(0)
+    look = make_appearance(world, scene, 0)
+    pose = Pose(sample.position, sample.orientation)
+    clouds = [
+        settings.body_from_lidar.apply(Lidar(settings).scan(scene, standing(pose), 0.0, rng).points)
+        for settings in (replace(lidar, dropout=0.0) for lidar in suite.lidars)
+    ]
+    points = np.concatenate(clouds)
+    figure = Figure(figsize=(12, 15.2), dpi=70, layout="constrained")
+    rows = figure.subplots(len(suite.cameras), 2)
+    for (left, right), settings in zip(rows, suite.cameras, strict=True):
+        image = render(scene, look, Camera(settings), pose, rng)
+        left.imshow(image)
+        right.imshow(overlay(image, settings.body_from_camera.inverse().apply(points), settings))
+        left.set_ylabel(settings.name)
+        for axes in (left, right):
+            axes.set_xticks([])
+            axes.set_yticks([])
+    return figure
+
+
+def main() -> None:
+    """Write the three pictures."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    world = make_world(WorldSettings(seed=3))
+    samples = driven(world, 120.0, 3)
+    figures = {
+        "worlds": worlds(),
+        "drive": path(world, samples),
+        "sensors": sensors(world, samples[min(1500, len(samples) - 1)]),
+    }
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.jpg", pil_kwargs={"quality": 85})
+
+
+if __name__ == "__main__":
+    main()
