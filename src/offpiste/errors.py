@@ -40,3 +40,7 @@ class RunError(OffpisteError):
 
 class TrainingError(OffpisteError):
     """Training cannot go on, e.g. a value that is not finite."""
+
+
+class PerceptionError(OffpisteError):
+    """An image, a calibration, a mask or a backbone is wrong or missing, or does not fit what it is used with."""
