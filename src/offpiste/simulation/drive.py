@@ -78,13 +78,7 @@ def with_driver(
     world: World, parameters: VehicleParameters, *, seed: int, settings: DriverSettings | None = None
 ) -> tuple[Start, Driver]:
     """A driver on a trail of a world."""
-    driver = Driver(
-        world,
-        wheelbase=parameters.wheelbase,
-        max_steer=parameters.max_steer,
-        rng=np.random.default_rng([seed, 0xD21]),
-        settings=settings,
-    )
+    driver = Driver(world, parameters, np.random.default_rng([seed, 0xD21]), settings)
     return Start(*driver.start()), driver
 
 

@@ -1,20 +1,24 @@
 """A driver that looks for trouble: follows trails, cuts across open ground, and drives to the point of slip.
 
-It knows the country (slopes, trees, trails) but not the grip. Ten times a second it picks the arc that leads best to a
-point ahead on its route; speed follows a mood that wanders, with bursts of throttle, brake and steering on top.
+It knows the country (slopes, trees, trails: `arcs.Country`) but not the grip. Ten times a second it picks the arc that
+leads best to a point ahead on its route; speed follows a mood that wanders, with bursts of throttle, brake and
+steering, as fast as bends, bumps and banks in sight let it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
-from offpiste.conventions import DT, GRAVITY
-from offpiste.geometry import yaw_from_quaternion
+from offpiste.conventions import GRAVITY
+from offpiste.simulation.arcs import Country, Prospect, survey
+from offpiste.simulation.foot import Foot
+from offpiste.simulation.mood import Feeling, Mood
+from offpiste.simulation.parameters import VehicleParameters
 from offpiste.simulation.route import Route
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.surface import read_grid
+from offpiste.simulation.stall import Stall
 from offpiste.simulation.world import World
 
 
@@ -27,170 +31,197 @@ class DriverSettings:
         speed_spread: standard deviation of the logarithm of the speed in mind.
         top_speed: [m/s].
         cornering: lateral acceleration that is accepted, lowest and highest over time [m/s^2].
-        burst_every: mean time between bursts [s].
-        off_trail: share of the way that leads across open ground.
-        steepest: slope that is avoided [rad].
+        pause: mean time between ideas (`mood.Mood`) [s].
+        off_trail: probability of leaving a trail across open ground at its next stretch.
+        steepest: climb and lean that are avoided (rise over run).
+        tilting: speed times lean that is accepted [m/s].
         bump: vertical acceleration that is accepted [m/s^2].
-        patience: a vehicle that has not moved for so long is stuck [s].
+        standing_start: probability of starting at rest.
+        patience: how long a stalled vehicle is worked free [s].
     """
 
-    median_speed: float = 5.2
-    speed_spread: float = 0.5
+    median_speed: float = 6.2
+    speed_spread: float = 0.7
     top_speed: float = 12.0
-    cornering: tuple[float, float] = (2.5, 6.0)
-    burst_every: float = 5.0
+    cornering: tuple[float, float] = (3.0, 7.0)
+    pause: float = 3.5
     off_trail: float = 0.35
-    steepest: float = 0.24
-    bump: float = 5.0
-    patience: float = 6.0
+    steepest: float = 0.18
+    tilting: float = 0.8
+    bump: float = 6.0
+    standing_start: float = 0.25
+    patience: float = 15.0
 
 
 _CURVATURES = np.linspace(-0.22, 0.22, 23)
 """Of the arcs to choose from [1/m]."""
 
-_SEEN = np.linspace(0.1, 1.0, 14)
-"""Shares of an arc at which it is looked at."""
+_LOOK_EVERY = 5
+"""Steps between two looks ahead."""
+
+_LEVEL = 0.04
+"""Climb on which a vehicle that stands can be expected to get away [1]."""
+
+_TIPPING = 0.22
+"""Roll beyond which nothing but staying upright counts (sine)."""
+
+_ASIDE = 2
+"""Arcs to either side onto which a vehicle may slide."""
+
+_BRAKING = 3.0
+"""Deceleration that is relied on before bends [m/s^2]."""
+
+_MARGIN = 9.0
+"""Distance that is kept from the world's border [m]."""
 
 
 class Driver:
     """Commands for a vehicle in a world.
 
     Args:
-        wheelbase: [m].
-        max_steer: road-wheel angle at a steering command of 1 [rad].
-        rng: of the route, the mood and the bursts.
+        rng: of the route, the mood and the start.
     """
 
     def __init__(
         self,
         world: World,
-        *,
-        wheelbase: float,
-        max_steer: float,
+        vehicle: VehicleParameters,
         rng: np.random.Generator,
         settings: DriverSettings | None = None,
     ) -> None:
-        self._world, self._wheelbase, self._max_steer = world, wheelbase, max_steer
-        self._settings = settings or DriverSettings()
-        self._rng = rng
-        self.route = Route(world, rng, off_trail=self._settings.off_trail)
-        self._trees = cKDTree(world.trees.foot[:, :2]) if len(world.trees.foot) else None
-        self._mood = rng.standard_normal(3)
-        self._burst, self._burst_left, self._next_burst = "", 0.0, rng.exponential(self._settings.burst_every)
-        self._curvature, self._ticks, self._still = 0.0, 0, 0.0
-        self._limit = self._settings.top_speed
+        self._vehicle, self._settings = vehicle, settings or DriverSettings()
+        self._country, self._rng = Country.of(world), rng
+        self.route = Route(self._country, rng, off_trail=self._settings.off_trail)
+        self._mood = Mood(rng, pause=self._settings.pause)
+        self._stall = Stall(self._settings.patience)
+        self._ticks, self._curvature, self._limit = 0, 0.0, self._settings.top_speed
+        self._climb, self._lean = 0.0, 0.0
+        self._foot = Foot()
 
     @property
     def stuck(self) -> bool:
-        """Whether it has given up: full throttle has not moved the vehicle."""
-        return self._still > self._settings.patience
+        """Whether it has given up: nothing that it tried has moved the vehicle."""
+        return self._stall.hopeless
 
     def start(self) -> tuple[float, float, float, float]:
         """Where a drive begins: x, y [m], yaw [rad] along a trail, speed [m/s]."""
-        x, y, yaw = self.route.start()
-        return x, y, yaw, float(self._rng.uniform(2.0, 6.0))
+        chance, speed = self._rng.random(), float(self._rng.uniform(2.0, 7.0))
+        x, y, yaw, climb = self.route.start()
+        return x, y, yaw, 0.0 if chance < self._settings.standing_start and climb < _LEVEL else speed
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
         """Throttle, brake and steering for the next `conventions.DT`."""
-        yaw = float(yaw_from_quaternion(sample.orientation[None])[0])
-        heading = np.array([np.cos(yaw), np.sin(yaw)])
-        speed = float(sample.velocity[:2] @ heading)
-        self._wander()
-        if self._ticks % 5 == 0:
-            self._curvature, self._limit = self._choose_arc(sample.position[:2], yaw, max(speed, 0.0))
+        i, j, k, w = sample.orientation.tolist()
+        yaw = math.atan2(2 * (i * j + k * w), 1 - 2 * (j * j + k * k))
+        x, y, _ = sample.position.tolist()
+        vx, vy, _ = sample.velocity.tolist()
+        speed = vx * math.cos(yaw) + vy * math.sin(yaw)
+        spin = sum(sample.wheel_speed.tolist()) / 4 - speed
+        feeling = self._mood.advance()
+        if self._ticks % _LOOK_EVERY == 0:
+            self._look(x, y, yaw, max(speed, 0.0), feeling.cornering)
         self._ticks += 1
-        self._still = self._still + DT if speed < 0.3 else 0.0
-        throttle, brake = self._pedals(speed)
-        # Spinning wheels are heard, and dig themselves in.
-        spin = float(sample.wheel_speed.mean()) - max(speed, 0.0)
-        throttle *= float(np.clip(1.0 - 0.5 * (spin - 0.8 - 0.2 * max(speed, 0.0)), 0.08, 1))
-        return np.array([throttle, brake, self._steering(speed, float(sample.angular_velocity[2]))])
+        # Who stops uphill may not get away again.
+        stopping = feeling.idea == "stop" and self._climb < _LEVEL
+        self._stall.advance(x, y, speed=speed, at_rest=stopping)
+        leans_left = -2 * (j * k + i * w)
+        if self._stall.noticed:
+            # The brake passes torque from a wheel in the air to the other side of an open differential.
+            hanging = float(np.ptp(sample.wheel_speed)) > 2.0
+            throttle, accepted, steer = self._stall.recover(speed, leans_left)
+            return np.array((self._foot.press(throttle, spin, accepted + 2.0 * hanging), 0.25 * hanging, steer))
+        steer = self._steering(speed, float(sample.angular_velocity[2]), feeling)
+        throttle, brake = (0.0, 0.3 + 0.5 * feeling.strength) if stopping else self._pedals(speed, feeling)
+        accepted = 0.2 + 0.25 * max(speed, 0.0)
+        if feeling.idea == "throttle" and self._climb < _LEVEL:
+            accepted += 3.0 + 6.0 * feeling.strength
+        tips_left = leans_left - 0.25 * float(sample.angular_velocity[0])
+        if abs(tips_left) > _TIPPING and speed > 2.0:
+            # About to roll over: into the fall, and off the pedals.
+            throttle, brake = 0.3 * throttle, 0.0
+            steer = _clip(steer + 5 * (tips_left - math.copysign(_TIPPING, tips_left)), -1, 1)
+        return np.array((self._foot.press(throttle, spin, accepted), brake, steer))
 
-    def _wander(self) -> None:
-        """Mood: speed over 4 s, cornering over 6 s, free steering over 0.7 s (Gauss-Markov); and bursts."""
-        keep = np.exp(-DT / np.array([4.0, 6.0, 0.7]))
-        self._mood = keep * self._mood + np.sqrt(1 - keep**2) * self._rng.standard_normal(3)
-        self._burst_left -= DT
-        self._next_burst -= DT
-        if self._burst_left <= 0:
-            self._burst = ""
-        if self._next_burst <= 0:
-            self._burst = str(self._rng.choice(["throttle", "brake", "coast", "swerve"]))
-            self._burst_left = self._rng.uniform(0.4, 1.6)
-            self._next_burst = self._rng.exponential(self._settings.burst_every) + self._burst_left
-
-    def _choose_arc(self, xy: Float[np.ndarray, " 2"], yaw: float, speed: float) -> tuple[float, float]:
-        """The arc that ends nearest to the goal, clear of trees, steep ground and the border: curvature, top speed."""
-        length = float(np.clip(1.6 * speed, 5.0, 14.0))
-        goal = self.route.ahead(xy, length)
-        s = length * _SEEN[None]
-        turn = _CURVATURES[:, None] * s
-        # Chord of an arc: s sinc(turn/2) long, turned by half of it.
-        chord = s * np.sinc(turn / (2 * np.pi))
-        points = xy + chord[..., None] * np.stack((np.cos(yaw + turn / 2), np.sin(yaw + turn / 2)), axis=-1)
-        cost = np.hypot(*np.moveaxis(points[:, -1] - goal, -1, 0)) + 6.0 * np.abs(_CURVATURES - self._curvature)
-        danger, limits = self._danger(points)
-        best = int(np.argmin(cost + danger))
-        return float(_CURVATURES[best]), float(limits[best])
-
-    def _danger(self, points: Float[np.ndarray, "A P 2"]) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, " A"]]:
-        """What arcs through these points risk, in metres of detour, and how fast they can be driven [m/s]."""
-        world = self._world
-        flat = points.reshape(-1, 2)
-        risk = np.zeros(len(flat))
-        if self._trees is not None:
-            clearance, nearest = self._trees.query(flat)
-            clearance = clearance - world.trees.trunk_radius[np.minimum(nearest, len(world.trees.foot) - 1)]
-            risk += 40.0 * (clearance < 1.6) + 4.0 * np.clip(3.0 - clearance, 0, None)
-        heights = read_grid(world.elevation, world.origin, world.resolution, flat).reshape(points.shape[:2])
-        run = np.hypot(*np.moveaxis(np.diff(points, axis=1), -1, 0))
-        rise = np.diff(heights, axis=1) / run
-        across = np.hypot(rise, self._side_slope(flat).reshape(points.shape[:2])[:, 1:])
-        steep = np.clip(np.arctan(across) - self._settings.steepest, 0, None)
-        risk = risk.reshape(points.shape[:2]).max(axis=1) + 120.0 * steep.max(axis=1)
-        ny, nx = world.elevation.shape
-        low = np.array(world.origin) + 8
-        high = np.array(world.origin) + np.array([nx - 1, ny - 1]) * world.resolution - 8
-        outside = np.clip(np.maximum(low - points, points - high), 0, None).max(axis=(1, 2))
-        bend = np.abs(np.diff(rise, axis=1) / run[:, 1:]).max(axis=1)
-        limit = np.sqrt(self._settings.bump / np.maximum(bend, 1e-3)) - 8.0 * np.clip(across.max(axis=1) - 0.2, 0, None)
-        return risk + 10 * outside, np.maximum(limit, 2.5)
-
-    def _side_slope(self, flat: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Steepness of the ground between two points 1.5 m apart, whichever of the two axes is steeper."""
-        world, step = self._world, 0.75
-        slopes = [
-            read_grid(world.elevation, world.origin, world.resolution, flat + offset)
-            - read_grid(world.elevation, world.origin, world.resolution, flat - offset)
-            for offset in (np.array([step, 0.0]), np.array([0.0, step]))
-        ]
-        return np.asarray(np.abs(slopes).max(axis=0) / (2 * step))
-
-    def _pedals(self, speed: float) -> tuple[float, float]:
-        settings = self._settings
+    def _look(self, x: float, y: float, yaw: float, speed: float, cornering: float) -> None:
+        """Choose the arc that ends nearest to the goal, with little risk, and how fast it can be driven."""
+        length = _clip(1.6 * speed, 5, 14)
+        goal = self.route.ahead(np.array((x, y)), length)
+        vehicle, settings = self._vehicle, self._settings
+        prospect = survey(
+            self._country,
+            _CURVATURES,
+            x=x,
+            y=y,
+            yaw=yaw,
+            length=length,
+            size=(vehicle.wheelbase, vehicle.track, vehicle.length / 2),
+            margin=_MARGIN,
+        )
+        detour = np.hypot(prospect.end[:, 0] - goal[0], prospect.end[:, 1] - goal[1])
+        steadiness = 6.0 * np.abs(_CURVATURES - self._curvature)
+        risk = self._risk(prospect)
+        best = int(np.argmin(detour + steadiness + risk))
+        self._curvature = float(_CURVATURES[best])
+        # Who slides does not stay on the arc.
+        beside = slice(max(best - _ASIDE, 0), best + _ASIDE + 1)
+        self._climb = float(prospect.climb[best])
+        self._lean = 0.5 * float(prospect.lean[best] + prospect.lean[beside].max())
         gentle, hard = settings.cornering
-        lateral = gentle + (hard - gentle) * float(np.clip(0.5 + 0.4 * self._mood[1], 0, 1))
-        wanted = settings.median_speed * np.exp(settings.speed_spread * self._mood[0])
-        wanted = min(wanted, settings.top_speed, self._limit, np.sqrt(lateral / max(abs(self._curvature), 1e-3)))
-        wanted = max(wanted, 1.5)
-        if self._still > 1.0:
-            return 1.0, 0.0
-        if self._burst == "throttle" and speed < min(settings.top_speed, self._limit):
-            return 1.0, 0.0
-        if self._burst == "brake" and speed > 2.0:
-            return 0.0, float(np.clip(0.55 + 0.4 * self._mood[2], 0.2, 1.0))
-        if self._burst == "coast" and speed > 2.0:
-            return 0.0, 0.0
-        lack = wanted - speed
-        throttle = float(np.clip(0.18 + 0.22 * lack, 0, 1)) if lack > -0.6 else 0.0
-        return throttle, float(np.clip(-0.18 * (lack + 1.0), 0, 1))
+        lateral = gentle + (hard - gentle) * _clip(0.5 + 0.4 * cornering, 0, 1)
+        lateral *= _clip(1.3 - 2 * self._lean, 0.3, 1)
+        limits = (
+            settings.top_speed,
+            math.sqrt(lateral / max(abs(self._curvature), 1e-3)),
+            self.route.bend_speed(lateral, _BRAKING),
+            math.sqrt(settings.bump / max(float(prospect.bend[best]), 1e-3)),
+            settings.tilting / max(self._lean, 1e-3),
+            settings.top_speed - 0.5 * float(risk[best]),
+        )
+        self._limit = max(min(limits), 2.5)
 
-    def _steering(self, speed: float, yaw_rate: float) -> float:
+    def _risk(self, prospect: Prospect) -> Float[np.ndarray, " A"]:
+        """What arcs risk, in metres of detour."""
+        steepest = self._settings.steepest
+        belly = self._vehicle.rest_height + self._vehicle.belly_height
+        return np.asarray(
+            40.0 * (prospect.clearance < 1.6)
+            + 4.0 * np.maximum(3.0 - prospect.clearance, 0)
+            + 80.0 * np.maximum(prospect.climb - 0.5 * steepest, 0)
+            + 20.0 * np.maximum(prospect.descent - 2 * steepest, 0)
+            + 120.0 * np.maximum(prospect.lean - 1.1 * steepest, 0)
+            + 100.0 * np.maximum(prospect.high_point - 0.6 * belly, 0)
+            + 60.0 * np.maximum(prospect.outside, 0)
+        )
+
+    def _pedals(self, speed: float, feeling: Feeling) -> tuple[float, float]:
+        """Throttle and brake."""
+        settings = self._settings
+        limit = self._limit
+        # A run-up helps on a climb.
+        least = 1.2 + 50 * min(max(self._climb - 0.01, 0.0), 0.13)
+        if feeling.idea == "throttle" and speed < limit:
+            return 0.6 + 0.4 * feeling.strength, 0.0
+        if feeling.idea in ("brake", "brake and swerve") and speed > least:
+            return 0.0, 0.25 + 0.75 * feeling.strength
+        if feeling.idea == "coast" and speed > least:
+            return 0.0, 0.0
+        wanted = settings.median_speed * math.exp(settings.speed_spread * feeling.speed)
+        wanted = max(wanted, least)
+        lack = min(wanted, limit) - speed
+        throttle = _clip(0.2 + 0.3 * lack + 2 * self._climb, 0, 1) if lack > -0.6 else 0.0
+        return throttle, _clip(-0.25 * (lack + 1), 0, 1)
+
+    def _steering(self, speed: float, yaw_rate: float, feeling: Feeling) -> float:
         """The arc's curvature, corrected by how fast the vehicle really turns, and some play."""
-        curvature = self._curvature + 0.02 * self._mood[2]
-        angle = np.arctan(self._wheelbase * curvature) + 0.12 * (curvature * speed - yaw_rate)
-        if self._burst == "swerve" and speed < 9.0:
-            angle += 0.5 * self._max_steer * np.sign(self._mood[1]) * np.sin(4.0 * self._burst_left)
+        vehicle = self._vehicle
+        curvature = self._curvature + 0.02 * feeling.play
+        angle = math.atan(vehicle.wheelbase * curvature) + 0.12 * (curvature * speed - yaw_rate)
+        if "swerve" in feeling.idea and self._lean < self._settings.steepest:
+            angle += (0.3 + 0.7 * feeling.strength) * vehicle.max_steer * feeling.side * math.sin(4 * feeling.left)
         # Beyond this, on any ground, more steering only rolls the vehicle over.
-        most = np.arctan(self._wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)
-        return float(np.clip(np.clip(angle, -most, most) / self._max_steer, -1, 1))
+        most = math.atan(vehicle.wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)
+        return _clip(_clip(angle, -most, most) / vehicle.max_steer, -1, 1)
+
+
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
