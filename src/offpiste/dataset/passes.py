@@ -1,0 +1,94 @@
+"""When wheels pass over which ground cells (DESIGN.md, "Conventions", feature sets)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, Int32
+
+PAUSE = 10.0
+"""A wheel that enters a cell after more than this time without one begins a new pass [s]."""
+
+
+@dataclass(frozen=True)
+class Passes:
+    """Passes of a vehicle over cells, numbered by their beginning.
+
+    Attributes:
+        cell: column and row of the cell on the world-aligned grid: its centre lies at (column, row) resolution.
+        approach: the vehicle comes nearer from this moment on: when it was farthest from the cell since the pass
+            before, or the start of the drive [s].
+        contact: when the first wheel enters the cell [s].
+        end: when the next pass over the cell begins; infinite for the last one [s].
+        index: the pass under each wheel at each row; -1 where the place is unknown.
+    """
+
+    cell: Int[np.ndarray, "P 2"]
+    approach: Float[np.ndarray, " P"]
+    contact: Float[np.ndarray, " P"]
+    end: Float[np.ndarray, " P"]
+    index: Int32[np.ndarray, "N 4"]
+
+
+def find_passes(
+    time: Float[np.ndarray, " N"],
+    xy: Float[np.ndarray, "N 2"],
+    wheels: Float[np.ndarray, "N 4 2"],
+    *,
+    resolution: float,
+) -> Passes:
+    """Passes of a drive.
+
+    Args:
+        time: of the rows, rising [s].
+        xy: of the pose point, in the world frame; NaN where unknown [m].
+        wheels: places of the wheels [m].
+        resolution: size of a cell [m].
+    """
+    known = np.isfinite(wheels).all(axis=(1, 2)) & np.isfinite(xy).all(axis=1)
+    grid = np.round(np.where(known[:, None, None], wheels, 0.0) / resolution).astype(np.int64)
+    rows = np.repeat(np.flatnonzero(known), 4)
+    cells, cell = np.unique(grid[known].reshape(-1, 2), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+
+    # Contacts of each cell in the order of time; a pass begins with the first one after a pause.
+    order = np.lexsort((rows, cell))
+    touched, when = cell[order], time[rows[order]]
+    begins = np.ones(len(order), bool)
+    begins[1:] = (np.diff(touched) != 0) | (np.diff(when) > PAUSE)
+    number = np.cumsum(begins) - 1
+    contact, of = when[begins], touched[begins]
+    again = np.append(of[1:] == of[:-1], False)
+    end = np.where(again, np.append(contact[1:], np.inf), np.inf)
+    last = when[np.append(np.flatnonzero(begins)[1:] - 1, len(when) - 1)] if len(when) else when
+    before = np.where(np.append(False, again[:-1]), np.append(-np.inf, last[:-1]), -np.inf)
+
+    rank = np.argsort(np.argsort(contact, kind="stable"), kind="stable")
+    index = np.full((len(time), 4), -1, np.int32)
+    flat = np.empty(len(order), np.int64)
+    flat[order] = rank[number]
+    index[known] = flat.reshape(-1, 4)
+    sort = np.argsort(contact, kind="stable")
+    centre = cells[of[sort]] * resolution
+    approach = _farthest(time[known], xy[known], centre, before[sort], contact[sort])
+    return Passes(cells[of[sort]], approach, contact[sort], end[sort], index)
+
+
+def _farthest(
+    time: Float[np.ndarray, " n"],
+    xy: Float[np.ndarray, "n 2"],
+    centre: Float[np.ndarray, "P 2"],
+    after: Float[np.ndarray, " P"],
+    before: Float[np.ndarray, " P"],
+) -> Float[np.ndarray, " P"]:
+    """When the vehicle was farthest from each cell between two moments; the last time if there are several."""
+    first = np.searchsorted(time, after, side="left")
+    stop = np.searchsorted(time, before, side="right")
+    found = np.empty(len(centre))
+    for p in range(len(centre)):
+        # Nobody looks at the whole drive: only a return to a place needs more than the start of it.
+        if not np.isfinite(after[p]):
+            found[p] = time[0]
+            continue
+        away = np.square(xy[first[p] : stop[p]] - centre[p]).sum(axis=1)
+        found[p] = time[first[p] + len(away) - 1 - int(np.argmax(away[::-1]))]
+    return found
