@@ -41,13 +41,13 @@ class DriverSettings:
     """
 
     median_speed: float = 6.2
-    speed_spread: float = 0.7
+    speed_spread: float = 0.75
     top_speed: float = 12.0
     cornering: tuple[float, float] = (3.0, 7.0)
     pause: float = 3.5
     off_trail: float = 0.35
     steepest: float = 0.18
-    tilting: float = 0.8
+    tilting: float = 0.85
     bump: float = 6.0
     standing_start: float = 0.25
     patience: float = 15.0
@@ -68,7 +68,7 @@ _TIPPING = 0.22
 _ASIDE = 2
 """Arcs to either side onto which a vehicle may slide."""
 
-_BRAKING = 3.0
+_BRAKING = 3.5
 """Deceleration that is relied on before bends [m/s^2]."""
 
 _MARGIN = 9.0
@@ -123,9 +123,12 @@ class Driver:
         self._ticks += 1
         # Who stops uphill may not get away again.
         stopping = feeling.idea == "stop" and self._climb < _LEVEL
+        noticed = self._stall.noticed
         self._stall.advance(x, y, speed=speed, at_rest=stopping)
         leans_left = -2 * (j * k + i * w)
         if self._stall.noticed:
+            if not noticed:
+                self.route.rejoin(np.array((x, y)), np.array((math.cos(yaw), math.sin(yaw))))
             # The brake passes torque from a wheel in the air to the other side of an open differential.
             hanging = float(np.ptp(sample.wheel_speed)) > 2.0
             throttle, accepted, steer = self._stall.recover(speed, leans_left)
@@ -177,7 +180,7 @@ class Driver:
             settings.tilting / max(self._lean, 1e-3),
             settings.top_speed - 0.5 * float(risk[best]),
         )
-        self._limit = max(min(limits), 2.5)
+        self._limit = max(min(limits), 2.5 + 20 * min(self._climb, 0.15))
 
     def _risk(self, prospect: Prospect) -> Float[np.ndarray, " A"]:
         """What arcs risk, in metres of detour."""
@@ -216,7 +219,7 @@ class Driver:
         vehicle = self._vehicle
         curvature = self._curvature + 0.02 * feeling.play
         angle = math.atan(vehicle.wheelbase * curvature) + 0.12 * (curvature * speed - yaw_rate)
-        if "swerve" in feeling.idea and self._lean < self._settings.steepest:
+        if "swerve" in feeling.idea and self._lean < 0.6 * self._settings.steepest:
             angle += (0.3 + 0.7 * feeling.strength) * vehicle.max_steer * feeling.side * math.sin(4 * feeling.left)
         # Beyond this, on any ground, more steering only rolls the vehicle over.
         most = math.atan(vehicle.wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)

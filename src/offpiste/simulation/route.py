@@ -13,7 +13,13 @@ _STRETCH = (40.0, 140.0)
 _CROSSING = (25.0, 90.0)
 """How far away the next stretch of trail may begin [m]."""
 
-_CANDIDATES = 8
+_REJOINING = (6.0, 50.0)
+"""The same for a vehicle that has lost its way or is stuck."""
+
+_LOST = 8.0
+"""Farther from its route a vehicle looks for another one [m]."""
+
+_CANDIDATES = 12
 """Ways across open ground that are compared."""
 
 _STEEP_TRAIL = 0.15
@@ -56,14 +62,31 @@ class Route:
 
     def ahead(self, xy: Float[np.ndarray, " 2"], distance: float) -> Float[np.ndarray, " 2"]:
         """The first point of the route at least so far away, beyond what was driven already [m]."""
-        left = self._points[self._next :]
-        # What is near was driven, also where the vehicle cut a corner.
-        self._next += int(np.argmin(_distance(left[:_WINDOW], xy)))
+        away = _distance(self._points[self._next : self._next + _WINDOW], xy)
+        nearest = int(np.argmin(away))
+        if away[nearest] > _LOST:
+            self.rejoin(xy, self._points[self._next + nearest] - xy)
+        else:
+            # What is near was driven, also where the vehicle cut a corner.
+            self._next += nearest
         while True:
             far = np.flatnonzero(_distance(self._points[self._next :], xy) >= distance)
             if len(far):
                 return np.asarray(self._points[self._next + far[0]])
             self._extend()
+
+    def rejoin(self, xy: Float[np.ndarray, " 2"], heading: Float[np.ndarray, " 2"]) -> None:
+        """Forget the way, and go on from a place by the least steep way to any trail, rather ahead than back.
+
+        Args:
+            heading: of the vehicle, of any length.
+        """
+        kept = self._points, self._next
+        self._points, self._next = xy[None], 0
+        if self._cross(heading, _REJOINING, np.inf):
+            self._follow(*self._at)
+        else:
+            self._points, self._next = kept
 
     def bend_speed(self, lateral: float, braking: float) -> float:
         """How fast one may go [m/s] so that bends ahead can be taken.
@@ -78,26 +101,30 @@ class Route:
     def _extend(self) -> None:
         self._points, self._next = self._points[self._next :], 0
         if self._rng.random() < self._off_trail or self._blocked:
-            crossed = self._cross()
+            crossed = self._cross(self._points[-1] - self._points[-2], _CROSSING, _TOO_STEEP)
             self._blocked = self._blocked and not crossed
         self._follow(*self._at)
 
-    def _cross(self) -> bool:
-        """Go straight to another stretch of trail, by the least steep of some ways, if there is one."""
+    def _cross(self, heading: Float[np.ndarray, " 2"], reach: tuple[float, float], limit: float) -> bool:
+        """Go straight to another stretch of trail, by the least hard of some ways, if there is one.
+
+        Args:
+            reach: how far away that stretch begins [m].
+            limit: the hardest way that is taken: its slope (rise over run), and 0.15 for turning back.
+        """
         here = self._points[-1]
-        coming = here - self._points[-2] if len(self._points) > 1 else np.zeros(2)
-        best, least = None, _TOO_STEEP
+        best, least = None, limit
         for _ in range(_CANDIDATES):
             number = int(self._rng.integers(len(self._trails)))
             away = _distance(self._trails[number], here)
-            there = np.flatnonzero((away > _CROSSING[0]) & (away < _CROSSING[1]))
+            there = np.flatnonzero((away > reach[0]) & (away < reach[1]))
             if not len(there):
                 continue
             index = int(self._rng.choice(there))
-            goal = self._trails[number][index]
-            line = np.linspace(here, goal, 1 + int(np.ceil(away[index] / SPACING)))
-            backwards = float(coming @ (goal - here)) < 0
-            hardship = self._country.steepest(line) + 0.1 * backwards
+            way = self._trails[number][index] - here
+            line = here + np.linspace(0, 1, 1 + int(np.ceil(away[index] / SPACING)))[:, None] * way
+            ahead = float(heading @ way) / max(float(np.hypot(*heading) * away[index]), 1e-6)
+            hardship = self._country.steepest(line) + 0.075 * (1 - ahead)
             if hardship < least:
                 best, least = (number, index, line), hardship
         if best is not None:

@@ -1,6 +1,7 @@
 """From settings to a recorded drive: world, driver, vehicle, sensors, recorder."""
 
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -77,10 +78,8 @@ def simulate(
     Raises:
         OffpisteError: a setting is out of range, or a file exists already.
     """
-    steps = round(settings.seconds / DT)
-    if steps < 1:
-        raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
     files = [out, *(out.with_name(f"{out.stem}-twin-{k}{out.suffix}") for k in range(1, twins + 1))]
+    steps = _check(settings, files)
     parameters = load_vehicle()
     world = make_world(settings.world)
     start, driver = with_driver(world, parameters, seed=settings.seed, settings=settings.driver)
@@ -93,6 +92,19 @@ def simulate(
         driven.append(record(settings, ground, parameters, start, replay, file, steps=len(commands)))
         tell(str(driven[-1]))
     return driven
+
+
+def _check(settings: DriveSettings, files: Sequence[Path]) -> int:
+    """Number of steps; complain before minutes are spent on what cannot be done."""
+    if not DT / 2 < settings.seconds < np.inf:
+        raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
+    if settings.seed < 0:
+        raise OffpisteError(f"the drive's seed is {settings.seed}", how="choose 0 or more")
+    sensor_suite(settings.sensors)
+    for file in files:
+        if file.exists():
+            raise OffpisteError("exists already", where=file, how="remove it, or give another name")
+    return round(settings.seconds / DT)
 
 
 def record(
@@ -115,7 +127,7 @@ def record(
     noise, light = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2))
     sensing = Sensing(world, suite, light) if suite.cameras or suite.lidars else None
     events: list[tuple[float, str]] = []
-    path, speed = [], []
+    path, speed = array("d"), array("d")  # small, however long the drive
     with McapWriter(out) as writer:
         recorder = Recorder(
             writer, wheel_radius=parameters.rolling_radius, rng=noise, imperfections=settings.imperfections
@@ -127,13 +139,13 @@ def record(
             for topic, message in sensing.observe(sample, recorder) if sensing else ():
                 recorder.sensor(topic, message)
             events += [(sample.time, event) for event in sample.events]
-            path.append(sample.position[:2])
+            path.extend(sample.position[:2].tolist())
             speed.append(float(np.hypot(*sample.velocity[:2])))
             if commands is not None:
                 commands.append(sample.command)
     driven = np.array(path).reshape(-1, 2)
     metres = float(np.hypot(*np.diff(driven, axis=0).T).sum())
-    return Driven(out, len(path) * DT, metres, tuple(events), driven, np.array(speed))
+    return Driven(out, len(speed) * DT, metres, tuple(events), driven, np.array(speed))
 
 
 def _shown(samples: Iterator[VehicleSample], steps: int, name: str) -> Iterator[VehicleSample]:
