@@ -1,0 +1,1 @@
+"""From images to visual features on the points of a LiDAR."""

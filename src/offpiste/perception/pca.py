@@ -1,0 +1,179 @@
+"""Principal components of patch features on ground, exactly, from a stream of images of any length."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from offpiste.errors import PerceptionError
+from offpiste.perception.backbone import Backbone
+
+COMPONENTS = 40
+"""As in the paper."""
+
+IMAGES = 175
+"""How many images a basis is fitted on unless they are listed; the paper's number."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Count, mean and scatter (sum of outer products of deviations) of the vectors seen so far, in float64."""
+
+    count: int
+    mean: Float[np.ndarray, " C"]
+    scatter: Float[np.ndarray, "C C"]
+
+    @classmethod
+    def none(cls, channels: int) -> "Moments":
+        """Of no vector yet."""
+        return cls(0, np.zeros(channels), np.zeros((channels, channels)))
+
+    @classmethod
+    def of(cls, vectors: Float[np.ndarray | Tensor, "n C"]) -> "Moments":
+        """Of these vectors.
+
+        Raises:
+            PerceptionError: not all of them are finite.
+        """
+        rows = np.asarray(torch.as_tensor(vectors).detach().cpu().double())
+        if not len(rows):
+            return cls.none(rows.shape[1])
+        mean = rows.mean(axis=0)
+        if not np.isfinite(mean).all():
+            raise PerceptionError("features to be reduced are not finite", how="look at the images they come from")
+        deviation = rows - mean
+        return cls(len(rows), mean, deviation.T @ deviation)
+
+    def __add__(self, other: "Moments") -> "Moments":
+        """Of both sets of vectors (Chan, Golub, LeVeque, "Updating Formulae ...", 1979)."""
+        count = self.count + other.count
+        if not count:
+            return self
+        apart = other.mean - self.mean
+        scatter = self.scatter + other.scatter + np.outer(apart, apart) * (self.count * other.count / count)
+        return Moments(count, self.mean + apart * (other.count / count), scatter)
+
+    def add(
+        self, features: Float[Tensor, "B rows columns C"], ground: Bool[np.ndarray | Tensor, "B rows columns"]
+    ) -> "Moments":
+        """With the patches of feature images that are ground.
+
+        Args:
+            ground: patches hit by ground points (`PatchGrid.hit`).
+        """
+        return self + Moments.of(features[torch.as_tensor(ground, device=features.device)])
+
+
+@dataclass(frozen=True)
+class PrincipalComponents:
+    """A linear map from a backbone's features to their components, largest variance first.
+
+    Attributes:
+        mean: of the features.
+        basis: orthonormal columns; the largest entry of each is positive, so that signs can be reproduced.
+        variance: explained by each column.
+        total_variance: of the features.
+        backbone: name of the backbone that made the features.
+        fingerprint: of that backbone (`Backbone.fingerprint`).
+        fitted_on: what it was fitted on: number of images and patches, drives, split, seed ...
+    """
+
+    mean: Float[np.ndarray, " C"]
+    basis: Float[np.ndarray, "C n"]
+    variance: Float[np.ndarray, " n"]
+    total_variance: float
+    backbone: str
+    fingerprint: str
+    fitted_on: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def components(self) -> int:
+        """How many there are, n."""
+        return self.basis.shape[1]
+
+    @property
+    def identity(self) -> str:
+        """Hash of the map; what is stored with features that went through it."""
+        digest = hashlib.sha256(self.fingerprint.encode())
+        for part in (self.mean, self.basis):
+            digest.update(np.ascontiguousarray(part, dtype="<f4").tobytes())
+        return digest.hexdigest()[:16]
+
+    def cut(self, components: int) -> "PrincipalComponents":
+        """With the first components only.
+
+        Raises:
+            PerceptionError: it does not have as many.
+        """
+        if not 1 <= components <= self.components:
+            raise PerceptionError(
+                f"{components} components asked of a PCA that has {self.components}",
+                how="ask for fewer, or fit it again",
+            )
+        return replace(self, basis=self.basis[:, :components], variance=self.variance[:components])
+
+    def project(self, features: Float[Tensor, "*P C"]) -> Float[Tensor, "*P n"]:
+        """Components of features, on their device.
+
+        Raises:
+            PerceptionError: features of another length.
+        """
+        if features.shape[-1] != len(self.mean):
+            raise PerceptionError(
+                f"features of {features.shape[-1]} channels for a PCA of {len(self.mean)}", how="fit it again"
+            )
+        mean, basis = (torch.from_numpy(part).to(features) for part in (self.mean, self.basis))
+        return (features - mean) @ basis
+
+    def check(self, backbone: Backbone) -> None:
+        """See to it that this is the backbone it was fitted with.
+
+        Raises:
+            PerceptionError: it is another one, or other weights.
+        """
+        if backbone.fingerprint != self.fingerprint:
+            raise PerceptionError(
+                f"the PCA was fitted on features of {self.backbone} ({self.fingerprint}), "
+                f"the backbone in use is {backbone.name} ({backbone.fingerprint})",
+                how="use that backbone, or run `offpiste fit-pca` with this one",
+            )
+
+
+def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, **fitted_on: Any) -> PrincipalComponents:
+    """The basis of these moments.
+
+    There are fewer components than asked for where the patches span fewer directions (few patches, few or constant
+    channels): a direction without variance says nothing.
+
+    Raises:
+        PerceptionError: fewer than two patches, or patches that are all alike.
+    """
+    if moments.count < 2:
+        raise PerceptionError(
+            f"{moments.count} patches of ground in the images: too few for a PCA",
+            how="check that LiDAR points project into the images (`offpiste inspect`)",
+        )
+    values, vectors = np.linalg.eigh(moments.scatter / (moments.count - 1))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    # What float32 features cannot tell from zero.
+    spread = values > max(values[0], 0.0) * np.finfo(np.float32).eps * 1e-2
+    kept = min(components, int(spread.sum()) if values[0] > 0 else 0, moments.count - 1)
+    if not kept:
+        raise PerceptionError("all patches of ground are alike", how="check that the images show what they should")
+    basis = vectors[:, :kept]
+    largest = np.abs(basis).argmax(axis=0)
+    basis = basis * np.sign(basis[largest, np.arange(kept)])
+    return PrincipalComponents(
+        mean=moments.mean.astype(np.float32),
+        basis=basis.astype(np.float32),
+        variance=values[:kept].astype(np.float32),
+        total_variance=float(values.clip(0).sum()),
+        backbone=backbone.name,
+        fingerprint=backbone.fingerprint,
+        fitted_on={"patches": moments.count, **fitted_on},
+    )
