@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from offpiste.dynamics.encoder import Identity
+from offpiste.dynamics.encoder import Compressor, Identity
 
 
 def test_the_identity_gives_features_and_a_flag():
@@ -25,3 +25,23 @@ def test_nothing_valid_leaves_the_mean_alone():
     encoder = Identity(1)
     encoder.fill_with(torch.full((3, 1), math.nan), torch.zeros(3, dtype=torch.bool))
     assert encoder.missing().tolist() == [0.0, 1.0]
+
+
+def test_compression_reads_neither_units_nor_what_is_missing():
+    torch.manual_seed(0)
+    features, valid = torch.randn(50, 3), torch.arange(50) % 5 > 0
+    encoder, other = Compressor(3), Compressor(3)
+    other.load_state_dict(encoder.state_dict())
+    encoder.fill_with(features, valid)
+    stretched = features * torch.tensor([1e3, 1e-3, 5.0]) + 7
+    other.fill_with(stretched, valid)
+    codes = encoder(features, valid)
+    torch.testing.assert_close(other(stretched, valid), codes, atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(codes[~valid], encoder.missing().expand(10, 4))
+    assert not torch.allclose(codes[valid][0], codes[valid][1])
+
+
+def test_a_constant_feature_does_not_blow_up():
+    encoder = Compressor(1)
+    encoder.fill_with(torch.full((4, 1), 3.0), torch.ones(4, dtype=torch.bool))
+    assert encoder(torch.tensor([[3.0]]), torch.tensor([True])).isfinite().all()

@@ -1,4 +1,4 @@
-"""What the map held of every passed cell when the vehicle was at given distances from it (paper, section on features)."""
+"""What the map held of passed cells when the vehicle was at given distances from them (paper, "Dataset Extraction")."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

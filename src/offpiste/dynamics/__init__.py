@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from offpiste.dynamics.base import Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.baselines import ConstantMotion, Kinematic, Recurrent
-from offpiste.dynamics.encoder import Identity
+from offpiste.dynamics.encoder import Compressor, Identity
 from offpiste.dynamics.hybrid import Hybrid, Parametric
 
 MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {
@@ -15,6 +15,7 @@ MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {
     "b": Hybrid,
     "b-history": lambda vehicle: Hybrid(vehicle, history=64),
     "df": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.features)),
+    "cf": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.features)),
     "hold": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.features), holds=True),
 }
 """Models by the names of DESIGN.md and the paper; each is built from a `Vehicle`."""

@@ -46,6 +46,33 @@ class Identity(FeatureEncoder):
         return with_flag(features, valid, self.mean)
 
 
+class Compressor(FeatureEncoder):
+    """`cf`, `dc`: features and flag through two hidden layers (64, 32; tanh) to a code (paper, section IV)."""
+
+    scale: Tensor
+
+    def __init__(self, features: int, *, size: int = 4) -> None:
+        super().__init__()
+        self.size = size
+        self.layers = nn.Sequential(
+            nn.Linear(features + 1, 64), nn.Tanh(), nn.Linear(64, 32), nn.Tanh(), nn.Linear(32, size)
+        )
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("scale", torch.ones(features))
+
+    def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
+        """The code of standardised features and flag."""
+        nothing = torch.zeros_like(self.mean)
+        return self.layers(with_flag((features - self.mean) / self.scale, valid, nothing))
+
+    def fill_with(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> None:
+        """Take mean and scale of training cells; a feature that hardly varies keeps its unit."""
+        super().fill_with(features, valid)
+        if valid.sum() > 1:
+            scale = features[valid].double().std(dim=0)
+            self.scale.copy_(torch.where(scale > 1e-6, scale, torch.ones_like(scale)))
+
+
 def with_flag(
     features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"], mean: Float[Tensor, " F"]
 ) -> Float[Tensor, "M G"]:
