@@ -105,7 +105,7 @@ def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu", precision: P
     Args:
         name: `filterbank`, a folder with config.json and model.safetensors, or a model's name on the Hugging Face hub.
         device: "cpu", "cuda", "cuda:1" ...
-        precision: of its matrix products; features are always given as float32.
+        precision: of a transformer's matrix products; features are always given as float32.
 
     Raises:
         PerceptionError: weights that cannot be had, a model of another family, or a device that is not there.

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -130,8 +131,11 @@ class PrincipalComponents:
         mean, basis = (torch.from_numpy(part).to(features) for part in (self.mean, self.basis))
         return (features - mean) @ basis
 
-    def check(self, backbone: Backbone) -> None:
+    def check(self, backbone: Backbone, *, where: str | Path = "") -> None:
         """See to it that this is the backbone it was fitted with.
+
+        Args:
+            where: the PCA comes from, for the message.
 
         Raises:
             PerceptionError: it is another one, or other weights.
@@ -140,6 +144,7 @@ class PrincipalComponents:
             raise PerceptionError(
                 f"the PCA was fitted on features of {self.backbone} ({self.fingerprint}), "
                 f"the backbone in use is {backbone.name} ({backbone.fingerprint})",
+                where=where,
                 how="use that backbone, or run `offpiste fit-pca` with this one",
             )
 

@@ -54,5 +54,5 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
             f"not a PCA of offpiste ({reason})", where=path, how="give the file that `offpiste fit-pca` wrote"
         ) from error
     if backbone is not None:
-        pca.check(backbone)
+        pca.check(backbone, where=path)
     return pca

@@ -136,13 +136,6 @@ class Rectifier:
         Raises:
             PerceptionError: an image of another size than the calibration's.
         """
-        return self._remap(image, cv2.INTER_LINEAR)
-
-    def mask(self, mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "height width"]:
-        """A mask of the lens's image in the rectified one, by the nearest pixel; false where the lens saw nothing."""
-        return self._remap(mask.astype(np.uint8), cv2.INTER_NEAREST).astype(bool)
-
-    def _remap(self, image: Shaped[np.ndarray, "h w *c"], interpolation: int) -> Shaped[np.ndarray, "height width *c"]:
         height, width = image.shape[:2]
         if (width, height) != (self.source_width, self.source_height):
             raise PerceptionError(
@@ -150,7 +143,15 @@ class Rectifier:
                 where=self.name,
                 how="give the CameraInfo of these images",
             )
-        return cv2.remap(np.ascontiguousarray(image), self.places, self.fractions, interpolation)
+        source = np.ascontiguousarray(image)
+        edge = cv2.BORDER_REPLICATE  # half a pixel around the image is still the image
+        rectified = np.asarray(cv2.remap(source, self.places, self.fractions, cv2.INTER_LINEAR, borderMode=edge))
+        rectified[~self.valid] = 0
+        return rectified
+
+    def mask(self, mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "height width"]:
+        """A mask of the lens's image in the rectified one; false where the lens saw nothing."""
+        return self(255 * mask.astype(np.uint8)) > 127
 
 
 def pinhole_matrix(lens: Lens) -> Float[np.ndarray, "3 3"]:
