@@ -64,8 +64,7 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
     features = np.full((len(maps), ny, nx, maps[0].features.shape[2]), np.nan, maps[0].features.dtype)
     for number, terrain in enumerate(maps):
         rows, columns = terrain.elevation.shape
-        rise_y, rise_x = np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)
-        slope[number, :rows, :columns] = np.stack((rise_x, rise_y), axis=-1)
+        slope[number, :rows, :columns] = _rise(terrain)
         features[number, :rows, :columns] = terrain.features
     origin = torch.as_tensor(np.stack([m.origin for m in maps]), dtype=torch.float64)
     place = torch.device(device)
@@ -75,6 +74,13 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
         torch.from_numpy(slope).to(place),
         torch.from_numpy(features).to(place),
     )
+
+
+def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
+    if terrain.rise is not None:
+        return terrain.rise
+    rise_y, rise_x = np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)
+    return np.stack((rise_x, rise_y), axis=-1)
 
 
 def look_up(

@@ -15,12 +15,15 @@ class TerrainMap:
         resolution: size of a cell [m].
         elevation: row j lies at y = origin[1] + j resolution, column i at x = origin[0] + i resolution [m].
         features: of each cell; all NaN where missing.
+        rise: towards +x and towards +y at cell centres, where they are known better than from the elevation of
+            neighbours [m per m].
     """
 
     origin: Float[np.ndarray, " 2"]
     resolution: float
     elevation: Float[np.ndarray, "ny nx"]
     features: Float[np.ndarray, "ny nx F"]
+    rise: Float[np.ndarray, "ny nx 2"] | None = None
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainMap":
         """The cells whose centres lie in a box of the world frame, and one around them."""
@@ -29,7 +32,8 @@ class TerrainMap:
         last = np.clip(np.ceil((high - self.origin) / self.resolution).astype(int), 0, [nx - 1, ny - 1])
         rows, columns = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
         origin = self.origin + first * self.resolution
-        return TerrainMap(origin, self.resolution, self.elevation[rows, columns], self.features[rows, columns])
+        rise = None if self.rise is None else self.rise[rows, columns]
+        return TerrainMap(origin, self.resolution, self.elevation[rows, columns], self.features[rows, columns], rise)
 
 
 def wheel_places(

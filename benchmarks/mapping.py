@@ -1,0 +1,123 @@
+"""The map: insertion, flattening and lookup, against plain NumPy or torch and against copying the bytes touched.
+
+`python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m between scans of
+100,000 points over bumpy ground with walls of bushes; the map is +-60 m in cells of 0.2 m. Times are medians; on a busy
+machine look at the best times in brackets, and at the ratios.
+"""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
+
+import numpy as np
+import torch
+
+from offpiste.mapping import reference
+from offpiste.mapping.flatten import Flattener
+from offpiste.mapping.layers import TerrainLayers
+from offpiste.mapping.lookup import look_up, stack_maps
+from offpiste.mapping.settings import FlattenSettings, VoxelSettings
+from offpiste.mapping.voxels import VoxelMap
+from offpiste.mapping.wheels import look_up_wheels
+
+RINGS, TURN = 64, 1563
+SCANS = 40
+
+
+def scan(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A spinning LiDAR's points around it (at 1.8 m), ring by ring, and their distances."""
+    azimuth = np.linspace(-np.pi, np.pi, TURN, endpoint=False)
+    elevation = np.radians(np.linspace(-25, 2, RINGS))[:, None]
+    bush = np.repeat(rng.uniform(8, 70, TURN // 20 + 1), 20)[:TURN]
+    with np.errstate(divide="ignore"):
+        ground = np.where(elevation < 0, 1.8 / np.tan(-elevation), np.inf)
+    flat = np.minimum(ground * (1 + 0.02 * np.sin(9 * azimuth)), bush)
+    points = np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), flat * np.tan(elevation) + 1.8), axis=2)
+    points += rng.normal(0, 0.02, points.shape)
+    return points.reshape(-1, 3), np.linalg.norm(points - [0, 0, 1.8], axis=2).ravel().astype(np.float32)
+
+
+def milliseconds(task: Callable[[], object]) -> float:
+    """Of one run."""
+    began = time.perf_counter()
+    task()
+    return 1e3 * (time.perf_counter() - began)
+
+
+def report(name: str, times: list[float], plain: float, touched: int) -> None:
+    """A line: median and best time, plain version's, and the time that copying the bytes touched takes."""
+    source = np.ones(touched // 2 // 8)  # read and written
+    target = np.ones_like(source)
+    copying = min(milliseconds(lambda: np.copyto(target, source)) for _ in range(5))
+    typical = statistics.median(times)
+    line = f"{name:26} {typical:7.1f} ({min(times):5.1f}) ms   plain {plain:8.0f} ms: {plain / typical:5.0f} x"
+    print(f"{line}   copying {touched / 1e6:5.1f} MB: {copying:4.1f} ms")
+
+
+def mapping(channels: int, threads: int) -> None:
+    """Insertion, flattening and lookup."""
+    rng = np.random.default_rng(0)
+    settings, flat = VoxelSettings(threads=threads), FlattenSettings()
+    held, plain = VoxelMap(channels, settings), reference.empty_reference(channels, settings)
+    flattener, layers = Flattener(held, flat), None
+    points, distance = scan(rng)
+    features, has = rng.normal(size=(len(points), channels)).astype(np.float32), rng.random(len(points)) < 0.8
+    inserting, flattening = [], []
+    for number in range(SCANS):
+        place = np.array([0.5 * number, 0.0])
+        seen = points + np.array([*place, 0.0])
+        held.recentre(place, 0.0)
+        inserting.append(milliseconds(partial(held.insert, seen, features, has, distance)))
+        began = time.perf_counter()
+        layers = flattener.layers(layers)
+        flattening.append(1e3 * (time.perf_counter() - began))
+        plain = reference.recentred(plain, place, 0.0)
+        began = time.perf_counter()
+        if number % 5 == 4:  # NumPy gets every fifth scan, to keep this short
+            plain = reference.inserted(plain, seen, features, has, distance)
+            plainly = 1e3 * (time.perf_counter() - began)
+    assert layers is not None
+    voxel = held.voxels.seen.strides[0]
+    outputs = sum(getattr(layers, f.name).nbytes for f in fields(layers) if f.name not in ("origin", "resolution"))
+    columns = int(layers.observed.sum())
+    about = f"{layers.observed.mean():.0%} of the cells observed, {layers.known.mean():.0%} known"
+    print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
+    touched = points.nbytes + features.nbytes + distance.nbytes + len(points) * (64 + voxel)
+    report("insert", inserting[2:], plainly, touched)
+    plainly = milliseconds(partial(reference.flattened, plain, flat))
+    report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
+    both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
+    print(f"{'insert + flatten':26} {statistics.median(both):7.1f} ({min(both):5.1f}) ms")
+    wheels(layers, channels, threads)
+
+
+def wheels(layers: TerrainLayers, channels: int, threads: int) -> None:
+    """The ground under four wheels of 1024 x 250 poses."""
+    rng = np.random.default_rng(1)
+    stack = stack_maps([layers.terrain_map()])
+    heading, along = rng.uniform(-np.pi, np.pi, (1024, 1)), np.linspace(0, 30, 250)
+    pose = np.stack((along * np.cos(heading) + 20, along * np.sin(heading)), axis=2)[..., None, :]
+    corner = np.array([[1.0, 0.7], [1.0, -0.7], [-1.0, 0.7], [-1.0, -0.7]])
+    place = torch.as_tensor((pose + corner).reshape(-1, 2), dtype=torch.float32)
+    number, offset = torch.zeros(len(place), dtype=torch.long), torch.zeros(len(place), 2, dtype=torch.float64)
+    found = look_up_wheels(stack, 0, place, offset[0], threads=threads)
+    again = partial(look_up_wheels, stack, 0, place, offset[0], threads=threads, out=found)
+    times = [milliseconds(again) for _ in range(9)]
+    plain = min(milliseconds(partial(look_up, stack, number, place, offset)) for _ in range(3))
+    touched = len(place) * (8 + 12 + 2 + 2 * 4 * channels + 32)
+    report("look up 1024 x 250 x 4", times, plain, touched)
+
+
+def main() -> None:
+    """Print the tables."""
+    threads = int(sys.argv[1]) if len(sys.argv) > 1 else 2
+    torch.set_num_threads(threads)
+    for channels in (4, 40):
+        mapping(channels, threads)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""The map as a planner and the models read it: layers over the cells of a world-aligned grid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.mapping.terrain import TerrainMap
+
+
+@dataclass(frozen=True)
+class TerrainLayers:
+    """Layers of the ground around the vehicle; row j lies at y = origin[1] + j resolution, column i alike in x.
+
+    Attributes:
+        origin: x, y of the centre of cell [0, 0] in the world frame [m].
+        resolution: size of a cell [m].
+        elevation: of the ground at the cell's centre [m]; NaN where not `known`.
+        normal: unit normal of the ground, upwards, in the world frame; NaN where it cannot be told.
+        slope: rise over run, 1 on 45 degrees; NaN without a normal.
+        roughness: root mean square distance of the ground from its planes, measured along z [m]; NaN without a normal.
+        obstacle_height: from the ground to the highest thing on it that a vehicle would hit: what begins above the
+            vehicle's height is driven under [m]; NaN where not `known`.
+        features: NaN where not `valid`.
+        distance: from which the features were seen [m]; NaN where not `valid`.
+        known: whether there is ground: observed, or filled from a cell nearby.
+        observed: whether the cell itself was hit.
+        valid: whether there are features.
+    """
+
+    origin: Float[np.ndarray, " 2"]
+    resolution: float
+    elevation: Float[np.ndarray, "ny nx"]
+    normal: Float[np.ndarray, "ny nx 3"]
+    slope: Float[np.ndarray, "ny nx"]
+    roughness: Float[np.ndarray, "ny nx"]
+    obstacle_height: Float[np.ndarray, "ny nx"]
+    features: Float[np.ndarray, "ny nx F"]
+    distance: Float[np.ndarray, "ny nx"]
+    known: Bool[np.ndarray, "ny nx"]
+    observed: Bool[np.ndarray, "ny nx"]
+    valid: Bool[np.ndarray, "ny nx"]
+
+    @property
+    def unknown(self) -> Bool[np.ndarray, "ny nx"]:
+        """Cells of which nothing is known, for planners that keep off them."""
+        return ~self.known
+
+    def terrain_map(self) -> TerrainMap:
+        """What lookups need; shares memory with the layers where it can."""
+        with np.errstate(invalid="ignore"):
+            rise = -self.normal[..., :2] / self.normal[..., 2:]
+        return TerrainMap(self.origin, self.resolution, self.elevation, self.features, rise)
+
+
+def empty_layers(cells: int, channels: int) -> TerrainLayers:
+    """Layers [cells, cells] of which nothing is known."""
+    shape = (cells, cells)
+
+    def unknown(*more: int, dtype: type = np.float32) -> np.ndarray:
+        return np.full(shape + more, np.nan, dtype)
+
+    return TerrainLayers(
+        origin=np.zeros(2),
+        resolution=1.0,
+        elevation=unknown(dtype=np.float64),
+        normal=unknown(3),
+        slope=unknown(),
+        roughness=unknown(),
+        obstacle_height=unknown(),
+        features=unknown(channels),
+        distance=unknown(),
+        known=np.zeros(shape, bool),
+        observed=np.zeros(shape, bool),
+        valid=np.zeros(shape, bool),
+    )

@@ -1,0 +1,103 @@
+"""Clouds in, map out: the same loop offline and on-line.
+
+The feature encoder is passed in. On-line it runs before the map and makes 40 channels into 4; offline there is none,
+and the model learns it from what the map held (paper, "Dataset Collection Pipeline"). As long as nothing averages, both
+orders give the same map.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.mapping.flatten import Flattener
+from offpiste.mapping.layers import TerrainLayers
+from offpiste.mapping.settings import FlattenSettings, VoxelSettings
+from offpiste.mapping.voxels import VoxelMap
+
+Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
+"""From features to codes, each row for itself."""
+
+
+@dataclass(frozen=True)
+class FeatureCloud:
+    """One scan with what the cameras saw at its points.
+
+    Attributes:
+        points_world: [m]; float64 far from the world's origin.
+        sensor_world: where the scan was taken from [m].
+        features: None where no image goes with the scan.
+        has_feature: which points have features.
+    """
+
+    points_world: Float[np.ndarray, "N 3"]
+    sensor_world: Float[np.ndarray, " 3"]
+    features: Float[np.ndarray, "N F"] | None = None
+    has_feature: Bool[np.ndarray, " N"] | None = None
+
+    @property
+    def distance(self) -> Float[np.ndarray, " N"]:
+        """From the sensor to each point [m]."""
+        away = (self.points_world - self.sensor_world).astype(np.float32)
+        return np.sqrt(np.einsum("ij,ij->i", away, away))
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """All that can be set about a map."""
+
+    voxels: VoxelSettings = field(default_factory=VoxelSettings)
+    flatten: FlattenSettings = field(default_factory=FlattenSettings)
+
+
+class MapPipeline:
+    """The map around a vehicle, from its scans.
+
+    Args:
+        channels: of the map: of the codes where there is an encoder.
+        encode: applied to the features before they are mapped.
+    """
+
+    def __init__(self, channels: int, settings: MapSettings | None = None, encode: Encode | None = None) -> None:
+        settings = settings or MapSettings()
+        self.voxel_map = VoxelMap(channels, settings.voxels)
+        self._encode = encode
+        self._flattener = Flattener(self.voxel_map, settings.flatten)
+
+    def add(self, cloud: FeatureCloud, vehicle_world: Float[np.ndarray, " 3"]) -> None:
+        """Move the map to the vehicle and put a scan in.
+
+        Raises:
+            ValueError: a vehicle at no finite place; features of another number of channels than the map's.
+        """
+        self.voxel_map.recentre(vehicle_world[:2], float(vehicle_world[2]))
+        features, has_feature = cloud.features, cloud.has_feature
+        if has_feature is None:
+            has_feature = np.full(len(cloud.points_world), features is not None)
+        if features is not None and self._encode is not None:
+            features = self._encoded(features, has_feature)
+        self.voxel_map.insert(cloud.points_world, features, has_feature, cloud.distance)
+
+    def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
+        """The map as it is now; `out`: layers of this pipeline that are no longer needed, written over."""
+        return self._flattener.layers(out)
+
+    def _encoded(self, features: Float[np.ndarray, "N F"], has: Bool[np.ndarray, " N"]) -> Float[np.ndarray, "N E"]:
+        assert self._encode is not None
+        codes = np.full((len(features), self.voxel_map.channels), np.nan, np.float32)
+        if has.any():
+            codes[has] = self._encode(features[has])
+        return codes
+
+
+def encoded(layers: TerrainLayers, encode: Encode, channels: int) -> TerrainLayers:
+    """Layers with the codes of their features instead of these.
+
+    Args:
+        channels: of the codes, E.
+    """
+    codes = np.full((*layers.valid.shape, channels), np.nan, np.float32)
+    if layers.valid.any():
+        codes[layers.valid] = encode(layers.features[layers.valid])
+    return replace(layers, features=codes)

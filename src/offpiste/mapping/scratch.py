@@ -1,0 +1,74 @@
+"""What the loops from voxels to layers hand to each other.
+
+Rows and columns are those of the layers, from the map's lowest cell. Offsets are in cells, heights in metres over the
+floor of a reference level, so that float32 is fine wherever the map is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from offpiste.mapping.planes import SUMS
+
+
+class Layers(NamedTuple):
+    """Arrays of `layers.TerrainLayers`."""
+
+    elevation: np.ndarray
+    normal: np.ndarray
+    slope: np.ndarray
+    roughness: np.ndarray
+    obstacle_height: np.ndarray
+    features: np.ndarray
+    distance: np.ndarray
+    known: np.ndarray
+    observed: np.ndarray
+    valid: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """What is handed from loop to loop.
+
+    Attributes:
+        x, y: where the lowest voxel of a column was hit, from the cell's centre [n, n].
+        height: and how high; NaN where there is no ground [n, n].
+        obstacle: height of the highest thing in reach over it [n, n].
+        feature_height, feature_slot: of the lowest voxel with features; slot -1 where there is none that counts [n, n].
+        filled_slot: the same with gaps filled [n, n].
+        lowest: least height of the cells beside, along the row [n, n].
+        rise_x, rise_y: of the plane around a cell [m per m]; NaN where there is none [n, n].
+        centre: height of the ground at the cell's centre [n, n].
+        residual: squared distance of the hit from that plane; NaN where there is none [m^2] [n, n].
+        roughness: [m] [n, n].
+        sums: room for the sums of `planes.py` [blocks, 2 plane_cells + 3, SUMS, n].
+        line: room for rows [blocks, 2, n].
+        which: number of the offset that leads to a cell's ground, -1 if none [n, n].
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    height: np.ndarray
+    obstacle: np.ndarray
+    feature_height: np.ndarray
+    feature_slot: np.ndarray
+    filled_slot: np.ndarray
+    lowest: np.ndarray
+    rise_x: np.ndarray
+    rise_y: np.ndarray
+    centre: np.ndarray
+    residual: np.ndarray
+    roughness: np.ndarray
+    sums: np.ndarray
+    line: np.ndarray
+    which: np.ndarray
+
+
+def make_scratch(cells: int, blocks: int, plane_cells: int) -> Scratch:
+    """Room for maps of [cells, cells], worked on in blocks of rows."""
+    whole = {"feature_slot", "filled_slot", "which"}
+    grids = [name for name in Scratch._fields if name not in ("sums", "line")]
+    return Scratch(
+        **{name: np.zeros((cells, cells), np.int32 if name in whole else np.float32) for name in grids},
+        sums=np.zeros((blocks, 2 * plane_cells + 3, SUMS, cells), np.float32),
+        line=np.zeros((blocks, 2, cells), np.float32),
+    )

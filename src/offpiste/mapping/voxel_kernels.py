@@ -1,0 +1,240 @@
+"""Loops over the voxels: observations in. `reference.py` says the same in NumPy.
+
+A column keeps the `LEVELS` levels from its lowest occupied voxel upwards, whatever its height: what lies higher above
+the ground matters to no vehicle. Which of them are occupied is a word of bits whose lowest is always set.
+
+The arrays are laid out for the cache: whatever is known of a column's lowest 13 levels is one line of it, and a voxel
+with up to 8 channels is another.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from offpiste.mapping.compiled import inlined, map_loop
+
+BASE, OCCUPIED, FEATURED, SLOTS = range(4)
+"""Of a column: level of its lowest voxel, counted from the world's zero (means nothing in an empty column); bits of the
+levels, from there up, that are occupied, and that have features; the slots of the occupied ones."""
+
+LEVELS: Final = 32 - SLOTS
+"""Of a column; 5.8 m of voxels of 0.2 m."""
+
+X, Y, Z, DISTANCE, FEATURE_DISTANCE, HITS, FEATURE_HITS, _SPARE, FEATURES = range(9)
+"""Of a voxel: x, y from its centre and z from its floor [voxels]; distance from the sensor, and that of the features,
+infinite where there are none [m]; number of observations, and of those with features; the features."""
+
+EVER, FREED, LOST = range(3)
+"""Of a part: slots ever used, slots on the stack of those given back, observations that found no slot."""
+
+PARTS: Final = 2
+"""The rows are dealt out to parts in stripes, and so are the slots: each part can be filled by a thread of its own."""
+
+STRIPE: Final = 3
+"""log2 of the rows in a stripe."""
+
+CLOSEST, LATEST, AVERAGE = range(3)
+"""Fusion rules, as `settings.RULES` has them."""
+
+_ALL_BITS: Final = (1 << LEVELS) - 1
+
+
+class Voxels(NamedTuple):
+    """Columns, and a pool of slots with what was seen; arrays only, so that loops can take it.
+
+    Rows and columns wrap around: the cell with integer coordinates (i, j) of the world is [j mod n, i mod n].
+
+    Attributes:
+        columns: int32 [n, n, 32].
+        there: which columns are not empty, told apart because most of a map is empty: bool [n, n].
+        seen: float32 [capacity, FEATURES + F, or more].
+        freed: int32 [PARTS, capacity / PARTS].
+        counts: int64 [PARTS, 3].
+    """
+
+    columns: np.ndarray
+    there: np.ndarray
+    seen: np.ndarray
+    freed: np.ndarray
+    counts: np.ndarray
+
+
+@inlined
+def take(voxels, part):  # type: ignore[no-untyped-def]
+    """A free slot of a part, or -1."""
+    counts, size = voxels.counts[part], voxels.freed.shape[1]
+    if counts[FREED] > 0:
+        counts[FREED] -= 1
+        return np.int64(voxels.freed[part, counts[FREED]])
+    if counts[EVER] == size:
+        counts[LOST] += 1
+        return np.int64(-1)
+    counts[EVER] += 1
+    return np.int64(part * size + counts[EVER] - 1)
+
+
+@inlined
+def release(voxels, part, slot):  # type: ignore[no-untyped-def]
+    """Give a slot back."""
+    counts = voxels.counts[part]
+    voxels.freed[part, counts[FREED]] = slot
+    counts[FREED] += 1
+
+
+@inlined
+def lower(voxels, part, column, by):  # type: ignore[no-untyped-def]
+    """Make room for a new lowest voxel `by` levels below; what leaves the column at its top is forgotten."""
+    occupied = np.int64(column[OCCUPIED])
+    for level in range(LEVELS - 1, -1, -1):
+        if (occupied >> level) & 1:
+            if level + by < LEVELS:
+                column[SLOTS + level + by] = column[SLOTS + level]
+            else:
+                release(voxels, part, column[SLOTS + level])
+    shift = min(by, LEVELS)
+    column[OCCUPIED] = (occupied << shift) & _ALL_BITS
+    column[FEATURED] = (np.int64(column[FEATURED]) << shift) & _ALL_BITS
+    column[BASE] -= by
+
+
+@inlined
+def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
+    """The slot of a voxel, made if need be, and the bit of its level; -1 where none can be had."""
+    column = voxels.columns[row, across]
+    occupied = np.int64(column[OCCUPIED])
+    up = level - column[BASE] if occupied != 0 else np.int64(0)
+    if up >= LEVELS:
+        return np.int64(-1), np.int64(0)
+    if up >= 0 and (occupied >> up) & 1:
+        return np.int64(column[SLOTS + up]), np.int64(1) << up
+    new = take(voxels, part)
+    if new < 0:
+        return new, np.int64(0)
+    if occupied == 0:
+        column[BASE] = level
+        voxels.there[row, across] = True
+    elif up < 0:
+        lower(voxels, part, column, -up)
+        up = np.int64(0)
+    column[SLOTS + up] = new
+    column[OCCUPIED] |= np.int64(1) << up
+    seen = voxels.seen[new]
+    seen[DISTANCE], seen[FEATURE_DISTANCE], seen[HITS], seen[FEATURE_HITS] = np.inf, np.inf, 0, 0
+    return new, np.int64(1) << up
+
+
+@inlined
+def fuse_place(seen, x, y, z, distance, rule):  # type: ignore[no-untyped-def]
+    """Put where a voxel was hit."""
+    seen[HITS] += np.float32(1)
+    if rule == AVERAGE and seen[HITS] > 1:
+        share = np.float32(1) / seen[HITS]
+        seen[X] += (x - seen[X]) * share
+        seen[Y] += (y - seen[Y]) * share
+        seen[Z] += (z - seen[Z]) * share
+        seen[DISTANCE] += (distance - seen[DISTANCE]) * share
+    elif rule != CLOSEST or distance < seen[DISTANCE]:
+        seen[X], seen[Y], seen[Z], seen[DISTANCE] = x, y, z, distance
+
+
+@inlined
+def fuse_features(seen, features, distance, rule):  # type: ignore[no-untyped-def]
+    """Put what a voxel looked like."""
+    seen[FEATURE_HITS] += np.float32(1)
+    if rule == AVERAGE and seen[FEATURE_HITS] > 1:
+        share = np.float32(1) / seen[FEATURE_HITS]
+        seen[FEATURE_DISTANCE] += (distance - seen[FEATURE_DISTANCE]) * share
+        for k in range(len(features)):
+            seen[FEATURES + k] += (features[k] - seen[FEATURES + k]) * share
+    elif rule != CLOSEST or distance < seen[FEATURE_DISTANCE]:
+        seen[FEATURE_DISTANCE] = distance
+        for k in range(len(features)):
+            seen[FEATURES + k] = features[k]
+
+
+@inlined
+def finite(features):  # type: ignore[no-untyped-def]
+    """Whether all features are."""
+    total = np.float32(0)
+    for k in range(len(features)):
+        total += features[k] - features[k]  # 0, or not a number
+    return total == 0
+
+
+@map_loop
+def insert_points(first, last, points, features, has_feature, distance, low, middle, reach, scale, rule, voxels):  # type: ignore[no-untyped-def]
+    """Points into the parts `first` to `last` of the map.
+
+    Args:
+        points: [N, 3] in the world (float64) [m].
+        features: [N, F].
+        has_feature: which points have them [N].
+        distance: from the sensor [N] [m].
+        low: integer coordinates x, y of the map's lowest cell [2].
+        middle, reach: points with |z - middle| > reach are left out [m].
+        scale: voxels a metre.
+        rule: CLOSEST, LATEST or AVERAGE.
+    """
+    n = voxels.columns.shape[0]
+    start_x, start_y = low[0] % n, low[1] % n
+    for i in range(len(points)):
+        y = points[i, 1] * scale
+        floor_y = np.floor(y)
+        cell_y = floor_y - low[1]
+        # Written so that what is not a number is left out too.
+        if not (0 <= cell_y < n):
+            continue
+        row = start_y + np.int64(cell_y)
+        row = row - n if row >= n else row
+        part = (row >> STRIPE) % PARTS
+        if not (first <= part < last):
+            continue
+        x = points[i, 0] * scale
+        floor_x = np.floor(x)
+        cell_x = floor_x - low[0]
+        if not (0 <= cell_x < n) or not (abs(points[i, 2] - middle) <= reach) or not (0 <= distance[i] < np.inf):
+            continue
+        across = start_x + np.int64(cell_x)
+        across = across - n if across >= n else across
+        z = points[i, 2] * scale
+        level = np.floor(z)
+        slot, bit = slot_of(voxels, part, row, across, np.int64(level))
+        if slot < 0:
+            continue
+        seen = voxels.seen[slot]
+        x, y, z = x - floor_x - 0.5, y - floor_y - 0.5, z - level
+        fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], rule)
+        if has_feature[i] and finite(features[i]):
+            fuse_features(seen, features[i], distance[i], rule)
+            voxels.columns[row, across, FEATURED] |= bit
+
+
+@inlined
+def forget_column(voxels, part, row, across):  # type: ignore[no-untyped-def]
+    """Empty a column."""
+    column = voxels.columns[row, across]
+    occupied = np.int64(column[OCCUPIED])
+    level = SLOTS
+    while occupied != 0:
+        if occupied & 1:
+            release(voxels, part, column[level])
+        occupied >>= 1
+        level += 1
+    column[OCCUPIED], column[FEATURED] = 0, 0
+    voxels.there[row, across] = False
+
+
+@map_loop
+def forget_left_behind(old, new, voxels):  # type: ignore[no-untyped-def]
+    """Empty the columns that the map leaves when its lowest cell moves from `old` to `new` (integer x, y [2])."""
+    n = voxels.columns.shape[0]
+    left, right = max(old[0], new[0]), min(old[0], new[0]) + n
+    for j in range(old[1], old[1] + n):
+        row = j % n
+        part = (row >> STRIPE) % PARTS
+        gone = not (new[1] <= j < new[1] + n) or left >= right
+        for i in range(old[0], old[0] + n if gone else left):
+            forget_column(voxels, part, row, i % n)
+        if not gone:
+            for i in range(right, old[0] + n):
+                forget_column(voxels, part, row, i % n)
