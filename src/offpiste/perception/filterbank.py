@@ -29,7 +29,7 @@ _DARKEST = 0.03
 _FAINTEST = 0.01
 """Added to a mean response before its logarithm: about what a camera's noise makes."""
 
-_WEIGHTS = {"brightness": 0.7, "colour": 4.0, "spread": 0.7, "texture": 0.35}
+_WEIGHTS = {"brightness": 0.45, "colour": 4.0, "spread": 0.7, "texture": 0.35}
 """Bring the groups to variances of one size, so that a PCA starts with none of them alone."""
 
 
