@@ -20,10 +20,15 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         partial.unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write text whole or not at all."""
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write bytes whole or not at all."""
 
     def write(partial: Path) -> None:
-        partial.write_text(text, "utf-8")
+        partial.write_bytes(content)
 
     write_whole(path, write)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text whole or not at all."""
+    write_bytes(path, text.encode("utf-8"))

@@ -15,7 +15,7 @@ from offpiste.dynamics import Dynamics, rollout
 from offpiste.geometry import wrap_angle
 from offpiste.training.ground import encoded, map_source
 from offpiste.training.losses import summed_loss
-from offpiste.trajectory import RecordedTerrain
+from offpiste.training.train import predict as predict_recorded
 
 HORIZONS = (1, 2, 3, 4, 5)
 """When errors are kept [s after the start]."""
@@ -136,11 +136,12 @@ def _chunks(index: Int[np.ndarray, " n"], size: int) -> list[np.ndarray]:
 def _rolled_out(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: str | None
 ) -> tuple[Batch, Float[Tensor, "B T 6"]]:
-    batch = encoded(dynamics, windows.gather(index))
-    predicted_places = lookup == "map"
-    source = map_source(dynamics, windows, index, batch) if predicted_places else RecordedTerrain(batch.terrain)
+    batch = windows.gather(index)
+    if lookup != "map":
+        return batch, predict_recorded(dynamics, batch).state
+    batch = encoded(dynamics, batch)
     carry = dynamics.start(batch.history, batch.state, batch.actuators)
-    return batch, rollout(dynamics, carry, batch.control, source).state
+    return batch, rollout(dynamics, carry, batch.control, map_source(dynamics, windows, index, batch)).state
 
 
 def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B 5 6"]) -> Float[Tensor, "B 5 5"]:
