@@ -14,6 +14,9 @@ from offpiste.simulation.world import World
 ARC_STEP = 0.6
 """Distance of the places along an arc that are looked at [m]."""
 
+_HALF_TRACK = 0.65
+"""Of a side-by-side, about [m]."""
+
 FAR = 99.0
 """Clearance where there is no tree [m]."""
 
@@ -40,12 +43,20 @@ class Country:
         return cls(np.ascontiguousarray(world.elevation), world.origin, world.resolution, trees, world.trails)
 
     def steepest(self, line: Float[np.ndarray, "n 2"]) -> float:
-        """Slope along a line, over 2 m at a time, at its worst: climbs count whole, descents half (rise over run)."""
-        steps = max(2, round(float(np.hypot(*(line[-1] - line[0])) / 2)))
-        spaced = line[np.linspace(0, len(line) - 1, steps + 1).astype(int)]
-        heights = read_grid(self.elevation, self.origin, self.resolution, spaced)
-        slope = np.diff(heights) / np.hypot(*np.diff(spaced, axis=0).T)
-        return float(np.maximum(slope, -slope / 2).max())
+        """Slope along a straight line at its worst (rise over run): climbs over 2 m count whole, descents half.
+
+        So does the slope across, over the width of a vehicle: who crosses a ditch at a small angle tips into it.
+        """
+        way = line[-1] - line[0]
+        length = max(float(np.hypot(*way)), 1e-6)
+        heading = way / length
+        places = line[0] + np.arange(0, length + 1, 1.0)[:, None] * heading
+        left = np.array((-heading[1], heading[0])) * _HALF_TRACK
+        sides = [read_grid(self.elevation, self.origin, self.resolution, places + side) for side in (left, -left)]
+        lean = np.abs(sides[0] - sides[1]) / (2 * _HALF_TRACK)
+        heights = (sides[0] + sides[1]) / 2
+        slope = (heights[2:] - heights[:-2]) / 2
+        return float(max(lean.max(), slope.max(initial=0.0), -slope.min(initial=0.0) / 2))
 
     def first_climb(self, line: Float[np.ndarray, "n 2"], limit: float) -> int:
         """Index of the first of some points, 2 m before which it begins to climb more than `limit`; n if none does."""

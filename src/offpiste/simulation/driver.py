@@ -47,7 +47,7 @@ class DriverSettings:
     pause: float = 3.5
     off_trail: float = 0.35
     steepest: float = 0.18
-    tilting: float = 0.85
+    tilting: float = 0.8
     bump: float = 6.0
     standing_start: float = 0.25
     patience: float = 15.0
@@ -62,7 +62,7 @@ _LOOK_EVERY = 5
 _LEVEL = 0.04
 """Climb on which a vehicle that stands can be expected to get away [1]."""
 
-_TIPPING = 0.22
+_TIPPING = 0.3
 """Roll beyond which nothing but staying upright counts (sine)."""
 
 _ASIDE = 2
@@ -129,25 +129,25 @@ class Driver:
         if self._stall.noticed:
             if not noticed:
                 self.route.rejoin(np.array((x, y)), np.array((math.cos(yaw), math.sin(yaw))))
-            # The brake passes torque from a wheel in the air to the other side of an open differential.
+            # With one wheel in the air, only a fast one passes torque on through a limited-slip differential.
             hanging = float(np.ptp(sample.wheel_speed)) > 2.0
             throttle, accepted, steer = self._stall.recover(speed, leans_left)
-            return np.array((self._foot.press(throttle, spin, accepted + 2.0 * hanging), 0.25 * hanging, steer))
+            return np.array((self._foot.press(throttle, spin, accepted + 12.0 * hanging), 0.0, steer))
         steer = self._steering(speed, float(sample.angular_velocity[2]), feeling)
         throttle, brake = (0.0, 0.3 + 0.5 * feeling.strength) if stopping else self._pedals(speed, feeling)
         accepted = 0.2 + 0.25 * max(speed, 0.0)
         if feeling.idea == "throttle" and self._climb < _LEVEL:
             accepted += 3.0 + 6.0 * feeling.strength
         tips_left = leans_left - 0.25 * float(sample.angular_velocity[0])
-        if abs(tips_left) > _TIPPING and speed > 2.0:
+        if abs(tips_left) > _TIPPING and speed > 3.0:
             # About to roll over: into the fall, and off the pedals.
             throttle, brake = 0.3 * throttle, 0.0
-            steer = _clip(steer + 5 * (tips_left - math.copysign(_TIPPING, tips_left)), -1, 1)
+            steer = _clip(steer + 5 * (tips_left - math.copysign(_TIPPING, tips_left)), -1.0, 1.0)
         return np.array((self._foot.press(throttle, spin, accepted), brake, steer))
 
     def _look(self, x: float, y: float, yaw: float, speed: float, cornering: float) -> None:
         """Choose the arc that ends nearest to the goal, with little risk, and how fast it can be driven."""
-        length = _clip(1.6 * speed, 5, 14)
+        length = _clip(1.6 * speed, 5.0, 14.0)
         goal = self.route.ahead(np.array((x, y)), length)
         vehicle, settings = self._vehicle, self._settings
         prospect = survey(
@@ -170,8 +170,8 @@ class Driver:
         self._climb = float(prospect.climb[best])
         self._lean = 0.5 * float(prospect.lean[best] + prospect.lean[beside].max())
         gentle, hard = settings.cornering
-        lateral = gentle + (hard - gentle) * _clip(0.5 + 0.4 * cornering, 0, 1)
-        lateral *= _clip(1.3 - 2 * self._lean, 0.3, 1)
+        lateral = gentle + (hard - gentle) * _clip(0.5 + 0.4 * cornering, 0.0, 1.0)
+        lateral *= _clip(1.3 - 2 * self._lean, 0.3, 1.0)
         limits = (
             settings.top_speed,
             math.sqrt(lateral / max(abs(self._curvature), 1e-3)),
@@ -180,7 +180,9 @@ class Driver:
             settings.tilting / max(self._lean, 1e-3),
             settings.top_speed - 0.5 * float(risk[best]),
         )
-        self._limit = max(min(limits), 2.5 + 20 * min(self._climb, 0.15))
+        # On a climb, way lost is not made up for again.
+        level = float(prospect.lean[best]) < settings.steepest
+        self._limit = max(min(limits), 2.5 + 20 * min(self._climb, 0.15) * level)
 
     def _risk(self, prospect: Prospect) -> Float[np.ndarray, " A"]:
         """What arcs risk, in metres of detour."""
@@ -211,8 +213,8 @@ class Driver:
         wanted = settings.median_speed * math.exp(settings.speed_spread * feeling.speed)
         wanted = max(wanted, least)
         lack = min(wanted, limit) - speed
-        throttle = _clip(0.2 + 0.3 * lack + 2 * self._climb, 0, 1) if lack > -0.6 else 0.0
-        return throttle, _clip(-0.25 * (lack + 1), 0, 1)
+        throttle = _clip(0.2 + 0.3 * lack + 2 * self._climb, 0.0, 1.0) if lack > -0.6 else 0.0
+        return throttle, _clip(-0.25 * (lack + 1), 0.0, 1.0)
 
     def _steering(self, speed: float, yaw_rate: float, feeling: Feeling) -> float:
         """The arc's curvature, corrected by how fast the vehicle really turns, and some play."""
@@ -223,7 +225,7 @@ class Driver:
             angle += (0.3 + 0.7 * feeling.strength) * vehicle.max_steer * feeling.side * math.sin(4 * feeling.left)
         # Beyond this, on any ground, more steering only rolls the vehicle over.
         most = math.atan(vehicle.wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)
-        return _clip(_clip(angle, -most, most) / vehicle.max_steer, -1, 1)
+        return _clip(_clip(angle, -most, most) / vehicle.max_steer, -1.0, 1.0)
 
 
 def _clip(value: float, low: float, high: float) -> float:

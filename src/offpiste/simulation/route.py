@@ -19,13 +19,13 @@ _REJOINING = (6.0, 50.0)
 _LOST = 8.0
 """Farther from its route a vehicle looks for another one [m]."""
 
-_CANDIDATES = 12
+_CANDIDATES = 16
 """Ways across open ground that are compared."""
 
-_STEEP_TRAIL = 0.15
+_STEEP_TRAIL = 0.13
 """Climb (rise over run) of a trail at which another way is looked for."""
 
-_TOO_STEEP = 0.3
+_TOO_STEEP = 0.25
 """Slope (rise over run) of open ground that is not crossed."""
 
 _STRIDE = 6
