@@ -7,8 +7,14 @@ writing over what those before it left.
 import numpy as np
 
 from offpiste.mapping.compiled import map_loop, row_loop
-from offpiste.mapping.planes import add
 from offpiste.mapping.voxel_kernels import FEATURE_DISTANCE, FEATURES
+
+
+@row_loop
+def add(out, a):  # type: ignore[no-untyped-def]
+    """Add a."""
+    for i in range(len(out)):
+        out[i] += a[i]
 
 
 @map_loop
@@ -88,26 +94,25 @@ def fill_gaps(first, last, blocks, offsets, limit, scratch):  # type: ignore[no-
 
 @row_loop
 def write_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped-def]
-    """The ground of a row: its own, or that of the cell which fills it."""
-    n = scratch.height.shape[0]
+    """The ground of a row: its own, or that of the cell which fills it; cells that had none already stay as they are."""
     nothing = np.float32(np.nan)
-    for i in range(n):
+    for i in range(scratch.height.shape[0]):
         k = scratch.which[j, i]
-        layers.observed[j, i], layers.known[j, i] = k == 0, k >= 0
-        if k < 0:
+        if k >= 0:
+            jj, ii = j + offsets[k, 0], i + offsets[k, 1]
+            rise_x, rise_y = scratch.rise_x[jj, ii], scratch.rise_y[jj, ii]
+            squared = rise_x * rise_x + rise_y * rise_y
+            up = np.float32(1) / np.sqrt(np.float32(1) + squared)
+            layers.elevation[j, i] = floor + scratch.centre[jj, ii]
+            layers.normal[j, i, 0], layers.normal[j, i, 1], layers.normal[j, i, 2] = -rise_x * up, -rise_y * up, up
+            layers.slope[j, i] = np.sqrt(squared)
+            layers.roughness[j, i] = scratch.roughness[jj, ii]
+            layers.obstacle_height[j, i] = scratch.obstacle[jj, ii]
+        elif layers.known[j, i]:
             layers.elevation[j, i] = np.nan
             layers.normal[j, i, 0], layers.normal[j, i, 1], layers.normal[j, i, 2] = nothing, nothing, nothing
             layers.slope[j, i], layers.roughness[j, i], layers.obstacle_height[j, i] = nothing, nothing, nothing
-            continue
-        jj, ii = j + offsets[k, 0], i + offsets[k, 1]
-        rise_x, rise_y = scratch.rise_x[jj, ii], scratch.rise_y[jj, ii]
-        squared = rise_x * rise_x + rise_y * rise_y
-        up = np.float32(1) / np.sqrt(np.float32(1) + squared)
-        layers.elevation[j, i] = floor + scratch.centre[jj, ii]
-        layers.normal[j, i, 0], layers.normal[j, i, 1], layers.normal[j, i, 2] = -rise_x * up, -rise_y * up, up
-        layers.slope[j, i] = np.sqrt(squared)
-        layers.roughness[j, i] = scratch.roughness[jj, ii]
-        layers.obstacle_height[j, i] = scratch.obstacle[jj, ii]
+        layers.observed[j, i], layers.known[j, i] = k == 0, k >= 0
 
 
 @row_loop

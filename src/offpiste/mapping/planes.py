@@ -28,76 +28,98 @@ def put_product(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @row_loop
-def put_moments(x, y, z, out):  # type: ignore[no-untyped-def]
-    """What each cell of a row adds to the sums of its own window."""
-    count, px, py, pz = out[N], out[SX], out[SY], out[SZ]
-    for i in range(len(z)):
+def put_present(a, z, out):  # type: ignore[no-untyped-def]
+    """Put a where z is a number, else 0."""
+    for i in range(len(out)):
+        out[i] = a[i] if z[i] == z[i] else np.float32(0)
+
+
+@row_loop
+def put_moments(x, y, z, radius, out):  # type: ignore[no-untyped-def]
+    """What each cell of a row adds to the sums of its own window; out: [SUMS, n + 2 radius], 0 at the ends."""
+    inner = slice(radius, radius + len(z))
+    count, px, py, pz = out[N, inner], out[SX, inner], out[SY, inner], out[SZ, inner]
+    for i in range(len(count)):
         count[i] = np.float32(1) if z[i] == z[i] else np.float32(0)
-    for i in range(len(z)):
-        px[i] = x[i] if z[i] == z[i] else np.float32(0)
-    for i in range(len(z)):
-        py[i] = y[i] if z[i] == z[i] else np.float32(0)
-    for i in range(len(z)):
-        pz[i] = z[i] if z[i] == z[i] else np.float32(0)
-    put_product(px, px, out[SXX])
-    put_product(px, py, out[SXY])
-    put_product(py, py, out[SYY])
-    put_product(px, pz, out[SXZ])
-    put_product(py, pz, out[SYZ])
+    put_present(x, z, px)
+    put_present(y, z, py)
+    put_present(z, z, pz)
+    put_product(px, px, out[SXX, inner])
+    put_product(px, py, out[SXY, inner])
+    put_product(py, py, out[SYY, inner])
+    put_product(px, pz, out[SXZ, inner])
+    put_product(py, pz, out[SYZ, inner])
 
 
 @row_loop
-def add(out, a):  # type: ignore[no-untyped-def]
-    """Add a."""
+def put(a, out):  # type: ignore[no-untyped-def]
+    """Put a."""
     for i in range(len(out)):
-        out[i] += a[i]
+        out[i] = a[i]
 
 
 @row_loop
-def add_shifted(out, a, b, shift):  # type: ignore[no-untyped-def]
-    """Add a + shift b."""
+def add(out, a, b):  # type: ignore[no-untyped-def]
+    """Add what two cells have, one on either side."""
     for i in range(len(out)):
-        out[i] += a[i] + shift * b[i]
+        out[i] += a[i] + b[i]
 
 
 @row_loop
-def add_twice_shifted(out, a, b, c, shift):  # type: ignore[no-untyped-def]
-    """Add a + 2 shift b + shift^2 c."""
+def add_first(out, a, b, lower_a, lower_b, shift):  # type: ignore[no-untyped-def]
+    """Add sums over a coordinate that has its zero in the cell at +shift and at -shift."""
+    for i in range(len(out)):
+        out[i] += a[i] + b[i] + shift * (lower_a[i] - lower_b[i])
+
+
+@row_loop
+def add_second(out, a, b, lower_a, lower_b, lowest_a, lowest_b, shift):  # type: ignore[no-untyped-def]
+    """Add sums over that coordinate's square."""
     twice, squared = shift + shift, shift * shift
     for i in range(len(out)):
-        out[i] += a[i] + twice * b[i] + squared * c[i]
+        out[i] += a[i] + b[i] + twice * (lower_a[i] - lower_b[i]) + squared * (lowest_a[i] + lowest_b[i])
 
 
 @row_loop
-def add_columns(moments, k, out):  # type: ignore[no-untyped-def]
-    """Add to each cell's sums what the cell `k` columns further on has."""
-    n, shift = out.shape[1], np.float32(k)
-    to, at = slice(max(0, -k), min(n, n - k)), slice(max(0, k), min(n, n + k))
-    count, px, pz = moments[N, at], moments[SX, at], moments[SZ, at]
-    add(out[N, to], count)
-    add_shifted(out[SX, to], px, count, shift)
-    add(out[SY, to], moments[SY, at])
-    add(out[SZ, to], pz)
-    add_twice_shifted(out[SXX, to], moments[SXX, at], px, count, shift)
-    add_shifted(out[SXY, to], moments[SXY, at], moments[SY, at], shift)
-    add(out[SYY, to], moments[SYY, at])
-    add_shifted(out[SXZ, to], moments[SXZ, at], pz, shift)
-    add(out[SYZ, to], moments[SYZ, at])
+def sum_columns(moments, radius, out):  # type: ignore[no-untyped-def]
+    """Sums over the cells up to `radius` to the left and to the right."""
+    n = out.shape[1]
+    for q in range(SUMS):
+        put(moments[q, radius : radius + n], out[q])
+    for k in range(1, radius + 1):
+        shift = np.float32(k)
+        at, to = slice(radius + k, radius + k + n), slice(radius - k, radius - k + n)
+        count_a, count_b, x_a, x_b = moments[N, at], moments[N, to], moments[SX, at], moments[SX, to]
+        y_a, y_b, z_a, z_b = moments[SY, at], moments[SY, to], moments[SZ, at], moments[SZ, to]
+        add(out[N], count_a, count_b)
+        add_first(out[SX], x_a, x_b, count_a, count_b, shift)
+        add(out[SY], y_a, y_b)
+        add(out[SZ], z_a, z_b)
+        add_second(out[SXX], moments[SXX, at], moments[SXX, to], x_a, x_b, count_a, count_b, shift)
+        add_first(out[SXY], moments[SXY, at], moments[SXY, to], y_a, y_b, shift)
+        add(out[SYY], moments[SYY, at], moments[SYY, to])
+        add_first(out[SXZ], moments[SXZ, at], moments[SXZ, to], z_a, z_b, shift)
+        add(out[SYZ], moments[SYZ, at], moments[SYZ, to])
 
 
 @row_loop
-def add_rows(row, k, out):  # type: ignore[no-untyped-def]
-    """Add the sums of the row `k` rows further on."""
-    shift = np.float32(k)
-    add(out[N], row[N])
-    add(out[SX], row[SX])
-    add_shifted(out[SY], row[SY], row[N], shift)
-    add(out[SZ], row[SZ])
-    add(out[SXX], row[SXX])
-    add_shifted(out[SXY], row[SXY], row[SX], shift)
-    add_twice_shifted(out[SYY], row[SYY], row[SY], row[N], shift)
-    add(out[SXZ], row[SXZ])
-    add_shifted(out[SYZ], row[SYZ], row[SZ], shift)
+def sum_rows(ring, j, radius, out):  # type: ignore[no-untyped-def]
+    """Sums over the rows up to `radius` below and above row j; row jj is ring[jj mod its length]."""
+    window = len(ring)
+    for q in range(SUMS):
+        put(ring[j % window, q], out[q])
+    for k in range(1, radius + 1):
+        shift = np.float32(k)
+        a, b = ring[(j + k) % window], ring[(j - k) % window]
+        add(out[N], a[N], b[N])
+        add(out[SX], a[SX], b[SX])
+        add_first(out[SY], a[SY], b[SY], a[N], b[N], shift)
+        add(out[SZ], a[SZ], b[SZ])
+        add(out[SXX], a[SXX], b[SXX])
+        add_first(out[SXY], a[SXY], b[SXY], a[SX], b[SX], shift)
+        add_second(out[SYY], a[SYY], b[SYY], a[SY], b[SY], a[N], b[N], shift)
+        add(out[SXZ], a[SXZ], b[SXZ])
+        add_first(out[SYZ], a[SYZ], b[SYZ], a[SZ], b[SZ], shift)
 
 
 @row_loop
@@ -177,23 +199,20 @@ def fit_planes(first, last, blocks, radius, size, scratch):  # type: ignore[no-u
     """
     n, window = scratch.height.shape[0], 2 * radius + 1
     for block in range(first, last):
-        sums = scratch.sums[block]
-        ring, total, moments = sums[:window], sums[window], sums[window + 1]
+        ring, total, moments = scratch.sums[block, :window], scratch.sums[block, window], scratch.moments[block]
         begin, end = n * block // blocks, n * (block + 1) // blocks
         for ahead in range(begin - radius, end + radius):
+            row = ring[ahead % window]
             if 0 <= ahead < n:
-                row = ring[ahead % window]
-                put_moments(scratch.x[ahead], scratch.y[ahead], scratch.height[ahead], moments)
+                x, y, z = scratch.x[ahead], scratch.y[ahead], scratch.height[ahead]
+                put_moments(x, y, z, radius, moments)
+                sum_columns(moments, radius, row)
+            else:
                 row[:] = np.float32(0)
-                for k in range(-radius, radius + 1):
-                    add_columns(moments, k, row)
             j = ahead - radius
-            if j < begin:
-                continue
-            total[:] = np.float32(0)
-            for jj in range(max(0, j - radius), min(n, j + radius + 1)):
-                add_rows(ring[jj % window], jj - j, total)
-            solve_row(total, moments[0], moments[1], j, size, scratch)
+            if j >= begin:
+                sum_rows(ring, j, radius, total)
+                solve_row(total, scratch.line[block, 0], scratch.line[block, 1], j, size, scratch)
 
 
 @row_loop

@@ -40,7 +40,8 @@ class Scratch(NamedTuple):
         centre: height of the ground at the cell's centre [n, n].
         residual: squared distance of the hit from that plane; NaN where there is none [m^2] [n, n].
         roughness: [m] [n, n].
-        sums: room for the sums of `planes.py` [blocks, 2 plane_cells + 3, SUMS, n].
+        sums, moments: room for the sums of `planes.py` [blocks, 2 plane_cells + 2, SUMS, n] and
+            [blocks, SUMS, n + 2 plane_cells].
         line: room for rows [blocks, 2, n].
         which: number of the offset that leads to a cell's ground, -1 if none [n, n].
     """
@@ -59,6 +60,7 @@ class Scratch(NamedTuple):
     residual: np.ndarray
     roughness: np.ndarray
     sums: np.ndarray
+    moments: np.ndarray
     line: np.ndarray
     which: np.ndarray
 
@@ -66,9 +68,10 @@ class Scratch(NamedTuple):
 def make_scratch(cells: int, blocks: int, plane_cells: int) -> Scratch:
     """Room for maps of [cells, cells], worked on in blocks of rows."""
     whole = {"feature_slot", "filled_slot", "which"}
-    grids = [name for name in Scratch._fields if name not in ("sums", "line")]
+    grids = [name for name in Scratch._fields if name not in ("sums", "moments", "line")]
     return Scratch(
         **{name: np.zeros((cells, cells), np.int32 if name in whole else np.float32) for name in grids},
-        sums=np.zeros((blocks, 2 * plane_cells + 3, SUMS, cells), np.float32),
+        sums=np.zeros((blocks, 2 * plane_cells + 2, SUMS, cells), np.float32),
+        moments=np.zeros((blocks, SUMS, cells + 2 * plane_cells), np.float32),
         line=np.zeros((blocks, 2, cells), np.float32),
     )
