@@ -1,11 +1,11 @@
 """The map: insertion, flattening and lookup, against plain NumPy or torch and against copying the bytes touched.
 
 `python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m between scans of
-100,000 points over bumpy ground with walls of bushes; the map is +-60 m in cells of 0.2 m. Times are medians; on a busy
-machine look at the best times in brackets, and at the ratios.
+100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m in cells of 0.2 m.
+Times are medians, in brackets the best one and the processor time that all threads together took: on a busy machine the
+last divided by the threads says what a free one would take.
 """
 
-import statistics
 import sys
 import time
 from collections.abc import Callable
@@ -31,7 +31,8 @@ def scan(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """A spinning LiDAR's points around it (at 1.8 m), ring by ring, and their distances."""
     azimuth = np.linspace(-np.pi, np.pi, TURN, endpoint=False)
     elevation = np.radians(np.linspace(-25, 2, RINGS))[:, None]
-    bush = np.repeat(rng.uniform(8, 70, TURN // 20 + 1), 20)[:TURN]
+    sector = np.where(rng.random(TURN // 20 + 1) < 0.3, rng.uniform(8, 70, TURN // 20 + 1), 79)
+    bush = np.repeat(sector, 20)[:TURN]
     with np.errstate(divide="ignore"):
         ground = np.where(elevation < 0, 1.8 / np.tan(-elevation), np.inf)
     flat = np.minimum(ground * (1 + 0.02 * np.sin(9 * azimuth)), bush)
@@ -40,21 +41,27 @@ def scan(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return points.reshape(-1, 3), np.linalg.norm(points - [0, 0, 1.8], axis=2).ravel().astype(np.float32)
 
 
-def milliseconds(task: Callable[[], object]) -> float:
-    """Of one run."""
-    began = time.perf_counter()
+def timed(task: Callable[[], object]) -> np.ndarray:
+    """What one run takes by the clock, and of all threads' processor time [ms]."""
+    began, busy = time.perf_counter(), time.process_time()
     task()
-    return 1e3 * (time.perf_counter() - began)
+    return 1e3 * np.array([time.perf_counter() - began, time.process_time() - busy])
 
 
-def report(name: str, times: list[float], plain: float, touched: int) -> None:
-    """A line: median and best time, plain version's, and the time that copying the bytes touched takes."""
+def summary(name: str, times: list[np.ndarray]) -> str:
+    """Median, best, and median processor time."""
+    (clock, busy), best = np.median(times, axis=0), np.min(times, axis=0)[0]
+    return f"{name:24} {clock:6.1f} ms (best {best:5.1f}, processor {busy:5.1f})"
+
+
+def report(name: str, times: list[np.ndarray], plain: np.ndarray, touched: int) -> None:
+    """A line: times, the plain version's, and the time that copying the bytes touched takes."""
     source = np.ones(touched // 2 // 8)  # read and written
     target = np.ones_like(source)
-    copying = min(milliseconds(lambda: np.copyto(target, source)) for _ in range(5))
-    typical = statistics.median(times)
-    line = f"{name:26} {typical:7.1f} ({min(times):5.1f}) ms   plain {plain:8.0f} ms: {plain / typical:5.0f} x"
-    print(f"{line}   copying {touched / 1e6:5.1f} MB: {copying:4.1f} ms")
+    copying = min(timed(lambda: np.copyto(target, source))[0] for _ in range(5))
+    ratio = plain[1] / np.median(times, axis=0)[1]
+    plainly = f"plain {plain[1]:5.0f} ms of processor time: {ratio:3.0f} x"
+    print(f"{summary(name, times)}   {plainly}   copying {touched / 1e6:5.1f} MB: {copying:4.1f} ms")
 
 
 def mapping(channels: int, threads: int) -> None:
@@ -69,17 +76,17 @@ def mapping(channels: int, threads: int) -> None:
     for number in range(SCANS):
         place = np.array([0.5 * number, 0.0])
         seen = points + np.array([*place, 0.0])
+        seen[:, 2] += 0.5 * np.sin(0.1 * seen[:, 0]) + 0.5 * np.cos(0.07 * seen[:, 1])
         held.recentre(place, 0.0)
-        inserting.append(milliseconds(partial(held.insert, seen, features, has, distance)))
-        began = time.perf_counter()
-        layers = flattener.layers(layers)
-        flattening.append(1e3 * (time.perf_counter() - began))
+        inserting.append(timed(partial(held.insert, seen, features, has, distance)))
+        layers = flattener.layers(layers) if number == 0 else layers
+        flattening.append(timed(partial(flattener.layers, layers)))
         plain = reference.recentred(plain, place, 0.0)
-        began = time.perf_counter()
         if number % 5 == 4:  # NumPy gets every fifth scan, to keep this short
+            plainly = timed(partial(reference.inserted, plain, seen, features, has, distance))
             plain = reference.inserted(plain, seen, features, has, distance)
-            plainly = 1e3 * (time.perf_counter() - began)
     assert layers is not None
+    layers = flattener.layers(layers)
     voxel = held.voxels.seen.strides[0]
     outputs = sum(getattr(layers, f.name).nbytes for f in fields(layers) if f.name not in ("origin", "resolution"))
     columns = int(layers.observed.sum())
@@ -87,10 +94,10 @@ def mapping(channels: int, threads: int) -> None:
     print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
     touched = points.nbytes + features.nbytes + distance.nbytes + len(points) * (64 + voxel)
     report("insert", inserting[2:], plainly, touched)
-    plainly = milliseconds(partial(reference.flattened, plain, flat))
+    plainly = timed(partial(reference.flattened, plain, flat))
     report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
-    print(f"{'insert + flatten':26} {statistics.median(both):7.1f} ({min(both):5.1f}) ms")
+    print(summary("insert + flatten", both))
     wheels(layers, channels, threads)
 
 
@@ -105,8 +112,8 @@ def wheels(layers: TerrainLayers, channels: int, threads: int) -> None:
     number, offset = torch.zeros(len(place), dtype=torch.long), torch.zeros(len(place), 2, dtype=torch.float64)
     found = look_up_wheels(stack, 0, place, offset[0], threads=threads)
     again = partial(look_up_wheels, stack, 0, place, offset[0], threads=threads, out=found)
-    times = [milliseconds(again) for _ in range(9)]
-    plain = min(milliseconds(partial(look_up, stack, number, place, offset)) for _ in range(3))
+    times = [timed(again) for _ in range(9)]
+    plain = np.min([timed(partial(look_up, stack, number, place, offset)) for _ in range(3)], axis=0)
     touched = len(place) * (8 + 12 + 2 + 2 * 4 * channels + 32)
     report("look up 1024 x 250 x 4", times, plain, touched)
 

@@ -94,7 +94,7 @@ def fill_gaps(first, last, blocks, offsets, limit, scratch):  # type: ignore[no-
 
 @row_loop
 def write_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped-def]
-    """The ground of a row: its own, or that of the cell which fills it; cells that had none already stay as they are."""
+    """The ground of a row, its own or that of the cell which fills it; cells that had none stay as they are."""
     nothing = np.float32(np.nan)
     for i in range(scratch.height.shape[0]):
         k = scratch.which[j, i]

@@ -3,8 +3,8 @@
 A column keeps the `LEVELS` levels from its lowest occupied voxel upwards, whatever its height: what lies higher above
 the ground matters to no vehicle. Which of them are occupied is a word of bits whose lowest is always set.
 
-The arrays are laid out for the cache: whatever is known of a column's lowest 13 levels is one line of it, and a voxel
-with up to 8 channels is another.
+The arrays are laid out for the cache: flattening goes through what it needs of open ground in its order (heads, places
+of the lowest hits), and a voxel with up to 8 channels is one cache line.
 """
 
 from typing import Final, NamedTuple
@@ -13,12 +13,12 @@ import numpy as np
 
 from offpiste.mapping.compiled import inlined, map_loop
 
-BASE, OCCUPIED, FEATURED, SLOTS = range(4)
-"""Of a column: level of its lowest voxel, counted from the world's zero (means nothing in an empty column); bits of the
-levels, from there up, that are occupied, and that have features; the slots of the occupied ones."""
+BASE, OCCUPIED, FEATURED, LOWEST = range(4)
+"""Of a column's head: level of its lowest voxel, counted from the world's zero, bits of the levels from there up that
+are occupied, and that have features, and the slot of the lowest; only `OCCUPIED` means anything in an empty column."""
 
-LEVELS: Final = 32 - SLOTS
-"""Of a column; 5.8 m of voxels of 0.2 m."""
+LEVELS: Final = 31
+"""Of a column, as many as a word without its sign has bits; 6.2 m of voxels of 0.2 m."""
 
 X, Y, Z, DISTANCE, FEATURE_DISTANCE, HITS, FEATURE_HITS, _SPARE, FEATURES = range(9)
 """Of a voxel: x, y from its centre and z from its floor [voxels]; distance from the sensor, and that of the features,
@@ -45,15 +45,17 @@ class Voxels(NamedTuple):
     Rows and columns wrap around: the cell with integer coordinates (i, j) of the world is [j mod n, i mod n].
 
     Attributes:
-        columns: int32 [n, n, 32].
-        there: which columns are not empty, told apart because most of a map is empty: bool [n, n].
+        heads: int32 [n, n, 4].
+        ground: x, y, z of the lowest voxel, as it has them: float32 [n, n, 3].
+        slots: of each level of a column, if it is occupied: int32 [n, n, 32].
         seen: float32 [capacity, FEATURES + F, or more].
         freed: int32 [PARTS, capacity / PARTS].
         counts: int64 [PARTS, 3].
     """
 
-    columns: np.ndarray
-    there: np.ndarray
+    heads: np.ndarray
+    ground: np.ndarray
+    slots: np.ndarray
     seen: np.ndarray
     freed: np.ndarray
     counts: np.ndarray
@@ -82,42 +84,43 @@ def release(voxels, part, slot):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def lower(voxels, part, column, by):  # type: ignore[no-untyped-def]
+def lower(voxels, part, head, slots, by):  # type: ignore[no-untyped-def]
     """Make room for a new lowest voxel `by` levels below; what leaves the column at its top is forgotten."""
-    occupied = np.int64(column[OCCUPIED])
+    occupied = np.int64(head[OCCUPIED])
     for level in range(LEVELS - 1, -1, -1):
         if (occupied >> level) & 1:
             if level + by < LEVELS:
-                column[SLOTS + level + by] = column[SLOTS + level]
+                slots[level + by] = slots[level]
             else:
-                release(voxels, part, column[SLOTS + level])
+                release(voxels, part, slots[level])
     shift = min(by, LEVELS)
-    column[OCCUPIED] = (occupied << shift) & _ALL_BITS
-    column[FEATURED] = (np.int64(column[FEATURED]) << shift) & _ALL_BITS
-    column[BASE] -= by
+    head[OCCUPIED] = (occupied << shift) & _ALL_BITS
+    head[FEATURED] = (np.int64(head[FEATURED]) << shift) & _ALL_BITS
+    head[BASE] -= by
 
 
 @inlined
 def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
     """The slot of a voxel, made if need be, and the bit of its level; -1 where none can be had."""
-    column = voxels.columns[row, across]
-    occupied = np.int64(column[OCCUPIED])
-    up = level - column[BASE] if occupied != 0 else np.int64(0)
+    head, slots = voxels.heads[row, across], voxels.slots[row, across]
+    occupied = np.int64(head[OCCUPIED])
+    up = level - head[BASE] if occupied != 0 else np.int64(0)
     if up >= LEVELS:
         return np.int64(-1), np.int64(0)
     if up >= 0 and (occupied >> up) & 1:
-        return np.int64(column[SLOTS + up]), np.int64(1) << up
+        return np.int64(slots[up]), np.int64(1) << up
     new = take(voxels, part)
     if new < 0:
         return new, np.int64(0)
     if occupied == 0:
-        column[BASE] = level
-        voxels.there[row, across] = True
+        head[BASE], head[FEATURED] = level, 0
     elif up < 0:
-        lower(voxels, part, column, -up)
+        lower(voxels, part, head, slots, -up)
         up = np.int64(0)
-    column[SLOTS + up] = new
-    column[OCCUPIED] |= np.int64(1) << up
+    if up == 0:
+        head[LOWEST] = new
+    slots[up] = new
+    head[OCCUPIED] |= np.int64(1) << up
     seen = voxels.seen[new]
     seen[DISTANCE], seen[FEATURE_DISTANCE], seen[HITS], seen[FEATURE_HITS] = np.inf, np.inf, 0, 0
     return new, np.int64(1) << up
@@ -175,7 +178,7 @@ def insert_points(first, last, points, features, has_feature, distance, low, mid
         scale: voxels a metre.
         rule: CLOSEST, LATEST or AVERAGE.
     """
-    n = voxels.columns.shape[0]
+    n = voxels.heads.shape[0]
     start_x, start_y = low[0] % n, low[1] % n
     for i in range(len(points)):
         y = points[i, 1] * scale
@@ -204,30 +207,30 @@ def insert_points(first, last, points, features, has_feature, distance, low, mid
         seen = voxels.seen[slot]
         x, y, z = x - floor_x - 0.5, y - floor_y - 0.5, z - level
         fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], rule)
+        if bit == 1:
+            ground = voxels.ground[row, across]
+            ground[X], ground[Y], ground[Z] = seen[X], seen[Y], seen[Z]
         if has_feature[i] and finite(features[i]):
             fuse_features(seen, features[i], distance[i], rule)
-            voxels.columns[row, across, FEATURED] |= bit
+            voxels.heads[row, across, FEATURED] |= bit
 
 
 @inlined
 def forget_column(voxels, part, row, across):  # type: ignore[no-untyped-def]
     """Empty a column."""
-    column = voxels.columns[row, across]
-    occupied = np.int64(column[OCCUPIED])
-    level = SLOTS
+    occupied, level = np.int64(voxels.heads[row, across, OCCUPIED]), 0
     while occupied != 0:
         if occupied & 1:
-            release(voxels, part, column[level])
+            release(voxels, part, voxels.slots[row, across, level])
         occupied >>= 1
         level += 1
-    column[OCCUPIED], column[FEATURED] = 0, 0
-    voxels.there[row, across] = False
+    voxels.heads[row, across, OCCUPIED] = 0
 
 
 @map_loop
 def forget_left_behind(old, new, voxels):  # type: ignore[no-untyped-def]
     """Empty the columns that the map leaves when its lowest cell moves from `old` to `new` (integer x, y [2])."""
-    n = voxels.columns.shape[0]
+    n = voxels.heads.shape[0]
     left, right = max(old[0], new[0]), min(old[0], new[0]) + n
     for j in range(old[1], old[1] + n):
         row = j % n

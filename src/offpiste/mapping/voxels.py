@@ -16,7 +16,6 @@ from offpiste.mapping.voxel_kernels import (
     LEVELS,
     LOST,
     PARTS,
-    SLOTS,
     Voxels,
     forget_left_behind,
     insert_points,
@@ -29,9 +28,9 @@ class VoxelMap:
     A voxel has two memories: where it was hit, and what it looked like. A point without features, however close, leaves
     the features alone. Of equally close observations the first stays.
 
-    A column keeps 29 levels from its lowest occupied voxel upwards, so that ground may lie anywhere: all that is lost
-    is what hangs 5.8 m above it. Memory with voxels of 0.2 m and +-60 m: 46 MB for the columns, and for each voxel
-    that was in use at one time 36 bytes without features, 68 with up to 8, 196 with up to 40: at most 340 MB with the
+    A column keeps 31 levels from its lowest occupied voxel upwards, so that ground may lie anywhere: all that is lost
+    is what hangs 6.2 m above it. Memory with voxels of 0.2 m and +-60 m: 56 MB for the columns, and for each voxel
+    that was in use at one time 36 bytes without features, 68 with up to 8, 196 with up to 40: at most 350 MB with the
     1.5 million voxels (`VoxelSettings.capacity`) of 40 features.
 
     Attributes:
@@ -50,8 +49,9 @@ class VoxelMap:
         self.middle = 0.0
         self.channels = channels
         self.voxels = Voxels(
-            columns=_aligned((n, n, SLOTS + LEVELS), np.int32),
-            there=np.zeros((n, n), bool),
+            heads=_aligned((n, n, 4), np.int32),
+            ground=np.zeros((n, n, 3), np.float32),
+            slots=_aligned((n, n, LEVELS + 1), np.int32),
             seen=_aligned((PARTS * slots, width), np.float32),
             freed=np.empty((PARTS, slots), np.int32),
             counts=np.zeros((PARTS, 3), np.int64),
@@ -83,7 +83,8 @@ class VoxelMap:
     def nbytes(self) -> int:
         """Memory that is in use [bytes]; the system counts whole pages."""
         used = int(self.voxels.counts[:, EVER].sum())
-        return self.voxels.columns.nbytes + used * (self.voxels.seen.strides[0] + 4)
+        columns = self.voxels.heads.nbytes + self.voxels.ground.nbytes + self.voxels.slots.nbytes
+        return columns + used * (self.voxels.seen.strides[0] + 4)
 
     def recentre(self, xy: Float[np.ndarray, " 2"], z: float) -> None:
         """Move the map in whole cells so that the vehicle is at its centre, within half a cell.
