@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.errors import RigError
+from offpiste.rig_sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
 _UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048},
@@ -152,7 +153,7 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vehicle, its log's channels, and the channels that its log does not have."""
+    """A vehicle, its log's channels, the channels that its log does not have, and its sensors by name."""
 
     name: str
     vehicle: Vehicle
@@ -162,6 +163,9 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clock: Clock = Clock()
     motion: Motion = Motion()
     alignment: Alignment | None = None
+    frames: Frames = Frames()
+    cameras: dict[str, CameraSource] = {}
+    lidars: dict[str, LidarSource] = {}
 
     def without_slope(self) -> "Rig":
         """The same rig with flat ground in place of the driven path's slope (an ablation)."""
@@ -193,18 +197,19 @@ def load_rig(name: str | Path) -> Rig:
     """
     path = Path(name)
     if path.suffix != ".toml" and str(name) in preset_names():
-        text, where = (resources.files("offpiste") / "rigs" / f"{name}.toml").read_text("utf-8"), str(name)
-    else:
-        try:
-            text, where = path.read_text("utf-8"), str(path)
-        except (OSError, UnicodeDecodeError) as error:
-            raise RigError(
-                "no such rig",
-                where=path,
-                how=f"give a .toml file or one of: {', '.join(preset_names())}; `offpiste inspect LOG --write-rig`"
-                " writes a first one",
-            ) from error
-    return parse_rig(text, where=where)
+        text = (resources.files("offpiste") / "rigs" / f"{name}.toml").read_text("utf-8")
+        return parse_rig(text, where=str(name))
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigError(
+            "no such rig",
+            where=path,
+            how=f"give a .toml file or one of: {', '.join(preset_names())}; `offpiste inspect LOG --write-rig`"
+            " writes a first one",
+        ) from error
+    rig = parse_rig(text, where=str(path))
+    return msgspec.structs.replace(rig, cameras=beside(rig.cameras, path.resolve().parent))
 
 
 def parse_rig(text: str, *, where: str) -> Rig:
@@ -274,3 +279,4 @@ def _check(rig: Rig) -> None:
         raise RigError("the front wheels are not ahead of the rear wheels", how="mend vehicle.wheel_positions")
     if not 0 < rig.vehicle.max_steer < np.pi / 2:
         raise RigError(f"vehicle.max_steer is {rig.vehicle.max_steer} rad", how="give a road-wheel angle below pi/2")
+    check_sensors(rig.cameras, rig.lidars)

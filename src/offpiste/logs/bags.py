@@ -2,14 +2,17 @@
 
 import functools
 import math
+import struct
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from operator import attrgetter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
@@ -29,6 +32,7 @@ _MEND = {
 }
 _OCTETS = {"byte", "char", "uint8"}
 _NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"}
+_MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
 _MAX_ENTRIES = 36
 """A 6 x 6 covariance is still listed entry by entry; what is longer is bulk data."""
 
@@ -82,6 +86,18 @@ class BagLog(Log):
         for received, message in self._messages(found.name, found.type):
             yield _stamp(received, message, stamps), message
 
+    def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
+        """Stamps of all messages of a topic [s], in the order of the file; no more than their headers is decoded.
+
+        Args:
+            stamps: as for `read`.
+
+        Raises:
+            LogError: no such topic, a type that cannot be decoded, or the file is damaged there.
+        """
+        found = self._found(topic)
+        return np.array([_stamp(at, head, stamps) for at, head in self._messages(found.name, found.type, _headers)])
+
     def _describe(self, name: str, notes: list[str]) -> Topic:
         connections = [c for reader in self._readers for c in reader.connections if c.topic == name]
         main = max(connections, key=lambda c: c.msgcount)
@@ -104,13 +120,14 @@ class BagLog(Log):
             return Topic(name, error.what, count, ())
         return Topic(name, main.msgtype, count, fields)
 
-    def _messages(self, name: str, msgtype: str) -> Iterator[tuple[int, object]]:
+    def _messages(self, name: str, msgtype: str, decoder: _MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
         """Time of arrival [ns] and decoded message."""
+        make = decoder or _decoder
         for reader in self._readers:
             connections = [c for c in reader.connections if c.topic == name and c.msgtype == msgtype]
             if not connections:
                 continue
-            decoders = {c.id: _decoder(c, self.path) for c in connections}
+            decoders = {c.id: make(c, self.path) for c in connections}
             with _reported(Path(str(reader.path)), f"topic '{name}' is damaged"):
                 for connection, received, raw in reader.messages(connections):
                     yield received, decoders[connection.id](raw)
@@ -183,6 +200,23 @@ def _decoder(connection: Connection, path: Path) -> Callable[[bytes], object]:
     store, msgtype = _typestore_of(connection, path), connection.msgtype
     deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
     return lambda raw: deserialize(raw, msgtype)
+
+
+def _headers(connection: Connection, path: Path) -> Callable[[bytes], object]:
+    """Decodes as much of a message as its stamp needs: where it begins with a header, its first bytes."""
+    store = _typestore_of(connection, path)
+    fields = store.get_msgdef(connection.msgtype).fields
+    if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
+        return _decoder(connection, path)
+    # ROS 1: a count, then seconds and nanoseconds; ROS 2: four bytes that say the byte order, then the same two.
+    is_ros1 = _encoding(connection) == "ros1"
+
+    def decode(raw: bytes) -> object:
+        order = "<" if is_ros1 or raw[1] & 1 else ">"
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
+        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds)))
+
+    return decode
 
 
 def _typestore_of(connection: Connection, path: Path) -> Typestore:

@@ -10,19 +10,23 @@ def open_log(path: str | Path, *, clock_column: str = "", clock_unit: str = "s")
     """Open a recorded drive of any known format.
 
     Args:
-        path: TartanDrive folder, ROS 1 `.bag`, ROS 2 `.mcap` or `.db3` or the folder of one, `.csv`, `.parquet`.
+        path: TartanDrive or KITTI raw folder, ROS 1 `.bag`, ROS 2 `.mcap` or `.db3` or the folder of one, `.csv`,
+            `.parquet`.
         clock_column, clock_unit: a table's time column and its unit; without a name it is guessed.
 
     Raises:
         LogError: no such path, unknown format, or a file that cannot be read.
     """
     from offpiste.logs.bags import BagLog
+    from offpiste.logs.kitti import KittiLog
     from offpiste.logs.tables import TableLog
     from offpiste.logs.tartandrive import TartanDriveLog
 
     path = Path(path)
     if not path.exists():
         raise LogError("no such file or folder", where=path)
+    if KittiLog.recognises(path):
+        return KittiLog(path)
     if TartanDriveLog.recognises(path):
         return TartanDriveLog(path)
     if TableLog.recognises(path):
@@ -32,5 +36,5 @@ def open_log(path: str | Path, *, clock_column: str = "", clock_unit: str = "s")
     raise LogError(
         "no known log format",
         where=path,
-        how="give a .bag, .mcap, .db3, .csv, .parquet, a ROS 2 bag folder or a TartanDrive 2 folder",
+        how="give a .bag, .mcap, .db3, .csv, .parquet, a ROS 2 bag folder, a TartanDrive 2 folder or a KITTI raw drive",
     )

@@ -1,0 +1,115 @@
+"""What cameras and LiDARs measured: images and clouds, and the sensors they are of."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from offpiste.errors import LogError
+from offpiste.logs.camera_model import CameraModel
+from offpiste.logs.sensor_source import RawCloud
+from offpiste.rig_sensors import CameraSource, LidarSource
+
+_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of a log.
+
+    Attributes:
+        body_from_camera: z forward, x right, y down.
+        source: its entry in the rig: delay, masks.
+    """
+
+    name: str
+    model: CameraModel
+    body_from_camera: Float[np.ndarray, "4 4"]
+    source: CameraSource
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A LiDAR of a log (see `Camera`)."""
+
+    name: str
+    body_from_lidar: Float[np.ndarray, "4 4"]
+    source: LidarSource
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image.
+
+    Attributes:
+        time: when it was taken: the stamp, the rig's delay removed [s].
+        camera: name in `SensorLog.cameras`.
+        pixels: RGB.
+    """
+
+    time: float
+    camera: str
+    pixels: UInt8[np.ndarray, "h w 3"]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A scan; its points are finite, within range and not on the vehicle itself.
+
+    Attributes:
+        time: the stamp, the rig's delay removed [s].
+        lidar: name in `SensorLog.lidars`.
+        points: each in the LiDAR's frame at its own moment [m].
+        offset: of each point's moment from `time` [s]; None where points carry none.
+        intensity: as recorded, NaN where there is none.
+    """
+
+    time: float
+    lidar: str
+    points: Float[np.ndarray, "n 3"]
+    offset: Float[np.ndarray, " n"] | None
+    intensity: Float[np.ndarray, " n"]
+
+    @property
+    def times(self) -> Float[np.ndarray, " n"]:
+        """When each point was measured [s]."""
+        return self.time + (np.zeros(len(self.points)) if self.offset is None else self.offset)
+
+
+def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
+    """The usable points of a cloud as recorded.
+
+    Raises:
+        LogError: its points lack x, y, z, or the time that the rig names.
+    """
+    names = raw.points.dtype.names or ()
+    source = lidar.source
+    for field in ("x", "y", "z", *((source.time_field,) if source.time_field else ())):
+        if field not in names:
+            what = f"'{lidar.name}': its points have no field '{field}'"
+            raise LogError(what, where=f"topic '{source.topic}'", how=f"they have: {', '.join(names)}")
+    points = np.stack([raw.points[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    keep = usable_points(points, lidar)
+    offset = None
+    if source.time_field:
+        seconds = raw.points[source.time_field].astype(np.float64) * _SECONDS[source.time_unit]
+        offset = seconds - raw.time if source.time_origin == "epoch" else seconds
+        keep &= np.isfinite(offset)
+        offset = offset[keep]
+    intensity = raw.points["intensity"][keep] if "intensity" in names else np.full(keep.sum(), np.nan)
+    return Cloud(raw.time - source.delay, lidar.name, points[keep], offset, intensity.astype(np.float64))
+
+
+def usable_points(points_lidar: Float[np.ndarray, "n 3"], lidar: Lidar) -> Bool[np.ndarray, " n"]:
+    """Finite, within range (drivers write 0, 0, 0 where no echo came back), and not on the vehicle itself."""
+    source = lidar.source
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.linalg.norm(points_lidar, axis=1)
+    keep = np.isfinite(distance) & (distance > 0) & (distance >= source.min_range) & (distance <= source.max_range)
+    if source.own_body is not None:
+        low, high = source.own_body
+        body = points_lidar @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
+        with np.errstate(invalid="ignore"):
+            keep &= ~((body >= np.array(low)) & (body <= np.array(high))).all(axis=1)
+    return np.asarray(keep)

@@ -1,0 +1,163 @@
+"""Which patch of which camera's feature image each LiDAR point is seen in.
+
+Points come in the world frame, each carried there with the vehicle's pose at its own moment
+(`offpiste.perception.carry`); every image has the pose of its own stamp. So the motion between scan and image, and
+within the scan, is compensated, as far as poses are right and the world stands still.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from offpiste.errors import PerceptionError
+from offpiste.logs.poses import Poses
+from offpiste.perception.cameras import PinholeCamera
+from offpiste.perception.carry import inverse, transformed
+from offpiste.perception.hidden import hidden_points
+
+NEAREST = 0.2
+"""Points nearer to the plane of a pinhole than this are not projected [m]."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera at the moment of one of its images.
+
+    Attributes:
+        time: when the image was taken [s].
+        world_from_camera: then.
+    """
+
+    camera: PinholeCamera
+    time: float
+    world_from_camera: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class ProjectionSettings:
+    """How points find their pixel.
+
+    Attributes:
+        rule: for points that several images show: "centre" takes the image whose optical axis passes nearest, in
+            angle, where a lens is sharpest and rectification stretches least; "newest" the one taken last, and of
+            those taken together the first.
+        reach: half of the angle within which nearer points hide a point [deg]; the spacing of a LiDAR's rings, about.
+        relative, absolute: how much nearer they have to be: relative * depth + absolute [m].
+        hide: drop hidden points at all.
+    """
+
+    rule: Literal["centre", "newest"] = "centre"
+    reach: float = 1.0
+    relative: float = 0.06
+    absolute: float = 0.3
+    hide: bool = True
+
+    def __post_init__(self) -> None:
+        if not (0 < self.reach < 20 and 0 <= self.relative < 1 and self.absolute >= 0):
+            raise PerceptionError(
+                f"reach {self.reach} deg, relative {self.relative}, absolute {self.absolute} m",
+                where="projection settings",
+                how="give a reach of 0 to 20 degrees and tolerances from 0 on",
+            )
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Where n points are seen.
+
+    Attributes:
+        view: which of the views shows the point; -1 where none does.
+        pixel: x, y in that rectified image [px]; NaN where none.
+        row, column: of the patch that the pixel lies in; 0 where none.
+        distance: of the point from that camera [m]; NaN where none.
+    """
+
+    view: Int[np.ndarray, " n"]
+    pixel: Float[np.ndarray, "n 2"]
+    row: Int[np.ndarray, " n"]
+    column: Int[np.ndarray, " n"]
+    distance: Float[np.ndarray, " n"]
+
+    @property
+    def seen(self) -> Bool[np.ndarray, " n"]:
+        """Points that any view shows."""
+        return self.view >= 0
+
+    def gather(self, features: Sequence[Float[np.ndarray, "_ _ f"]]) -> Float[np.ndarray, "n f"]:
+        """The features of the patch that each point is seen in; NaN where none.
+
+        Args:
+            features: one feature image a view [rows, columns, f].
+        """
+        found = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
+        for index, image in enumerate(features):
+            mine = self.view == index
+            found[mine] = image[self.row[mine], self.column[mine]]
+        return found
+
+
+def view_at(camera: PinholeCamera, time: float, poses: Poses) -> View | None:
+    """A camera at a moment [s]; None where the vehicle's pose is not known then."""
+    world_from_body = poses.at(np.array([time]))[0]
+    if np.isnan(world_from_body).any():
+        return None
+    return View(camera, time, world_from_body @ camera.body_from_camera)
+
+
+def project(
+    points_world: Float[np.ndarray, "n 3"], views: Sequence[View], settings: ProjectionSettings | None = None
+) -> Projection:
+    """Find each point in the images.
+
+    A point is not seen behind a camera, outside of its patches, on patches of the vehicle itself, behind something
+    nearer (`hidden_points`), or where it is not finite.
+    """
+    settings = settings or ProjectionSettings()
+    n = len(points_world)
+    view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
+    row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
+    for index, this in enumerate(views):
+        points = transformed(points_world, inverse(this.world_from_camera))
+        found, at = project_to_pinhole(points, this.camera.matrix, this.camera.size)
+        if settings.hide:
+            focal_length = float(this.camera.matrix[0, 0])
+            hidden = hidden_points(
+                at,
+                points[found, 2],
+                this.camera.size,
+                reach=focal_length * np.tan(np.deg2rad(settings.reach)),
+                relative=settings.relative,
+                absolute=settings.absolute,
+            )
+            found, at = found[~hidden], at[~hidden]
+        r, c, inside = this.camera.grid.cells(at)
+        inside &= this.camera.free[r, c]
+        found, at, r, c = found[inside], at[inside], r[inside], c[inside]
+        far = np.linalg.norm(points[found], axis=1)
+        cost = -points[found, 2] / far if settings.rule == "centre" else np.full(len(found), -this.time)
+        better = cost < best[found]
+        chosen = found[better]
+        best[chosen], view[chosen], distance[chosen] = cost[better], index, far[better]
+        pixel[chosen], row[chosen], column[chosen] = at[better], r[better], c[better]
+    return Projection(view, pixel, row, column, distance)
+
+
+def project_to_pinhole(
+    points_camera: Float[np.ndarray, "n 3"], matrix: Float[np.ndarray, "3 3"], size: tuple[int, int]
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
+    """Indices of the points that fall into an image, and where they do [px].
+
+    Args:
+        matrix: K.
+        size: width and height of the image [px].
+    """
+    ahead = np.flatnonzero(points_camera[:, 2] > NEAREST)  # false for NaN
+    x, y, z = points_camera[ahead].T
+    pixels = np.stack(
+        (matrix[0, 0] * x / z + matrix[0, 1] * y / z + matrix[0, 2], matrix[1, 1] * y / z + matrix[1, 2]), axis=1
+    )
+    inside = ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=1)
+    return ahead[inside], pixels[inside]

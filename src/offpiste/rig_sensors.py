@@ -1,0 +1,177 @@
+"""The part of a rig that says where its cameras and LiDARs sit, and which topics carry what they see."""
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from offpiste.errors import RigError
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lowest and highest x, y, z [m]."""
+Polygon = tuple[tuple[float, float], ...]
+"""Corners x, y [px]."""
+
+
+class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the log says how its sensors are mounted.
+
+    Attributes:
+        body: the frame whose pose the channels `position` and `orientation` are: x forward, y left, z up.
+        topics: of tf2_msgs/TFMessage; where transforms repeat, the first counts.
+    """
+
+    body: str = "base_link"
+    topics: tuple[str, ...] = ("/tf_static",)
+
+
+class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a sensor sits: `body_from_sensor`.
+
+    Attributes:
+        position: in the body frame [m].
+        orientation: quaternion xyzw; (-0.5, 0.5, -0.5, 0.5) for the optical axes of a camera that looks ahead.
+    """
+
+    position: tuple[float, float, float]
+    orientation: tuple[float, float, float, float]
+
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """`body_from_sensor`."""
+        from offpiste.geometry import rotation_from_quaternion
+
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_from_quaternion(np.array([self.orientation]))[0]
+        matrix[:3, 3] = self.position
+        return matrix
+
+
+class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What CameraInfo says, where a log has none.
+
+    Attributes:
+        width, height: of the image [px].
+        focal_length: fx, fy [px].
+        centre: cx, cy [px]; the middle of the first pixel is (0, 0).
+        distortion: coefficients in the order of CameraInfo's `d`.
+        model: CameraInfo's distortion model; "equidistant" is OpenCV's fisheye.
+    """
+
+    width: int
+    height: int
+    focal_length: tuple[float, float]
+    centre: tuple[float, float]
+    distortion: tuple[float, ...] = ()
+    model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
+
+
+class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A camera.
+
+    Attributes:
+        topic: of its images, compressed or not.
+        info: of its CameraInfo; or else `intrinsics`.
+        frame: of its images (z forward, x right, y down); "" for the one that they name themselves.
+        body_from_camera: instead of the log's transforms.
+        rectified: the images are rectified already: CameraInfo's P holds instead of K and d.
+        delay: how much later than it happened an image is stamped [s].
+        optional: a log without the topic is read without this camera.
+        mask: a picture of the recorded size, any colour but black where the vehicle sees itself; beside the rig file.
+        own_body: polygons in the recorded image in which the vehicle sees itself, too.
+    """
+
+    topic: str
+    info: str = ""
+    intrinsics: Intrinsics | None = None
+    frame: str = ""
+    body_from_camera: Mounting | None = None
+    rectified: bool = False
+    delay: float = 0.0
+    optional: bool = False
+    mask: str = ""
+    own_body: tuple[Polygon, ...] = ()
+
+
+class LidarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A LiDAR.
+
+    Attributes:
+        topic: of its clouds.
+        frame: of its points; "" for the one that they name themselves.
+        body_from_lidar: instead of the log's transforms.
+        delay: how much later than it happened a cloud is stamped [s].
+        time_field: the points' field with their own time; "" where they have none, or are compensated already.
+        time_unit: of that field.
+        time_origin: it counts from the cloud's stamp, or from 1970.
+        min_range, max_range: points nearer or further are dropped [m].
+        own_body: a box in the body frame; points in it are the vehicle itself and are dropped.
+        optional: a log without the topic is read without this LiDAR.
+    """
+
+    topic: str
+    frame: str = ""
+    body_from_lidar: Mounting | None = None
+    delay: float = 0.0
+    time_field: str = ""
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    time_origin: Literal["stamp", "epoch"] = "stamp"
+    min_range: float = 0.0
+    max_range: float = 1000.0
+    own_body: Box | None = None
+    optional: bool = False
+
+
+def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSource]) -> None:
+    """Find what types alone cannot.
+
+    Raises:
+        RigError: contradicting or impossible keys.
+    """
+    if both := set(cameras) & set(lidars):
+        raise RigError(f"'{min(both)}' is both a camera and a LiDAR", how="rename one of the two")
+    for name, camera in cameras.items():
+        _check_camera(f"cameras.{name}", camera)
+    for name, lidar in lidars.items():
+        _check_lidar(f"lidars.{name}", lidar)
+
+
+def beside(cameras: dict[str, CameraSource], folder: Path) -> dict[str, CameraSource]:
+    """The same cameras with the paths of their masks as seen from anywhere, not from the rig's folder."""
+    return {name: replace(c, mask=str(folder / c.mask)) if c.mask else c for name, c in cameras.items()}
+
+
+def _check_camera(key: str, camera: CameraSource) -> None:
+    if bool(camera.info) == (camera.intrinsics is not None):
+        count = "two calibrations" if camera.info else "no calibration"
+        raise RigError(f"{key} has {count}", how="give info (a CameraInfo topic) or intrinsics, one of the two")
+    given = camera.intrinsics
+    if given and not (min(given.width, given.height) >= 1 and 0 < min(given.focal_length) < np.inf):
+        raise RigError(f"{key}.intrinsics: sizes and focal lengths are above zero", how="give them in pixels")
+    if any(len(polygon) < 3 for polygon in camera.own_body):
+        raise RigError(f"{key}.own_body: a polygon has less than three corners", how="give [[x, y], [x, y], [x, y]]")
+    _check_mounting(f"{key}.body_from_camera", camera.body_from_camera)
+    _check_finite(f"{key}.delay", camera.delay)
+
+
+def _check_lidar(key: str, lidar: LidarSource) -> None:
+    if not 0 <= lidar.min_range < lidar.max_range:
+        raise RigError(f"{key}: min_range {lidar.min_range} is not below max_range {lidar.max_range}", how="mend one")
+    if lidar.own_body is not None and not np.all(np.less(*lidar.own_body)):
+        raise RigError(f"{key}.own_body is no box", how="give the lowest and the highest x, y, z [m]")
+    _check_mounting(f"{key}.body_from_lidar", lidar.body_from_lidar)
+    _check_finite(f"{key}.delay", lidar.delay)
+
+
+def _check_mounting(key: str, mounting: Mounting | None) -> None:
+    if mounting is None:
+        return
+    if not np.isfinite(mounting.position).all() or not abs(np.linalg.norm(mounting.orientation) - 1) < 0.01:
+        raise RigError(f"{key}.orientation is not a unit quaternion", how="give x, y, z, w of length 1")
+
+
+def _check_finite(key: str, number: float) -> None:
+    if not np.isfinite(number):
+        raise RigError(f"{key} is {number}", how="give seconds")
