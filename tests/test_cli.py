@@ -9,7 +9,6 @@ from offpiste.cli import main
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world import WorldSettings
 
-
 RIG = ("--rig", "proving_ground")
 
 

@@ -130,6 +130,10 @@ class Extract:
     features: Literal["none", "ground-truth", "ground-kind"] = "none"
     """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
     `ground-kind`: what the ground is of."""
+    pca: Path | None = None
+    """Visual features: a file that `fit-pca` wrote. The log needs cameras and LiDARs, and the rig must name them."""
+    device: str = "cpu"
+    """Where the backbone runs."""
     flat: bool = False
     """Leave out the slope of the driven path: all ground is flat (an ablation)."""
 
@@ -145,8 +149,54 @@ class Extract:
             self.out,
             split=self.split,
             features=self.features,
+            pca=self.pca,
+            device=self.device,
             tell=tell,
         )
+        return 0
+
+
+@dataclass(frozen=True)
+class FitPca:
+    """Fit the PCA of patch features on images of the training stretches of logs."""
+
+    logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
+    """Logs with cameras and LiDARs."""
+    rig: str
+    """A preset's name or a rig file."""
+    out: Path = Path("pca.safetensors")
+    """The file to write."""
+    split: str = "blocks:0.7,0.1,0.2"
+    """As `extract` will be told: nothing outside of the training part is looked at."""
+    backbone: str = "facebook/dinov2-small"
+    """A ViT by name or folder, or `filterbank`: colours and edges, without weights or download."""
+    images: int = 175
+    """How many are looked at, chosen for diversity of ground and light."""
+    components: int = 40
+    """How many are kept."""
+    seed: int = 0
+    device: str = "cpu"
+
+    def run(self) -> int:
+        """Choose, look, fit, write."""
+        from offpiste.dataset.fit_pca import fit_pca
+        from offpiste.dataset.splits import parse_split
+        from offpiste.perception.backbone import open_backbone
+        from offpiste.perception.pca_file import save_pca
+        from offpiste.rig import load_rig
+
+        pca = fit_pca(
+            self.logs,
+            load_rig(self.rig),
+            parse_split(self.split),
+            open_backbone(self.backbone, device=self.device),
+            images=self.images,
+            components=self.components,
+            seed=self.seed,
+            tell=tell,
+        )
+        save_pca(self.out, pca)
+        tell(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
         return 0
 
 
@@ -203,6 +253,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "simulate": Simulate,
     "inspect": Inspect,
+    "fit-pca": FitPca,
     "extract": Extract,
     "train": Train,
     "evaluate": Evaluate,

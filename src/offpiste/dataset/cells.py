@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float16, Int, Int32
+from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from torch import Tensor
 
 
@@ -16,11 +16,15 @@ class Cells:
         index: cell under each wheel at each row; -1 where the map has none.
         features: by feature set.
         valid: whether a cell has features in a set.
+        distance: from sensor to point when they were observed [m]; NaN where unknown.
+        elevation: of the ground [m]; NaN where unknown.
     """
 
     index: Int32[np.ndarray, "N 4"]
     features: Float16[np.ndarray, "D M F"]
     valid: Bool[np.ndarray, "D M"]
+    distance: Float32[np.ndarray, "D M"]
+    elevation: Float32[np.ndarray, "D M"]
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,8 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     under = np.full(places.shape[:2], -1, np.int32)
     under[valid] = number[index]
     features = ground.features.reshape(ny * nx, -1)[visited[order]]
-    cells = Cells(under, features[None], np.ones((1, len(features)), bool))
+    elevation = ground.elevation.reshape(-1)[visited[order]].astype(np.float32)
+    seen = np.ones((1, len(features)), bool)
+    cells = Cells(under, features[None], seen, np.zeros(seen.shape, np.float32), elevation[None])
     normal = found.normal.numpy().astype(np.float32)[None]
     return Grounded(replace(rows, normal=normal, cells=cells), ground)

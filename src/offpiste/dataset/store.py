@@ -61,7 +61,7 @@ class Dataset:
         return replace(self, split=split, drives=drives)
 
 
-def create(path: Path, rig: Rig, split: Split, features: tuple[str, ...] = ()) -> None:
+def create(path: Path, rig: Rig, split: Split, features: tuple[str, ...] = (), pca: str | None = None) -> None:
     """Begin a dataset, or go on with one that was made with the same rig and split.
 
     Raises:
@@ -80,11 +80,11 @@ def create(path: Path, rig: Rig, split: Split, features: tuple[str, ...] = ()) -
             ],
         },
         "features": list(features),
-        "pca": None,
+        "pca": pca,
     }
     if path.exists():
         found = _attributes(path)
-        for key in ("schema", "rig", "split", "split_drives", "features"):
+        for key in ("schema", "rig", "split", "split_drives", "features", "pca"):
             if found.get(key, [] if key == "features" else None) != json.loads(json.dumps(meta[key])):
                 raise DatasetError(
                     f"already holds a dataset with another {key}", where=path, how="choose another --out, or delete it"

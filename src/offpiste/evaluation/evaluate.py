@@ -127,7 +127,7 @@ def evaluate_models(
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = _with_baselines(models, dataset, device)
-    ways: Sequence[Lookup | None] = lookups if _has_ground(dataset) else (None,)
+    ways = _ways(dataset, lookups)
 
     predictions = [
         _Prediction(
@@ -267,6 +267,14 @@ def _shown_case(errors: dict[Case, Errors], model: Judged, start: Start) -> Case
     """The way of judging `model` that decides: from the first start, on the map where there is one."""
     found = [case for case in errors if case.label == model.label and case.start == start]
     return max(found, key=lambda case: case.lookup == "map")
+
+
+def _ways(dataset: Dataset, lookups: Sequence[Lookup]) -> Sequence[Lookup | None]:
+    """Where models can read the ground: features without a map only where they were recorded."""
+    if not _has_ground(dataset):
+        return (None,)
+    mapped = not dataset.features or any(drive.load_map is not None for drive in dataset.drives)
+    return lookups if mapped else ("recorded",)
 
 
 def _has_ground(dataset: Dataset) -> bool:

@@ -1,0 +1,133 @@
+"""The PCA of patch features, from the training stretches of logs only (paper, "Dimensionality Reduction")."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from offpiste.dataset.extract import Rows, extract_rows
+from offpiste.dataset.splits import Split
+from offpiste.errors import PerceptionError
+from offpiste.logs.drive import drive_from_log, drive_name
+from offpiste.logs.measurements import Image
+from offpiste.logs.open import open_log
+from offpiste.logs.sensors import SensorLog, open_sensors
+from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
+from offpiste.perception.backbone import Backbone
+from offpiste.perception.frames import frames_by_travel, image_statistics, most_diverse
+from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
+from offpiste.progress import track
+from offpiste.rig import Rig
+
+SPACING = 2.0
+"""Candidates lie so far apart [m]."""
+
+
+class Candidate(NamedTuple):
+    """An image that the PCA may look at."""
+
+    log: int
+    camera: str
+    time: float
+    statistics: Float[np.ndarray, " k"]
+
+
+def fit_pca(
+    logs: Sequence[str | Path],
+    rig: Rig,
+    split: Split,
+    backbone: Backbone,
+    *,
+    images: int = IMAGES,
+    components: int = COMPONENTS,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda line: None,
+) -> PrincipalComponents:
+    """Choose images of varied ground and light, and fit on their patches that ground points of the LiDAR hit.
+
+    Raises:
+        LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
+        PerceptionError: no image of the training part, or no patch with ground in it.
+    """
+    found: list[Candidate] = []
+    for number, log in enumerate(track(list(logs), "looking for images")):
+        found += _candidates(number, log, rig, split)
+    if not found:
+        raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
+    chosen = most_diverse(np.stack([c.statistics for c in found]), images, seed=seed)
+    moments = Moments.none(backbone.channels)
+    for number, log in enumerate(track(list(logs), "features of the chosen images")):
+        times = {(found[i].camera, found[i].time) for i in chosen if found[i].log == number}
+        moments = _add_log(moments, _sensors(log, rig), backbone, times)
+    pca = fit(moments, backbone, components=components, logs=[drive_name(log) for log in logs], split=split.text)
+    tell(f"{len(chosen)} of {len(found)} images, {moments.count:.0f} patches of ground")
+    return pca
+
+
+def _sensors(log: str | Path, rig: Rig) -> SensorLog:
+    return open_sensors(open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit), rig)
+
+
+def _candidates(number: int, log: str | Path, rig: Rig, split: Split) -> list[Candidate]:
+    sensors = _sensors(log, rig)
+    rows = extract_rows(drive_from_log(open_log(log), rig))
+    part = split.label(drive_name(log), rows.state[:, :2] + rows.origin)
+    found = []
+    for camera in sensors.cameras:
+        stamps = np.sort(sensors.stamps(camera))
+        stamps = stamps[_in_training(stamps, rows, part == 0)]
+        kept = frames_by_travel(sensors.poses.at(stamps)[:, :3, 3], SPACING)
+        times = set(np.round(stamps[kept], 6))
+        for image in sensors.stream([camera]):
+            if isinstance(image, Image) and round(image.time, 6) in times:
+                found.append(Candidate(number, camera, round(image.time, 6), image_statistics(image.pixels)))
+    return found
+
+
+def _in_training(stamps: Float[np.ndarray, " n"], rows: Rows, training: Bool[np.ndarray, " N"]) -> np.ndarray:
+    row = np.searchsorted(rows.time, stamps).clip(0, len(rows.time) - 1)
+    inside = (stamps >= rows.time[0]) & (stamps <= rows.time[-1])
+    return np.asarray(inside & training[row] & rows.valid[row])
+
+
+def _add_log(moments: Moments, log: SensorLog, backbone: Backbone, times: set[tuple[str, float]]) -> Moments:
+    cameras = pinhole_cameras(log, backbone.patch)
+    hit: dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]] = {}
+
+    def look(pixels: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(backbone(pixels[None])[0].cpu().numpy())
+
+    def wanted(image: Image) -> bool:
+        return (image.camera, round(image.time, 6)) in times
+
+    for moment in replay(log, cameras, look, 0, wanted=wanted):
+        current = _ground_hits(moment)
+        for key in [key for key in hit if key not in current]:
+            moments = _added(moments, *hit.pop(key))
+        for key, (features, mask) in current.items():
+            before = hit[key][1] if key in hit else np.zeros_like(mask)
+            hit[key] = features, before | mask
+    for features, mask in hit.values():
+        moments = _added(moments, features, mask)
+    return moments
+
+
+def _added(moments: Moments, features: torch.Tensor, mask: np.ndarray) -> Moments:
+    return moments.add(features[None], mask[None])
+
+
+def _ground_hits(moment: Moment) -> dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]]:
+    """Of each image in view: its features, and the patches in which a ground point of this scan lies."""
+    if moment.projection is None:
+        return {}
+    ground, found = ground_points(moment), {}
+    for number, (view, features) in enumerate(zip(moment.views, moment.looks, strict=True)):
+        mine = ground & (moment.projection.view == number)
+        mask = np.zeros(features.shape[:2], bool)
+        mask[moment.projection.row[mine], moment.projection.column[mine]] = True
+        found[view.camera.name, view.time] = torch.from_numpy(features), mask
+    return found
