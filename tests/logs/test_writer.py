@@ -161,7 +161,8 @@ def test_a_file_cut_anywhere_gives_its_first_messages(tmp_path: Path, seed: int)
 
 
 RECORD = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells start background jobs deaf to it
 sys.path.insert(0, {tests!r})
 from test_writer import McapWriter, at, speed
 with McapWriter({path!r}) as writer:
@@ -181,7 +182,10 @@ def killed(path: Path, by: signal.Signals, after: float) -> subprocess.Completed
         assert process.stdout.readline() == "started\n"
         time.sleep(after)
         os.kill(process.pid, by)
-        out, err = process.communicate()
+        try:
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
