@@ -44,13 +44,13 @@ class ProjectionSettings:
         rule: for points that several images show: "centre" takes the image whose optical axis passes nearest, in
             angle, where a lens is sharpest and rectification stretches least; "newest" the one taken last, and of
             those taken together the first.
-        reach: half of the angle within which nearer points hide a point [deg]: twice the spacing of a LiDAR's rings.
+        reach: half of the angle within which nearer points hide a point [deg]; the spacing of a LiDAR's rings, about.
         relative, absolute: how much nearer they have to be: relative * depth + absolute [m].
         hide: drop hidden points at all.
     """
 
     rule: Literal["centre", "newest"] = "centre"
-    reach: float = 1.5
+    reach: float = 1.0
     relative: float = 0.06
     absolute: float = 0.3
     hide: bool = True
