@@ -1,0 +1,159 @@
+"""Small recordings of one camera and one LiDAR on a vehicle that drives straight ahead."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from factories import RIG
+from offpiste.logs import open_log
+from offpiste.logs.message_types import floats, header, make, quaternion, vector
+from offpiste.logs.pointcloud import message_from_points
+from offpiste.logs.sensors import SensorLog, open_sensors
+from offpiste.logs.writer import McapWriter
+from offpiste.rig import Rig, parse_rig
+
+SECOND = 10**9
+SPEED = 2.0
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
+POINTS = ((5.0, 0.0, 0.0), (0.0, 6.0, 0.0), (0.0, 0.0, 7.0))
+SENSORS = """
+[cameras.front]
+topic = "/image"
+info = "/info"
+[lidars.top]
+topic = "/points"
+time_field = "t"
+time_unit = "ns"
+"""
+
+
+def sensor_rig(sensors: str = SENSORS) -> Rig:
+    """A vehicle with /odom and these sensors."""
+    odom = RIG.replace('topic = "odom"', 'topic = "/odom"')
+    position = ", ".join(f'"pose.pose.position.{axis}"' for axis in "xyz")
+    orientation = ", ".join(f'"pose.pose.orientation.{axis}"' for axis in "xyzw")
+    head = odom.split("[channels")[0].replace("absent = [", 'absent = ["throttle", "brake", "steer", ')
+    channels = f'[channels.position]\ntopic = "/odom"\nfields = [{position}]\n'
+    channels += f'[channels.orientation]\ntopic = "/odom"\nfields = [{orientation}]\n'
+    return parse_rig(head + channels + sensors, where="test")
+
+
+def odometry(seconds: float):
+    """At SPEED along x."""
+    pose = make(
+        "geometry_msgs/Pose",
+        position=vector((SPEED * seconds, 0, 1), "geometry_msgs/Point"),
+        orientation=quaternion((0, 0, 0, 1)),
+    )
+    twist = make("geometry_msgs/Twist", linear=vector((SPEED, 0, 0)), angular=vector((0, 0, 0)))
+    return make(
+        "nav_msgs/Odometry",
+        header=header(stamp(seconds), "map"),
+        child_frame_id="base_link",
+        pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+        twist=make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def stamp(seconds: float) -> int:
+    """From 100 s on [ns]."""
+    return 100 * SECOND + round(seconds * SECOND)
+
+
+def transforms(*joints):
+    """(parent, child, translation, xyzw) -> tf2_msgs/TFMessage."""
+    return make(
+        "tf2_msgs/TFMessage",
+        transforms=[
+            make(
+                "geometry_msgs/TransformStamped",
+                header=header(stamp(0), parent),
+                child_frame_id=child,
+                transform=make("geometry_msgs/Transform", translation=vector(t), rotation=quaternion(q)),
+            )
+            for parent, child, t, q in joints
+        ],
+    )
+
+
+def tree():
+    """A mast on the body carries both sensors; the camera's transform is given the other way round."""
+    return transforms(
+        ("base_link", "mast", (1, 0, 2), (0, 0, 0, 1)),
+        ("mast", "lidar", (0, 0, 0.5), (0, 0, np.sqrt(0.5), np.sqrt(0.5))),
+        ("camera", "mast", (0, 0, 0.25), (0.5, -0.5, 0.5, 0.5)),
+    )
+
+
+def info(width: int = 8, height: int = 6, **changed):
+    """A sensor_msgs/CameraInfo."""
+    fields = {
+        "header": header(stamp(0), "camera"),
+        "width": width,
+        "height": height,
+        "distortion_model": "plumb_bob",
+        "d": floats([-0.1, 0.01, 0, 0, 0]),
+        "k": floats([5, 0, 3.5, 0, 5, 2.5, 0, 0, 1]),
+        "r": floats(np.eye(3).ravel()),
+        "p": floats([4, 0, 3.5, -8, 0, 4, 2.5, 0, 0, 0, 1, 0]),
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    }
+    return make("sensor_msgs/CameraInfo", **fields | changed)
+
+
+def compressed(seconds: float, pixels: np.ndarray | None = None):
+    """A PNG of an RGB image; one that cannot be decoded if there is none."""
+    data = np.arange(40, dtype=np.uint8)
+    if pixels is not None:
+        data = cv2.imencode(".png", np.ascontiguousarray(pixels[:, :, ::-1]))[1].ravel()
+    return make("sensor_msgs/CompressedImage", header=header(stamp(seconds), "camera"), format="png", data=data)
+
+
+def raw_image(seconds: float, encoding: str, pixels: np.ndarray):
+    """A sensor_msgs/Image, with two bytes of padding a row."""
+    height = len(pixels)
+    rows = np.pad(pixels.reshape(height, -1), ((0, 0), (0, 2)))
+    return make(
+        "sensor_msgs/Image",
+        header=header(stamp(seconds), "camera"),
+        height=height,
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=rows.shape[1],
+        data=rows.ravel(),
+    )
+
+
+def cloud(seconds: float, xyz=POINTS, dtype=POINT):
+    """Points 10 ms apart."""
+    points = np.zeros(len(xyz), dtype)
+    if len(xyz):
+        points["x"], points["y"], points["z"] = np.array(xyz, np.float32).T
+    if "t" in dtype.names:
+        points["t"] = 10_000_000 * np.arange(len(xyz))
+    return message_from_points(points, stamp(seconds), "lidar")
+
+
+IMAGE = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+
+
+def record(path: Path, messages=None, *, until: float = 1.0) -> Path:
+    """Write (seconds of arrival, topic, message); by default two images and two clouds."""
+    if messages is None:
+        messages = [(0.25, "/points", cloud(0.2)), (0.3, "/image", compressed(0.1, IMAGE))]
+        messages += [(0.6, "/points", cloud(0.4)), (0.7, "/image", compressed(0.5, IMAGE))]
+        messages += [(0, "/tf_static", tree()), (0, "/info", info())]
+    driven = [(t, "/odom", odometry(t)) for t in np.arange(0, until + 0.01, 0.1).tolist()]
+    with McapWriter(path) as writer:
+        for seconds, topic, message in sorted([*messages, *driven], key=lambda entry: entry[0]):
+            writer.write(topic, message, stamp(seconds))
+    return path
+
+
+def opened(path: Path, sensors: str = SENSORS) -> SensorLog:
+    """Its sensors."""
+    return open_sensors(open_log(path), sensor_rig(sensors))
