@@ -42,7 +42,7 @@ class Differences:
     length: Float[np.ndarray, "D D"]
     feature: Float[np.ndarray, "D D F"]
 
-    def neighbours(self) -> Float[np.ndarray, "D-2 F"]:
+    def neighbours(self) -> Float[np.ndarray, "_ F"]:
         """Of distances that are next to each other: -20 and -10, -10 and 0, ..."""
         at = np.arange(HINDSIGHT + 1, len(self.count) - 1)
         return self.feature[at, at + 1]
