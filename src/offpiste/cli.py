@@ -134,12 +134,22 @@ class Extract:
     """Visual features: a file that `fit-pca` wrote. The log needs cameras and LiDARs, and the rig must name them."""
     device: str = "cpu"
     """Where the backbone runs."""
+    frame_metres: float = 0.5
+    """An image is looked at when its camera has come so far since the last one [m]; 0 looks at all."""
+    min_hindsight: float = 0.5
+    """Windows of which a smaller share of the ground was ever seen are left out; 0 keeps all."""
+    snapshot_seconds: float = 0.5
+    """The map is kept for windows that validate and test, at most once in so long [s]."""
+    processes: int = 0
+    """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
     flat: bool = False
     """Leave out the slope of the driven path: all ground is flat (an ablation)."""
 
     def run(self) -> int:
         """Read, resample, write."""
         from offpiste.dataset.make import make_dataset
+        from offpiste.dataset.snapshots import SnapshotSettings
+        from offpiste.mapping.replay import ReplaySettings
         from offpiste.rig import load_rig
 
         rig = load_rig(self.rig)
@@ -151,6 +161,10 @@ class Extract:
             features=self.features,
             pca=self.pca,
             device=self.device,
+            min_hindsight=self.min_hindsight,
+            snapshots=SnapshotSettings(self.snapshot_seconds),
+            replay=ReplaySettings(self.frame_metres),
+            processes=self.processes,
             tell=tell,
         )
         return 0

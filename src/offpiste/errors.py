@@ -1,5 +1,7 @@
 """Errors that a user can cause: what is wrong, where, and how to mend it, in one line."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 
@@ -15,6 +17,9 @@ class OffpisteError(Exception):
     def __init__(self, what: str, *, where: str | Path = "", how: str = "") -> None:
         self.what, self.where, self.how = what, str(where), how
         super().__init__(what, where, how)
+
+    def __reduce__(self) -> tuple[Callable[[str], "OffpisteError"], tuple[str]]:
+        return partial(type(self), where=self.where, how=self.how), (self.what,)
 
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""

@@ -1,10 +1,18 @@
 """What a person sees while they wait: bars with the time left on a terminal, lines and tables everywhere."""
 
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
+from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 Item = TypeVar("Item")
 
@@ -20,6 +28,25 @@ def track(items: Iterable[Item], description: str, *, total: int | None = None) 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         yield from progress.track(items, total=total, description=description)
+
+
+@contextmanager
+def shares(total: int, description: str) -> Iterator[Callable[[int, float], None]]:
+    """A bar over `total` jobs, done side by side; it is told the number of a job and its share that is done."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda number, share: None
+        return
+    done = [0.0] * total
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(description, total=float(total))
+
+        def show(number: int, share: float) -> None:
+            done[number] = share
+            progress.update(task, completed=sum(done))
+
+        yield show
 
 
 def tell(said: object) -> None:

@@ -1,23 +1,19 @@
-"""Logs in, dataset out: read, bring to 50 Hz, split, write, one drive at a time."""
+"""Logs in, dataset out: split once, every drive extracted by itself, several at a time."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from offpiste.conventions import FEATURE_SETS, MIN_JUDGED_SPEED
-from offpiste.dataset.extract import extract_rows
-from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
-from offpiste.dataset.splits import PARTS, Split, parse_split, window_starts
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset
-from offpiste.dataset.visual import with_visual_features
-from offpiste.errors import DatasetError
-from offpiste.logs import read_drive
+from offpiste.dataset.ground_truth import LAYERS, FeatureSource
+from offpiste.dataset.hindsight import MIN_HINDSIGHT
+from offpiste.dataset.one_drive import Job, extract_drive
+from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, create, drive_names, open_dataset
+from offpiste.errors import DatasetError, OffpisteError
 from offpiste.logs.drive import drive_name
-from offpiste.logs.open import open_log
-from offpiste.logs.sensors import open_sensors
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.parallel import run_all, usable_cores
 from offpiste.perception.looking import load_looking
-from offpiste.progress import track
 from offpiste.rig import Rig
 
 
@@ -30,6 +26,10 @@ def make_dataset(
     features: FeatureSource = "none",
     pca: Path | None = None,
     device: str = "cpu",
+    min_hindsight: float = MIN_HINDSIGHT,
+    snapshots: SnapshotSettings | None = None,
+    replay: ReplaySettings | None = None,
+    processes: int = 1,
     tell: Callable[[str], None] = lambda line: None,
 ) -> Dataset:
     """Extract drives into a dataset; drives that are in it already are left as they are.
@@ -38,10 +38,13 @@ def make_dataset(
         features: what a simulator says of the ground under the wheels (`dataset.ground_truth.LAYERS`).
         pca: instead, visual features: a file of `fit-pca`, which names its backbone.
         device: that the backbone runs on.
+        min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).
+        snapshots, replay: of visual features.
+        processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
 
     Raises:
-        LogError, RigError: a log cannot be read with this rig, or has no ground truth; drives extracted before stay.
-        DatasetError: two logs of one name, or another dataset at `out`.
+        LogError, RigError: a log cannot be read with this rig, or has no ground truth; the others are extracted.
+        DatasetError: two logs of one name, another dataset at `out`, or several logs that cannot be extracted.
     """
     if not logs:
         raise DatasetError("no log is given", how="name one or more logs")
@@ -52,40 +55,32 @@ def make_dataset(
     parts = parse_split(split)
     if pca is not None and features != "none":
         raise DatasetError(f"both a PCA and '{features}' features are asked for", how="leave out one of them")
+    if not 0 <= min_hindsight <= 1:
+        raise DatasetError(f"min-hindsight is {min_hindsight:g}", how="give a share from 0 to 1")
     looking = load_looking(pca, device) if pca is not None else None
-    create(out, rig, parts, looking.names if looking else LAYERS[features], looking.identity if looking else None)
+    if looking is None:
+        create(out, rig, parts, LAYERS[features])
+    else:
+        create(out, rig, parts, looking.names, looking.identity, min_hindsight)
     done = set(drive_names(out))
-    for log, name in track(list(zip(logs, names, strict=True)), "extract"):
-        if name in done:
-            tell(f"{name}: already there")
-            continue
-        drive = read_drive(log, rig)
-        rows, terrain, notes = extract_rows(drive), None, drive.notes
-        if looking is not None:
-            sensors = open_sensors(open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit), rig)
-            rows = with_visual_features(rows, sensors, rig, looking)
-            notes += sensors.notes
-        if features != "none":
-            rows, terrain = with_ground_truth(rows, truth_map(log, LAYERS[features]), rig)
-        tell(_described(add_drive(out, name, rows, parts, notes, terrain), parts))
+    for name in (name for name in names if name in done):
+        tell(f"{name}: already there")
+    jobs = [
+        Job(Path(log), name, rig, out, parts, features, pca, device, min_hindsight, snapshots, replay)
+        for log, name in zip(logs, names, strict=True)
+        if name not in done
+    ]
+    processes = processes or (usable_cores() if device == "cpu" else 1)
+    _refuse_failed(run_all(extract_drive, jobs, processes, "extract", tell), out)
     return open_dataset(out)
 
 
-def _described(drive: StoredDrive, split: Split) -> str:
-    rows = drive.rows
-    fast = np.hypot(rows.state_causal[:, 3], rows.state_causal[:, 4]) > MIN_JUDGED_SPEED
-    starts = [window_starts(rows.valid & (drive.part == number)) for number in range(len(PARTS))]
-    windows = [int(fast[found].sum()) for found in starts]
-    share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
-    lines = [
-        f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
-        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_JUDGED_SPEED} m/s: {share}"
-    ]
-    if split.kind in ("blocks", "fold") and min(windows) == 0:
-        lines.append(
-            f"  warning: too short or slow for {split.text}: a part has no window; split by drives (drives:FILE)"
+def _refuse_failed(failed: Sequence[OffpisteError], out: Path) -> None:
+    if len(failed) == 1:
+        raise failed[0]
+    if failed:
+        raise DatasetError(
+            f"{len(failed)} logs could not be extracted, as said above; the others were",
+            where=out,
+            how="mend or leave out those logs and run it again: it goes on where it stopped",
         )
-    if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
-        rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)
-        lines.append("  valid by distance: " + ", ".join(f"{name} {rate:.2f}" for name, rate in rates))
-    return "\n".join(lines + [f"  {note}" for note in drive.notes])

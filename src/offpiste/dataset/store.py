@@ -17,12 +17,14 @@ from jaxtyping import Int
 
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import Rows, present_actuators, present_control
+from offpiste.dataset.snapshots import Snapshots, open_snapshots
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain import TerrainMap
 from offpiste.rig import Rig
 
 SCHEMA = 1
+SNAPSHOTS = "snapshots"
 _ROWS = ("time", "state", "state_causal", "actuators", "control", "normal", "valid")
 
 
@@ -32,6 +34,7 @@ class StoredDrive:
 
     Attributes:
         load_map: reads the map that the features of this drive come from; None where there is none.
+        snapshots: the map at the start of windows that validate and test; None where none was kept.
     """
 
     name: str
@@ -39,6 +42,7 @@ class StoredDrive:
     part: Int[np.ndarray, " N"]
     notes: tuple[str, ...]
     load_map: Callable[[], TerrainMap] | None = None
+    snapshots: Snapshots | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,7 @@ class Dataset:
 
     Attributes:
         features: names of the terrain features under each wheel; empty for a dataset without.
+        min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).
     """
 
     path: Path
@@ -54,6 +59,7 @@ class Dataset:
     split: Split
     drives: tuple[StoredDrive, ...]
     features: tuple[str, ...] = ()
+    min_hindsight: float = 0.0
 
     def relabelled(self, split: Split) -> "Dataset":
         """The same rows under another split (folds)."""
@@ -61,8 +67,15 @@ class Dataset:
         return replace(self, split=split, drives=drives)
 
 
-def create(path: Path, rig: Rig, split: Split, features: tuple[str, ...] = (), pca: str | None = None) -> None:
-    """Begin a dataset, or go on with one that was made with the same rig and split.
+def create(
+    path: Path,
+    rig: Rig,
+    split: Split,
+    features: tuple[str, ...] = (),
+    pca: str | None = None,
+    min_hindsight: float = 0.0,
+) -> None:
+    """Begin a dataset, or go on with one that was made alike; what a killed run left half done is removed.
 
     Raises:
         DatasetError: there is something else at `path`, or it was made otherwise.
@@ -81,14 +94,17 @@ def create(path: Path, rig: Rig, split: Split, features: tuple[str, ...] = (), p
         },
         "features": list(features),
         "pca": pca,
+        "min_hindsight": min_hindsight,
     }
     if path.exists():
-        found = _attributes(path)
-        for key in ("schema", "rig", "split", "split_drives", "features", "pca"):
-            if found.get(key, [] if key == "features" else None) != json.loads(json.dumps(meta[key])):
+        found = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
+        for key in ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight"):
+            if found.get(key) != json.loads(json.dumps(meta[key])):
                 raise DatasetError(
                     f"already holds a dataset with another {key}", where=path, how="choose another --out, or delete it"
                 )
+        for partial in path.glob(".*"):
+            shutil.rmtree(partial, ignore_errors=True)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_whole(path, lambda partial: zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3))
@@ -100,12 +116,19 @@ def drive_names(path: Path) -> list[str]:
 
 
 def add_drive(
-    path: Path, name: str, rows: Rows, split: Split, notes: tuple[str, ...], terrain: TerrainMap | None = None
+    path: Path,
+    name: str,
+    rows: Rows,
+    split: Split,
+    notes: tuple[str, ...],
+    terrain: TerrainMap | None = None,
+    snapshots: Path | None = None,
 ) -> StoredDrive:
     """Write one drive into a dataset, whole or not at all.
 
     Args:
         terrain: what its features were read from; kept where predictions are judged on it.
+        snapshots: a folder of a `SnapshotWriter`, which is moved into the dataset.
 
     Raises:
         DatasetError: there is a drive of this name already.
@@ -128,9 +151,23 @@ def add_drive(
             about = {"origin": terrain.origin.tolist(), "resolution": terrain.resolution}
             arrays = {"elevation": terrain.elevation, "features": terrain.features}
             _write_arrays(group.create_group("map", attributes=about), arrays)
+        if snapshots is not None:
+            snapshots.replace(partial / SNAPSHOTS)
 
     _write_whole(path / name, write)
-    return StoredDrive(name, rows, part, notes, (lambda: _read_map(path, name)) if judged else None)
+    load_map = (lambda: _read_map(path, name)) if judged else None
+    kept = open_snapshots(path / name / SNAPSHOTS) if snapshots is not None else None
+    return StoredDrive(name, rows, part, notes, load_map, kept)
+
+
+@contextmanager
+def scratch(path: Path, name: str) -> Iterator[Path]:
+    """A folder beside the drives of a dataset for what one of them needs while it is made; removed afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=path))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
@@ -167,7 +204,8 @@ def open_dataset(path: str | Path) -> Dataset:
     rig = msgspec.convert(attributes["rig"], type=Rig)
     split = stored_split(attributes["split"], attributes["split_drives"])
     features = tuple(attributes.get("features", ()))
-    return Dataset(path, rig, split, tuple(_read_drive(path, name) for name in names), features)
+    drives = tuple(_read_drive(path, name) for name in names)
+    return Dataset(path, rig, split, drives, features, attributes.get("min_hindsight", 0.0))
 
 
 def stored_split(text: str, drives: list[list[str]]) -> Split:
@@ -185,7 +223,8 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
         attributes: dict[str, Any] = dict(group.attrs)
         rows = Rows(origin=np.array(attributes["origin"]), cells=cells, **{key: arrays[key] for key in _ROWS})
         load_map = (lambda: _read_map(path, name)) if "map" in group else None
-        return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]), load_map)
+        kept = open_snapshots(path / name / SNAPSHOTS) if SNAPSHOTS in group else None
+        return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]), load_map, kept)
 
 
 def _read_cells(group: Any) -> Cells:

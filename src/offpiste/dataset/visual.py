@@ -1,17 +1,19 @@
 """Visual features for the rows of a drive: what the map held of every cell under the wheels, by distance."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from offpiste.conventions import DT
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import Rows
 from offpiste.dataset.passes import find_passes
+from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
 from offpiste.dataset.viewing import CellViews, Viewing
 from offpiste.logs.sensors import SensorLog
 from offpiste.mapping.layers import TerrainLayers
-from offpiste.mapping.replay import ReplaySettings, pinhole_cameras, replay
+from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
 from offpiste.mapping.terrain import wheel_places
 from offpiste.perception.looking import Looking
 from offpiste.rig import Rig
@@ -20,14 +22,43 @@ UP = np.array([0, 0, 1], np.float32)
 """The normal where none is known."""
 
 
+@dataclass(frozen=True)
+class SnapshotKeeper:
+    """Keeps the map as it was when windows start.
+
+    Attributes:
+        writer, due: where to, and when.
+        margin: of `SnapshotSettings` [m].
+    """
+
+    writer: SnapshotWriter
+    due: Due
+    margin: float
+
+    def look(self, moment: Moment, rows: Rows) -> None:
+        """Keep the map of this moment if a window starts in the row that follows it."""
+        row = int(np.ceil((moment.time - rows.time[0]) / DT - 1e-6))
+        if self.due.at(row):
+            state = rows.state_causal[row].astype(np.float64)
+            state[:2] += rows.origin
+            self.writer.add(row, crop(moment.layers.terrain_map(), state, self.margin))
+
+
 def with_visual_features(
     rows: Rows,
     log: SensorLog,
     rig: Rig,
     looking: Looking,
     settings: ReplaySettings | None = None,
+    *,
+    snapshots: SnapshotKeeper | None = None,
+    report: Callable[[float], None] = lambda share: None,
 ) -> Rows:
     """Play a drive's sensors back and keep what its cells looked like (paper, "Dataset Extraction").
+
+    Args:
+        snapshots: keeps the map where windows start that validate and test.
+        report: is told the share of the drive that was played.
 
     Raises:
         LogError: the log's sensors are damaged or of no use.
@@ -41,6 +72,9 @@ def with_visual_features(
     cameras = pinhole_cameras(log, looking.patch)
     for moment in replay(log, cameras, looking.look, looking.channels, settings):
         viewing.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
+        if snapshots is not None:
+            snapshots.look(moment, rows)
+        report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
     under = passes.index
     normal = np.where((under >= 0)[None, :, :, None], viewing.normal[:, under], UP)
     cells = Cells(under, viewing.features, viewing.valid, viewing.distance, viewing.elevation)

@@ -1,7 +1,6 @@
 """Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -11,11 +10,12 @@ from torch import Tensor
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
 from offpiste.dataset.cells import CellTable, UnderWheels
 from offpiste.dataset.extract import present_actuators, present_control
-from offpiste.dataset.splits import PARTS, window_starts
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.starts import judged_starts
 from offpiste.dataset.store import Dataset
+from offpiste.dataset.window_maps import WindowMaps
 from offpiste.errors import DatasetError
 from offpiste.geometry import wrap_angle
-from offpiste.mapping.lookup import MapStack, stack_maps
 from offpiste.trajectory import History, Terrain
 
 
@@ -84,10 +84,9 @@ class Windows:
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
         starts, drives = [], []
         for number, drive in enumerate(dataset.drives):
-            usable = drive.rows.valid & (drive.part == PARTS.index(part))
-            found = window_starts(usable, horizon=horizon)
-            speed = np.hypot(drive.rows.state_causal[found, 3], drive.rows.state_causal[found, 4])
-            found = found[speed > min_speed]
+            found = judged_starts(
+                drive.rows, drive.part == PARTS.index(part), dataset.min_hindsight, min_speed, horizon
+            )
             starts.append(offset[number] + found)
             drives.append(np.full(len(found), number))
         self.rows: Int[np.ndarray, " n"] = np.concatenate(starts)
@@ -96,6 +95,7 @@ class Windows:
             dataset.rig.wheel_positions(), dtype=torch.float32, device=self.device
         )
         self._drives = dataset.drives
+        self.maps = WindowMaps(self._drives, self.drive, self.rows - offset[self.drive], self.device)
         self.drive_names = tuple(d.name for d in dataset.drives)
         self._offset = offset
         if not len(self.rows):
@@ -113,6 +113,10 @@ class Windows:
         """Indices of the windows whose row in their drive is `phase` modulo `stride`."""
         row = self.rows - self._offset[self.drive]
         return np.flatnonzero(row % stride == phase % stride)
+
+    def judged(self, stride: int) -> Int[np.ndarray, " n"]:
+        """Indices of the windows that models are judged on: those with a snapshot of the map, where there are any."""
+        return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.every(stride)
 
     def row_in_drive(self, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """Row t of windows, counted in their own drive."""
@@ -172,17 +176,6 @@ class Windows:
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), :2].double()
         origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
         return start + torch.as_tensor(origin, device=self.device)
-
-    @cached_property
-    def maps(self) -> tuple[MapStack, Int[np.ndarray, " drives"]] | None:
-        """The maps of the drives that have windows, and which of them each drive reads (-1: none)."""
-        used = [n for n in np.unique(self.drive) if self._drives[n].load_map is not None]
-        if not used:
-            return None
-        loaders = [self._drives[n].load_map for n in used]
-        number = np.full(len(self._drives), -1)
-        number[used] = np.arange(len(used))
-        return stack_maps([load() for load in loaders if load is not None], device=self.device), number
 
     def _terrain(self, rows: Int[Tensor, "B T"]) -> Terrain:
         normal = self._normal[rows]

@@ -116,7 +116,7 @@ def evaluate_models(
         weights: of the loss.
         starts: estimates of the state that predictions start from.
         lookups: where models read the ground; datasets without slope have only one way.
-        stride: rows between windows.
+        stride: rows between windows; where the dataset keeps snapshots of the map, their windows are judged instead.
         sampling: blocks and seed of the intervals.
         command: that asked for it, for the report; empty: this process's own.
         track: shows progress, e.g. `offpiste.progress.track`.
@@ -127,7 +127,7 @@ def evaluate_models(
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = _with_baselines(models, dataset, device)
-    ways = _ways(dataset, lookups)
+    ways = _ways(dataset, part, lookups)
 
     predictions = [
         _Prediction(
@@ -137,7 +137,7 @@ def evaluate_models(
             predict(
                 model.dynamics,
                 windows,
-                windows.every(stride),
+                windows.judged(stride),
                 lookup=case.lookup,
                 scale=scale,
                 weights=torch.tensor(weights.in_order()),
@@ -269,11 +269,11 @@ def _shown_case(errors: dict[Case, Errors], model: Judged, start: Start) -> Case
     return max(found, key=lambda case: case.lookup == "map")
 
 
-def _ways(dataset: Dataset, lookups: Sequence[Lookup]) -> Sequence[Lookup | None]:
+def _ways(dataset: Dataset, part: str, lookups: Sequence[Lookup]) -> Sequence[Lookup | None]:
     """Where models can read the ground: features without a map only where they were recorded."""
     if not _has_ground(dataset):
         return (None,)
-    mapped = not dataset.features or any(drive.load_map is not None for drive in dataset.drives)
+    mapped = not dataset.features or Windows(dataset, part).maps.any
     return lookups if mapped else ("recorded",)
 
 

@@ -29,6 +29,9 @@ LOOKUPS = ("recorded", "map")
 CHUNK = 1024
 """Windows rolled out side by side."""
 
+SNAPSHOT_CHUNK = 32
+"""The same where each has a map of its own: some 10 MB each."""
+
 Item = TypeVar("Item")
 
 
@@ -90,7 +93,7 @@ def predict(
     lookup: str | None,
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
-    chunk: int = CHUNK,
+    chunk: int | None = None,
     track: Track = untracked,
     description: str = "judging",
 ) -> Errors:
@@ -100,13 +103,13 @@ def predict(
         index: of the windows.
         lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the ground.
         scale, weights: of the loss (`offpiste.training.losses.summed_loss`).
-        chunk: windows rolled out side by side.
+        chunk: windows rolled out side by side, when not `CHUNK` or `SNAPSHOT_CHUNK`.
         track: shows progress over the chunks.
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
     scale, weights = scale.to(windows.device), weights.to(windows.device)
     values, losses = [], []
-    for part in track(_chunks(index, chunk), description):
+    for part in track(_chunks(index, chunk or _chunk(windows, lookup)), description):
         batch, state = _rolled_out(dynamics, windows, part, lookup)
         values.append(_absolute_errors(state[:, steps], batch.target[:, steps]))
         losses.append(summed_loss(state, batch.target, scale, weights))
@@ -119,13 +122,17 @@ def predict(
 
 
 def trajectories(
-    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: str | None, chunk: int = CHUNK
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: str | None
 ) -> Float[np.ndarray, "n T 6"]:
     """Predicted states after each step of some windows, positions relative to each window's start."""
     if not len(index):
         return np.empty((0, windows.horizon, 6))
-    states = [_rolled_out(dynamics, windows, part, lookup)[1] for part in _chunks(index, chunk)]
+    states = [_rolled_out(dynamics, windows, part, lookup)[1] for part in _chunks(index, _chunk(windows, lookup))]
     return np.asarray(torch.cat(states).cpu().numpy())
+
+
+def _chunk(windows: Windows, lookup: str | None) -> int:
+    return SNAPSHOT_CHUNK if lookup == "map" and windows.maps.snapped.any() else CHUNK
 
 
 def _chunks(index: Int[np.ndarray, " n"], size: int) -> list[np.ndarray]:

@@ -53,10 +53,9 @@ def map_source(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"
     Raises:
         DatasetError: a drive has no map.
     """
-    if windows.maps is None:
+    if not windows.maps.any:
         return path_terrain(windows, index)
-    maps, numbers = windows.maps
-    number = numbers[windows.drive[index]]
+    maps, number = windows.maps.of(index)
     if (number < 0).any():
         name = windows.drive_names[windows.drive[index][number < 0][0]]
         raise DatasetError(f"drive '{name}' has no map", how="extract it again")

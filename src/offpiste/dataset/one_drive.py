@@ -1,0 +1,109 @@
+"""One drive from its log into a dataset: read, bring to 50 Hz, look at the ground, write whole or not at all."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from offpiste.conventions import FEATURE_SETS, MIN_JUDGED_SPEED
+from offpiste.dataset.extract import Rows, extract_rows
+from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
+from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
+from offpiste.dataset.splits import PARTS, Split
+from offpiste.dataset.starts import judged_starts
+from offpiste.dataset.store import StoredDrive, add_drive, scratch
+from offpiste.dataset.visual import SnapshotKeeper, with_visual_features
+from offpiste.logs.drive import drive_from_log
+from offpiste.logs.open import open_log
+from offpiste.logs.sensors import open_sensors
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.perception.looking import load_looking
+from offpiste.rig import Rig
+
+Report = Callable[[float], None]
+"""Is told the share that is done, from 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process needs to know to extract one drive (`dataset.make.make_dataset`)."""
+
+    log: Path
+    name: str
+    rig: Rig
+    out: Path
+    split: Split
+    features: FeatureSource = "none"
+    pca: Path | None = None
+    device: str = "cpu"
+    min_hindsight: float = 0.0
+    snapshots: SnapshotSettings | None = None
+    replay: ReplaySettings | None = None
+
+
+def extract_drive(job: Job, report: Report) -> str:
+    """Extract a drive; says what it has become.
+
+    Raises:
+        LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
+    """
+    log = open_log(job.log, clock_column=job.rig.clock.column, clock_unit=job.rig.clock.unit)
+    drive = drive_from_log(log, job.rig)
+    rows, notes = extract_rows(drive), drive.notes
+    if job.pca is not None:
+        sensors = open_sensors(log, job.rig)
+        notes += sensors.coverage()
+        looking = load_looking(job.pca, job.device)
+        replay = job.replay or ReplaySettings()
+        with scratch(job.out, job.name) as folder:
+            writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, looking.channels)
+            settings = job.snapshots or SnapshotSettings()
+            keeper = SnapshotKeeper(writer, Due(_judged(rows, job), settings), settings.margin)
+            rows = with_visual_features(rows, sensors, job.rig, looking, replay, snapshots=keeper, report=report)
+            writer.close()
+            stored = add_drive(
+                job.out, job.name, rows, job.split, notes + sensors.notes, snapshots=folder / "snapshots"
+            )
+        return described(stored, job.split, job.min_hindsight)
+    terrain = None
+    if job.features != "none":
+        rows, terrain = with_ground_truth(rows, truth_map(job.log, LAYERS[job.features]), job.rig)
+    return described(add_drive(job.out, job.name, rows, job.split, notes, terrain), job.split)
+
+
+def _judged(rows: Rows, job: Job) -> list[Bool[np.ndarray, " N"]]:
+    """For validation and test, the rows at which windows start."""
+    part = job.split.label(job.name, rows.state[:, :2] + rows.origin)
+    found = []
+    for number in (PARTS.index("validation"), PARTS.index("test")):
+        starts = np.zeros(len(part), bool)
+        starts[judged_starts(rows, part == number)] = True
+        found.append(starts)
+    return found
+
+
+def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> str:
+    """A drive as stored, in a few lines."""
+    rows = drive.rows
+    mine = [drive.part == number for number in range(len(PARTS))]
+    windows = [len(judged_starts(rows, part, min_hindsight)) for part in mine]
+    share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
+    lines = [
+        f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
+        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_JUDGED_SPEED} m/s: {share}"
+    ]
+    if split.kind in ("blocks", "fold") and min(windows) == 0:
+        lines.append(
+            f"  warning: too short or slow for {split.text}: a part has no window; split by drives (drives:FILE)"
+        )
+    if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
+        rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)
+        lines.append("  valid by distance: " + ", ".join(f"{name} {rate:.2f}" for name, rate in rates))
+        unseen = sum(len(judged_starts(rows, part)) for part in mine) - sum(windows)
+        if unseen:
+            lines.append(f"  {unseen} windows left out: less than {min_hindsight:.0%} of their ground was ever seen")
+    if drive.snapshots is not None and len(drive.snapshots.row):
+        lines.append(f"  {len(drive.snapshots.row)} snapshots of the map")
+    return "\n".join(lines + [f"  {note}" for note in drive.notes])

@@ -1,0 +1,216 @@
+"""The map as it was when a window starts, for the windows that validate and test: what a planner would have read.
+
+A snapshot is cropped to what five seconds can reach and holds only cells of which something is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
+from zarr.codecs import ZstdCodec
+
+from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.mapping.terrain import TerrainMap
+
+CELL_ARRAYS = ("place", "elevation", "rise", "features")
+"""Of a `CellList`, on disk one after the other."""
+
+CHUNK = 8192
+"""Cells in a chunk of the store: a snapshot has some ten thousand."""
+
+
+@dataclass(frozen=True)
+class SnapshotSettings:
+    """Which windows get one, and how far it reaches.
+
+    Attributes:
+        seconds: at most one in so long [s].
+        most: of one part of one drive; a longer part has them further apart.
+        margin: the map is kept within this and half the way of five seconds at the window's first speed, around the
+            place half that way straight ahead [m].
+    """
+
+    seconds: float = 0.5
+    most: int = 2000
+    margin: float = 18.0
+
+
+@dataclass(frozen=True)
+class CellList:
+    """The known cells of a map.
+
+    Attributes:
+        origin: x, y of the centre of cell [0, 0] of the map [m].
+        shape: rows and columns of the map.
+        place: row * columns + column.
+        elevation: [m].
+        rise: towards +x and +y; NaN where unknown.
+        features: NaN where missing.
+    """
+
+    origin: Float[np.ndarray, " 2"]
+    shape: tuple[int, int]
+    place: Int32[np.ndarray, " C"]
+    elevation: Float32[np.ndarray, " C"]
+    rise: Float16[np.ndarray, "C 2"]
+    features: Float16[np.ndarray, "C F"]
+
+    def terrain_map(self, resolution: float) -> TerrainMap:
+        """The map that they are of."""
+        ny, nx = self.shape
+
+        def spread(values: np.ndarray) -> np.ndarray:
+            full = np.full((ny * nx, *values.shape[1:]), np.nan, values.dtype)
+            full[self.place] = values
+            return full.reshape(ny, nx, *values.shape[1:])
+
+        rise = spread(self.rise)
+        return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
+
+
+class Due:
+    """Tells at which rows a snapshot is wanted, as a drive goes by.
+
+    Args:
+        starts: for each part that is judged, the rows at which its windows start.
+    """
+
+    def __init__(self, starts: Sequence[Bool[np.ndarray, " N"]], settings: SnapshotSettings) -> None:
+        self._starts = starts
+        self._apart = [max(settings.seconds / DT, part.sum() / settings.most) for part in starts]
+        self._latest = [-np.inf] * len(starts)
+
+    def at(self, row: int) -> bool:
+        """Whether one is wanted at `row`; rows must rise from call to call."""
+        for part, starts in enumerate(self._starts):
+            if 0 <= row < len(starts) and starts[row] and row - self._latest[part] >= self._apart[part]:
+                self._latest[part] = row
+                return True
+        return False
+
+
+def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float) -> CellList:
+    """The known cells of a map that a window may come to.
+
+    Args:
+        terrain: a view is enough: the values are copied.
+        state: at the window's start, px and py in the world frame.
+        margin: of `SnapshotSettings` [m].
+    """
+    half = 0.5 * HORIZON_STEPS * DT * float(np.hypot(state[3], state[4]))
+    centre = state[:2] + half * np.array([np.cos(state[2]), np.sin(state[2])])
+    near = terrain.cropped(centre - half - margin, centre + half + margin)
+    ny, nx = near.elevation.shape
+    y, x = (near.origin[1 - axis] + near.resolution * np.arange(n) for axis, n in enumerate((ny, nx)))
+    reached = np.hypot(x[None] - centre[0], y[:, None] - centre[1]) <= half + margin
+    row, column = np.nonzero(reached & np.isfinite(near.elevation))
+    assert near.rise is not None
+    return CellList(
+        near.origin,
+        (ny, nx),
+        (row * nx + column).astype(np.int32),
+        near.elevation[row, column].astype(np.float32),
+        near.rise[row, column].astype(np.float16),
+        near.features[row, column].astype(np.float16),
+    )
+
+
+class SnapshotWriter:
+    """Writes snapshots of one drive into a new folder, one after the other, so that none stays in memory.
+
+    Args:
+        folder: of a Zarr group.
+        resolution: of the maps [m].
+        features: F.
+    """
+
+    def __init__(self, folder: Path, resolution: float, features: int) -> None:
+        self._group = zarr.open_group(folder, mode="w", attributes={"resolution": resolution}, zarr_format=3)
+        self._row: list[int] = []
+        self._first = [0]
+        self._origin: list[np.ndarray] = []
+        self._shape: list[tuple[int, int]] = []
+        for name, dtype, more in (
+            ("place", np.int32, ()),
+            ("elevation", np.float32, ()),
+            ("rise", np.float16, (2,)),
+            ("features", np.float16, (features,)),
+        ):
+            self._group.create_array(
+                name,
+                shape=(0, *more),
+                dtype=dtype,
+                chunks=(CHUNK, *more),
+                compressors=ZstdCodec(level=1),
+                config={"write_empty_chunks": True},
+            )
+
+    def add(self, row: int, cells: CellList) -> None:
+        """A snapshot for the window that starts at `row` of its drive."""
+        for name in CELL_ARRAYS:
+            array = self._group[name]
+            assert isinstance(array, zarr.Array)
+            array.append(getattr(cells, name))
+        self._row.append(row)
+        self._first.append(self._first[-1] + len(cells.place))
+        self._origin.append(cells.origin)
+        self._shape.append(cells.shape)
+
+    def close(self) -> None:
+        """Write what finds them again."""
+        for name, values in (
+            ("row", np.array(self._row, np.int64)),
+            ("first", np.array(self._first, np.int64)),
+            ("origin", np.array(self._origin, np.float64).reshape(-1, 2)),
+            ("shape", np.array(self._shape, np.int64).reshape(-1, 2)),
+        ):
+            self._group.create_array(name, data=values, config={"write_empty_chunks": True})
+
+
+@dataclass(frozen=True)
+class Snapshots:
+    """Snapshots of one drive, read when they are asked for.
+
+    Attributes:
+        resolution: of the maps [m].
+        row: at which windows they were taken, rising.
+        first: of the cells of each, and how many there are in all.
+        origin, shape: of each.
+        cells: `CellList.place`, `elevation`, `rise` and `features` of all, on disk.
+    """
+
+    resolution: float
+    row: Int[np.ndarray, " S"]
+    first: Int[np.ndarray, " S+1"]
+    origin: Float[np.ndarray, "S 2"]
+    shape: Int[np.ndarray, "S 2"]
+    cells: dict[str, Any]
+
+    def load(self, number: int) -> TerrainMap:
+        """The map of snapshot `number`."""
+        begin, end = self.first[number : number + 2]
+        ny, nx = self.shape[number].tolist()
+        read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}
+        return CellList(self.origin[number], (ny, nx), **read).terrain_map(self.resolution)
+
+
+def open_snapshots(folder: Path) -> Snapshots:
+    """Snapshots that a `SnapshotWriter` wrote.
+
+    Raises:
+        KeyError, OSError, ValueError: the folder is cut short.
+    """
+    group = zarr.open_group(folder, mode="r")
+    arrays = dict(group.arrays())
+    for name, array in arrays.items():
+        if array.nchunks_initialized < array.nchunks:
+            # Zarr would read a missing chunk as zeros.
+            raise ValueError(f"a chunk of the snapshots' '{name}' is missing")
+    row, first, origin, shape = (np.asarray(arrays[name][...]) for name in ("row", "first", "origin", "shape"))
+    resolution = group.attrs["resolution"]
+    assert isinstance(resolution, float)
+    return Snapshots(resolution, row, first, origin, shape, {name: arrays[name] for name in CELL_ARRAYS})

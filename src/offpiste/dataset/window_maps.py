@@ -1,0 +1,68 @@
+"""The maps that predictions are judged on: one of a whole drive, or a snapshot for each window."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+
+from offpiste.dataset.store import StoredDrive
+from offpiste.mapping.lookup import MapStack, stack_maps
+
+
+class WindowMaps:
+    """Finds the map of each window.
+
+    Args:
+        drives: of the dataset.
+        drive, row: of the windows: number of the drive, and row t in it.
+        device: where maps are read.
+    """
+
+    def __init__(
+        self,
+        drives: Sequence[StoredDrive],
+        drive: Int[np.ndarray, " n"],
+        row: Int[np.ndarray, " n"],
+        device: torch.device,
+    ) -> None:
+        self._drives, self._drive, self._device = drives, drive, device
+        self._snapshot = np.full(len(drive), -1)
+        for number in np.unique(drive):
+            snapshots = drives[number].snapshots
+            if snapshots is not None and len(snapshots.row):
+                mine = np.flatnonzero(drive == number)
+                place = np.searchsorted(snapshots.row, row[mine]).clip(max=len(snapshots.row) - 1)
+                self._snapshot[mine] = np.where(snapshots.row[place] == row[mine], place, -1)
+        self._whole: MapStack | None = None
+        self._numbers = np.full(len(drives), -1)
+
+    @property
+    def snapped(self) -> Bool[np.ndarray, " n"]:
+        """Windows with a snapshot."""
+        return np.asarray(self._snapshot >= 0)
+
+    @property
+    def any(self) -> bool:
+        """Whether there are maps."""
+        return bool(self.snapped.any()) or any(drive.load_map is not None for drive in self._drives)
+
+    def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack, Int[np.ndarray, " B"]]:
+        """Maps, and which of them each of some windows reads; -1 where it has none."""
+        if self.snapped.any():
+            return self._snapshots(index)
+        if self._whole is None:
+            used = [n for n in np.unique(self._drive) if self._drives[n].load_map is not None]
+            loaders = [self._drives[n].load_map for n in used]
+            self._whole = stack_maps([load() for load in loaders if load is not None], device=self._device)
+            self._numbers[used] = np.arange(len(used))
+        return self._whole, self._numbers[self._drive[index]]
+
+    def _snapshots(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack, Int[np.ndarray, " B"]]:
+        have = self._snapshot[index] >= 0
+        maps = []
+        for window in index[have]:
+            snapshots = self._drives[self._drive[window]].snapshots
+            assert snapshots is not None
+            maps.append(snapshots.load(int(self._snapshot[window])))
+        return stack_maps(maps, device=self._device), np.where(have, np.cumsum(have) - 1, -1)

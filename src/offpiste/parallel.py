@@ -1,0 +1,129 @@
+"""Independent jobs in processes of their own, with one bar over all of them."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from queue import Empty, Queue
+from typing import Any, TypeVar
+
+from offpiste.errors import OffpisteError
+from offpiste.progress import shares
+
+Job = TypeVar("Job")
+Work = Callable[[Job, Callable[[float], None]], str]
+"""Does a job, reports the share that is done, and says in the end what came of it."""
+
+POLL = 0.3
+"""How often shares are looked at [s]."""
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_all(
+    work: Work[Job], jobs: Sequence[Job], processes: int, description: str, tell: Callable[[str], None]
+) -> list[OffpisteError]:
+    """Do all jobs, the rest of them even if one fails.
+
+    Args:
+        work: a function of a module, so that processes can import it.
+        processes: at most so many at a time; 1 works in this one.
+        tell: gets what each job says, and why one failed where several jobs are done.
+
+    Returns:
+        Why jobs failed.
+    """
+    failed = []
+    done = (
+        _one_by_one(work, jobs, description)
+        if min(processes, len(jobs)) <= 1
+        else _side_by_side(work, jobs, min(processes, len(jobs)), description)
+    )
+    for said in done:
+        if isinstance(said, str):
+            tell(said)
+            continue
+        failed.append(said)
+        if len(jobs) > 1:
+            tell(f"failed: {said}")
+    return failed
+
+
+def _one_by_one(work: Work[Job], jobs: Sequence[Job], description: str) -> Iterator[str | OffpisteError]:
+    with shares(len(jobs), description) as show:
+        for number, job in enumerate(jobs):
+            try:
+                said: str | OffpisteError = work(job, partial(show, number))
+            except OffpisteError as error:
+                said = error
+            show(number, 1.0)
+            yield said
+
+
+def _side_by_side(
+    work: Work[Job], jobs: Sequence[Job], processes: int, description: str
+) -> Iterator[str | OffpisteError]:
+    with _pool(processes) as (pool, queue), shares(len(jobs), description) as show:
+        numbers = {pool.submit(_reporting, work, job, number, queue): number for number, job in enumerate(jobs)}
+        waiting: set[Future[str | OffpisteError]] = set(numbers)
+        while waiting:
+            done, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
+            for number, share in _drained(queue):
+                show(number, share)
+            for future in done:
+                show(numbers[future], 1.0)
+                yield _result(future)
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
+    context = multiprocessing.get_context("spawn")
+    with context.Manager() as manager:
+        pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin, initargs=(processes,))
+        try:
+            yield pool, manager.Queue()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.terminate()
+            raise
+        pool.shutdown()
+
+
+def _begin(processes: int) -> None:
+    """Of a process: leave Ctrl-C to the parent, and the other cores to the other processes."""
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(max(1, usable_cores() // processes))
+
+
+def _reporting(work: Work[Job], job: Job, number: int, queue: "Queue[tuple[int, float]]") -> str | OffpisteError:
+    try:
+        return work(job, lambda share: queue.put((number, share)))
+    except OffpisteError as error:
+        return error
+
+
+def _result(future: "Future[str | OffpisteError]") -> str | OffpisteError:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return OffpisteError(
+            "a process was killed, perhaps for want of memory", how="use fewer --processes; finished drives are kept"
+        )
+
+
+def _drained(queue: "Queue[tuple[int, float]]") -> Iterator[tuple[int, float]]:
+    while True:
+        try:
+            yield queue.get_nowait()
+        except Empty:
+            return
