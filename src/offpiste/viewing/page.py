@@ -1,0 +1,98 @@
+"""The report of a dataset: one page that needs nothing but itself, in the look of `offpiste.evaluation`'s."""
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from string import Template
+
+from offpiste.dataset.store import Dataset
+from offpiste.viewing.cover_table import TextTable, headline, tables
+from offpiste.viewing.covered import Covered, seconds_of
+
+PICTURE_OF = {
+    "Valid rates": "rates",
+    "Achieved observation distances": "distances",
+    "Differences between sets": "differences",
+}
+"""Which picture stands below which table."""
+
+_CAPTIONS = {
+    "rates": "Valid rates by distance; negative distances lie behind the vehicle.",
+    "distances": "Achieved observation distances; grey: how far the vehicle was from the cell.",
+    "differences": "Left: between all sets. Right: a dot a feature, between distances next to each other.",
+}
+
+
+def render_page(dataset: Dataset, found: Covered | None, pictures: Mapping[str, bytes]) -> str:
+    """The page.
+
+    Args:
+        found: None for a dataset without visual features.
+        pictures: PNG files by name.
+    """
+    page = Template(resources.files("offpiste.viewing").joinpath("report.html").read_text("utf-8"))
+    none = "no visual features by distance: extract with --pca for a report on them"
+    sections = [] if found is None else [_section(table, pictures) for table in tables(found)]
+    paths = [name for name in pictures if name.startswith("paths")]
+    about = "Left: parts of the split. Right: speed. Drives start at the white dot."
+    sections.append("<h2>Drives from above</h2>" + "".join(_picture(pictures[name], about) for name in paths))
+    notes = [f"{drive.name}: {note}" for drive in dataset.drives for note in drive.notes]
+    if notes:
+        sections.append(f"<h2>Notes</h2><ul>{''.join(f'<li>{_safe(note)}</li>' for note in notes)}</ul>")
+    return page.substitute(
+        title=_safe(f"dataset {dataset.path.resolve().name}"),
+        style=house_style(),
+        headline=f"<p>{_safe(headline(found) if found else none)}</p>",
+        facts=_facts(dataset),
+        sections="\n".join(sections),
+    )
+
+
+def house_style() -> str:
+    """The style sheet of all of offpiste's pages."""
+    page = resources.files("offpiste.evaluation").joinpath("report.html").read_text("utf-8")
+    return page.partition("<style>")[2].partition("</style>")[0]
+
+
+def _facts(dataset: Dataset) -> str:
+    drives = dataset.drives
+    facts = {
+        "dataset": str(dataset.path),
+        "rig": dataset.rig.name,
+        "split": dataset.split.text,
+        "drives": f"{len(drives)}, {sum(map(seconds_of, drives)):.0f} s, "
+        f"{sum(drive.rows.distance for drive in drives) / 1000:.2f} km",
+        "features": f"{len(dataset.features)}: {', '.join(dataset.features)}" if dataset.features else "none",
+    }
+    return f"<dl>{''.join(f'<dt>{_safe(key)}</dt><dd>{_safe(value)}</dd>' for key, value in facts.items())}</dl>"
+
+
+def _section(table: TextTable, pictures: Mapping[str, bytes]) -> str:
+    name = PICTURE_OF.get(table.title, "")
+    picture = _picture(pictures[name], _CAPTIONS[name]) if name in pictures else ""
+    return f'<h2>{_safe(table.title)}</h2><p class="about">{_safe(table.about)}</p>{_table(table)}{picture}'
+
+
+def _table(table: TextTable) -> str:
+    def cells(tag: str, values: Sequence[str]) -> str:
+        kinds = (' class="name"' if column == 0 else "" for column in range(len(values)))
+        return "".join(f"<{tag}{kind}>{_safe(v)}</{tag}>" for kind, v in zip(kinds, values, strict=True))
+
+    body = "".join(f"<tr>{cells('td', line)}</tr>" for line in table.lines)
+    return (
+        f'<div class="scroll"><table><thead><tr>{cells("th", table.names)}</tr></thead><tbody>{body}</tbody></table>'
+        "</div>"
+    )
+
+
+def _picture(content: bytes, caption: str) -> str:
+    data = base64.b64encode(content).decode("ascii")
+    return (
+        f'<figure><img src="data:image/png;base64,{data}" alt="{_safe(caption)}">'
+        f"<figcaption>{_safe(caption)}</figcaption></figure>"
+    )
+
+
+def _safe(text: str) -> str:
+    return html.escape(text, quote=True)
