@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -43,6 +44,8 @@ class Moment:
         vehicle: place of the pose point then [m].
         layers: of the map; written over by the next scan.
         points_world, projection: the scan itself, and where the images of `views` show it.
+        looks: features of these images.
+        images: they themselves, rectified.
     """
 
     time: float
@@ -52,6 +55,15 @@ class Moment:
     projection: Projection | None
     views: tuple[View, ...]
     looks: tuple[Float32[np.ndarray, "_ _ F"], ...]
+    images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
+
+
+class _Seen(NamedTuple):
+    """The last image of a camera that was looked at."""
+
+    view: View
+    features: Float32[np.ndarray, "rows columns F"]
+    pixels: UInt8[np.ndarray, "h w 3"]
 
 
 def pinhole_cameras(log: SensorLog, patch: int) -> dict[str, PinholeCamera]:
@@ -67,34 +79,42 @@ def replay(
     settings: ReplaySettings | None = None,
     *,
     wanted: Callable[[Image], bool] | None = None,
+    start: float = -np.inf,
+    end: float = np.inf,
 ) -> Iterator[Moment]:
-    """Play a drive back.
+    """Play a drive back; where poses jump, the map begins anew.
 
     Args:
         cameras: those that are looked through.
         look: backbone and PCA.
         channels: F of its features; 0 maps the scans alone.
         wanted: images that are looked at, instead of one every `frame_metres`.
+        start, end: of the stretch that is played [s].
     """
     settings = settings or ReplaySettings()
-    pipeline, layers = MapPipeline(channels, settings.map), None
-    latest: dict[str, tuple[View, Float32[np.ndarray, "rows columns F"]]] = {}
-    for measured in log.stream([*cameras, *log.lidars]):
+    pipeline, layers, stretch = MapPipeline(channels, settings.map), None, 0
+    latest: dict[str, _Seen] = {}
+    for measured in log.stream([*cameras, *log.lidars], start=start, end=end):
         pose = log.poses.at(np.array([measured.time]))[0]
         if np.isnan(pose).any():
             continue
+        if log.poses.stretch(measured.time) != stretch:
+            stretch = log.poses.stretch(measured.time)
+            pipeline, layers, latest = MapPipeline(channels, settings.map), None, {}
         if isinstance(measured, Image):
             if _is_due(measured, pose, latest, settings) if wanted is None else wanted(measured):
                 camera = cameras[measured.camera]
                 view = View(camera, measured.time, pose @ camera.body_from_camera)
-                latest[measured.camera] = view, look(camera.rectifier(measured.pixels))
+                pixels = camera.rectifier(measured.pixels)
+                latest[measured.camera] = _Seen(view, look(pixels), pixels)
             continue
-        seen = [entry for entry in latest.values() if measured.time - entry[0].time <= settings.memory]
-        views, looks = tuple(view for view, _ in seen), tuple(features for _, features in seen)
+        seen = [entry for entry in latest.values() if measured.time - entry.view.time <= settings.memory]
+        views, looks = tuple(entry.view for entry in seen), tuple(entry.features for entry in seen)
         points, cloud, projection = _feature_cloud(log, measured, views, looks if channels else (), settings)
         pipeline.add(cloud, pose[:3, 3])
         layers = pipeline.layers(layers)
-        yield Moment(measured.time, pose[:3, 3], layers, points, projection, views, looks)
+        images = tuple(entry.pixels for entry in seen)
+        yield Moment(measured.time, pose[:3, 3], layers, points, projection, views, looks, images)
 
 
 def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " n"]:
@@ -113,12 +133,10 @@ def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " 
     return np.asarray(inside & near)
 
 
-def _is_due(
-    image: Image, pose: Float[np.ndarray, "4 4"], latest: dict[str, tuple[View, np.ndarray]], settings: ReplaySettings
-) -> bool:
+def _is_due(image: Image, pose: Float[np.ndarray, "4 4"], latest: dict[str, _Seen], settings: ReplaySettings) -> bool:
     if image.camera not in latest:
         return True
-    before = latest[image.camera][0]
+    before = latest[image.camera].view
     here = (pose @ before.camera.body_from_camera)[:3, 3]
     moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
     return bool(moved >= settings.frame_metres or image.time - before.time > settings.memory)
