@@ -111,6 +111,10 @@ class Inspect:
             write_text(self.write_rig, draft_rig(log))
             print(f"wrote {self.write_rig}", file=sys.stderr)  # noqa: T201
         inspection = inspect_log(log, rig)
+        if rig is not None and inspection.usable:
+            from offpiste.perception.checks import check_sensors
+
+            inspection = inspection.with_findings(check_sensors(log, rig))
         tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         return 0 if inspection.usable else 1
 
@@ -184,8 +188,9 @@ class FitPca:
     """As `extract` will be told: nothing outside of the training part is looked at."""
     backbone: str = "facebook/dinov2-small"
     """A ViT by name or folder, or `filterbank`: colours and edges, without weights or download."""
-    images: int = 175
-    """How many are looked at, chosen for diversity of ground and light."""
+    images: int | Path = 175
+    """How many are looked at, chosen for diversity of ground and light; or a file that lists them, such as the
+    .images.txt that is written beside the PCA."""
     components: int = 40
     """How many are kept."""
     seed: int = 0
@@ -194,22 +199,26 @@ class FitPca:
     def run(self) -> int:
         """Choose, look, fit, write."""
         from offpiste.dataset.fit_pca import fit_pca
+        from offpiste.dataset.image_list import read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
         from offpiste.perception.backbone import open_backbone
         from offpiste.perception.pca_file import save_pca
         from offpiste.rig import load_rig
 
-        pca = fit_pca(
+        images = read_image_list(self.images) if isinstance(self.images, Path) else self.images
+        fitted = fit_pca(
             self.logs,
             load_rig(self.rig),
             parse_split(self.split),
             open_backbone(self.backbone, device=self.device),
-            images=self.images,
+            images=images,
             components=self.components,
             seed=self.seed,
             tell=tell,
         )
+        pca = fitted.pca
         save_pca(self.out, pca)
+        write_image_list(self.out.with_suffix(".images.txt"), fitted.images)
         tell(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
         return 0
 

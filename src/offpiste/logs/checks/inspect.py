@@ -1,6 +1,7 @@
 """The inspection of a log: all checks, ranked."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,10 @@ class Inspection:
     def usable(self) -> bool:
         """Whether the log can be trained on: no finding is fatal."""
         return not any(finding.severity == "fatal" for finding in self.findings)
+
+    def with_findings(self, more: Iterable[Finding]) -> "Inspection":
+        """The same with what a later stage found, too."""
+        return replace(self, findings=ranked((*self.findings, *more)))
 
     def as_dict(self) -> dict[str, Any]:
         """For machines: plain numbers, texts, lists."""

@@ -1,0 +1,105 @@
+"""By how much a mounting is turned and a stamp is late, from residuals of many pairs of measurements.
+
+Robust Gauss-Newton: Tukey's biweight (Beaton and Tukey, 1974) on residuals scaled by their median. The uncertainty is
+that of the pairs, taken as independent of each other (a sandwich estimate, Huber 1967), plus that of the rows: what
+all points of a pair share (poses, weather, a hedge in the wind) counts once a pair and not once a point.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
+"""What is thought possible before looking [rad, rad, rad, s]: what nothing tells about stays as uncertain as this."""
+STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.005])
+"""For differences; the poses' own samples lie some ms apart [rad, rad, rad, s]."""
+LEAST_PAIRS: Final = 8
+"""Fewer pairs than this cannot tell their own scatter."""
+_BIWEIGHT: Final = 4.685
+"""95 % efficient on normal errors."""
+
+Parameters = Float[np.ndarray, " 4"]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What two measurements disagree about, near some parameters.
+
+    Attributes:
+        residual: zero where all is right [m or px].
+        slope: its derivatives by turn [rad] and lateness [s].
+    """
+
+    residual: Float[np.ndarray, " n"]
+    slope: Float[np.ndarray, "n 4"]
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What is wrong with a sensor's mounting and stamps.
+
+    Attributes:
+        parameters: turn about the body's axes, so that the right mounting is `exp(turn) @ body_from_sensor` [rad];
+            lateness: it happened so much before the time that the rig makes of the stamp [s].
+        sigma: standard deviation of each.
+        pairs: that were used.
+        scale: of the residuals that remain [m or px].
+    """
+
+    parameters: Parameters
+    sigma: Float[np.ndarray, " 4"]
+    pairs: int
+    scale: float
+
+
+def turned(mounting: Float[np.ndarray, "4 4"], parameters: Parameters) -> Float[np.ndarray, "4 4"]:
+    """The mounting `body_from_sensor` with its axes turned about the body's; the sensor stays where it is."""
+    matrix = mounting.copy()
+    matrix[:3, :3] = Rotation.from_rotvec(parameters[:3]).as_matrix() @ mounting[:3, :3]
+    return matrix
+
+
+def fit_misfit(compare: Callable[[Parameters], Sequence[Pair]], *, rounds: int = 4) -> Misfit | None:
+    """The parameters that bring measurements together.
+
+    Args:
+        compare: pairs near some parameters; called once a round, each time nearer to the answer.
+
+    Returns:
+        None with fewer than `LEAST_PAIRS` pairs.
+    """
+    found = None
+    for _ in range(rounds):
+        before = np.zeros(4) if found is None else found.parameters
+        pairs = [pair for pair in compare(before) if len(pair.residual)]
+        if len(pairs) < LEAST_PAIRS:
+            return None
+        found = _step(pairs, before)
+        if (np.abs(found.parameters - before) < 0.3 * found.sigma).all():
+            break
+    return found
+
+
+def _step(pairs: Sequence[Pair], start: Parameters) -> Misfit:
+    """One linear fit, outliers weighed down; in units of the prior, so that all numbers are of one size."""
+    slope = np.concatenate([pair.slope for pair in pairs]) * PRIOR
+    residual = np.concatenate([pair.residual for pair in pairs])
+    step, scale = np.zeros(4), 0.0
+    normal, weight = np.eye(4), np.ones(len(residual))
+    for _ in range(15):
+        left = residual + slope @ step
+        scale = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
+        weight = np.clip(1 - (left / (_BIWEIGHT * scale)) ** 2, 0, None) ** 2 / scale**2
+        normal = slope.T @ (weight[:, None] * slope) + np.eye(4)
+        step = -np.linalg.solve(normal, slope.T @ (weight * residual) + start / PRIOR)
+    pull = weight * (residual + slope @ step)
+    ends = np.cumsum([len(pair.residual) for pair in pairs])[:-1]
+    shared = np.stack([s.T @ p for s, p in zip(np.split(slope, ends), np.split(pull, ends), strict=True)])
+    inverse = np.linalg.inv(normal)
+    few = len(pairs) / (len(pairs) - 4)
+    covariance = inverse @ (few * shared.T @ shared) @ inverse + inverse
+    return Misfit(start + step * PRIOR, np.sqrt(np.diag(covariance)) * PRIOR, len(pairs), scale)
