@@ -120,6 +120,43 @@ class Inspect:
 
 
 @dataclass(frozen=True)
+class View:
+    """Look at a log or a dataset: pictures, a Rerun recording of a log, and the report of a dataset's features."""
+
+    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG|DATASET")]
+    """A drive with LiDARs, or what `extract` wrote."""
+    rig: str | None = None
+    """Of a log: a preset's name or a rig file."""
+    pca: Path | None = None
+    """Of a log: a file that `fit-pca` wrote; without one there are no features, and ground is grey."""
+    out: Path = Path("view")
+    """Folder of the pictures."""
+    seconds: str = ""
+    """Of a log: a stretch A:B, A: or :B, in seconds after the first pose."""
+    rrd: bool = True
+    """Of a log: also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
+    device: str = "cpu"
+    """Where the backbone runs."""
+
+    def run(self) -> int:
+        """Play back or open, draw, write."""
+        from offpiste.viewing.view import view
+
+        written = view(
+            self.path,
+            self.out,
+            rig=self.rig,
+            pca=self.pca,
+            seconds=self.seconds,
+            rrd=self.rrd,
+            device=self.device,
+            tell=tell,
+        )
+        tell(f"wrote {', '.join(map(str, written))}")
+        return 0
+
+
+@dataclass(frozen=True)
 class Extract:
     """Bring logs to 50 Hz, split them once, and write a dataset."""
 
@@ -277,6 +314,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "simulate": Simulate,
     "inspect": Inspect,
     "fit-pca": FitPca,
+    "view": View,
     "extract": Extract,
     "train": Train,
     "evaluate": Evaluate,
