@@ -11,6 +11,7 @@ from offpiste.errors import LogError
 from offpiste.geometry import local_polynomial
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive, common_span
+from offpiste.logs.jumps import find_jumps
 from offpiste.logs.motion import driven_slope, estimate_motion
 from offpiste.rig import ACTUATOR_CHANNELS, CONTROL_CHANNELS, Rig
 
@@ -63,6 +64,7 @@ def extract_rows(drive: Drive) -> Rows:
     given &= np.isfinite(control[:, [name in present_control(drive.rig) for name in CONTROL]]).all(axis=1)
     given &= np.isfinite(actuators[:, [name in present_actuators(drive.rig) for name in ACTUATORS]]).all(axis=1)
     given &= np.isfinite(slope)
+    given &= ~_across_jumps(drive, time)
     if given.sum() * DT < 1.0:
         raise LogError(
             f"no second of it has all channels of the rig ({given.sum()} complete rows of {len(given)})",
@@ -81,6 +83,15 @@ def extract_rows(drive: Drive) -> Rows:
         normal=_normals(slope, motion.state[:, 2]).astype(np.float32),
         valid=given,
     )
+
+
+def _across_jumps(drive: Drive, time: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
+    """Rows whose motion would be estimated from samples on both sides of a jump."""
+    across, window = np.zeros(len(time), bool), max(drive.rig.motion.window, 2 * DT)
+    for before, after in find_jumps(drive.channels["position"], drive.channels.get("orientation")):
+        # Targets look half a window to either side, causal states a whole one back.
+        across |= (time > before - window / 2) & (time < after + window)
+    return across
 
 
 def present_control(rig: Rig) -> tuple[str, ...]:

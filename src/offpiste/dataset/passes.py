@@ -35,6 +35,7 @@ def find_passes(
     wheels: Float[np.ndarray, "N 4 2"],
     *,
     resolution: float,
+    jumps: Float[np.ndarray, "j 2"] | None = None,
 ) -> Passes:
     """Passes of a drive.
 
@@ -43,6 +44,7 @@ def find_passes(
         xy: of the pose point, in the world frame; NaN where unknown [m].
         wheels: places of the wheels [m].
         resolution: size of a cell [m].
+        jumps: of the poses, the moments before and after [s]: a pass is not watched across one.
     """
     known = np.isfinite(wheels).all(axis=(1, 2)) & np.isfinite(xy).all(axis=1)
     grid = np.round(np.where(known[:, None, None], wheels, 0.0) / resolution).astype(np.int64)
@@ -70,7 +72,12 @@ def find_passes(
     sort = np.argsort(contact, kind="stable")
     centre = cells[of[sort]] * resolution
     approach = _farthest(time[known], xy[known], centre, before[sort], contact[sort])
-    return Passes(cells[of[sort]], approach, contact[sort], end[sort], index)
+    contact, end = contact[sort], end[sort]
+    if jumps is not None and len(jumps):
+        edges = np.concatenate(([-np.inf], jumps[:, 1], [np.inf]))
+        stretch = np.searchsorted(jumps[:, 1], contact, side="right")
+        approach, end = np.maximum(approach, edges[stretch]), np.minimum(end, edges[stretch + 1])
+    return Passes(cells[of[sort]], approach, contact, end, index)
 
 
 def _farthest(

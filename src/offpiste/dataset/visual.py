@@ -67,7 +67,7 @@ def with_visual_features(
     grid = settings.map.voxels
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
-    passes = find_passes(rows.time, xy, wheels, resolution=grid.size)
+    passes = find_passes(rows.time, xy, wheels, resolution=grid.size, jumps=log.poses.jumps)
     viewing = Viewing(passes, resolution=grid.size, reach=grid.reach, features=looking.channels)
     cameras = pinhole_cameras(log, looking.patch)
     for moment in replay(log, cameras, looking.look, looking.channels, settings):

@@ -69,6 +69,12 @@ class BagSensors(SensorSource):
         """Of headers, or of arrival."""
         return self.log.stamps(topic, stamps=self._stamps)
 
+    def arrivals(self, topic: str) -> Float[np.ndarray, " n"] | None:
+        """By the recorder's clock; None where that is what counts already, or there is no such topic."""
+        if self._stamps == "receive" or topic not in self.log.topics:
+            return None
+        return self.log.stamps(topic, stamps="receive")
+
     def images(self, topic: str) -> Iterator[RawImage]:
         """Of sensor_msgs/CompressedImage and Image."""
         for time, message in self._messages(topic, _IMAGES):

@@ -57,6 +57,10 @@ class KittiSensors(SensorSource):
         """Of frames that there are files of."""
         return self.log.frame_times(topic)
 
+    def arrivals(self, topic: str) -> None:
+        """KITTI does not say."""
+        return None
+
     def images(self, topic: str) -> Iterator[RawImage]:
         """PNG or JPEG files."""
         for time, path in zip(self.stamps(topic), self.log.files(topic).values(), strict=True):

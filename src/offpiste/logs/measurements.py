@@ -109,7 +109,7 @@ def usable_points(points_lidar: Float[np.ndarray, "n 3"], lidar: Lidar) -> Bool[
     keep = np.isfinite(distance) & (distance > 0) & (distance >= source.min_range) & (distance <= source.max_range)
     if source.own_body is not None:
         low, high = source.own_body
-        body = points_lidar @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
         with np.errstate(invalid="ignore"):
+            body = points_lidar @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
             keep &= ~((body >= np.array(low)) & (body <= np.array(high))).all(axis=1)
     return np.asarray(keep)

@@ -1,6 +1,6 @@
 """Where the vehicle was at any moment of a log."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +9,7 @@ from offpiste.errors import RigError
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
+from offpiste.logs.jumps import find_jumps
 
 
 @dataclass(frozen=True)
@@ -19,11 +20,14 @@ class Poses:
         position: [m].
         orientation: quaternions xyzw.
         max_gap: nothing is interpolated between samples further apart [s].
+        jumps: the last moment before and the first one after each place where they jump [s]; nothing is interpolated
+            between the two, and what was mapped before fits nothing after.
     """
 
     position: Channel
     orientation: Channel
     max_gap: float
+    jumps: Float[np.ndarray, "j 2"] = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def span(self) -> tuple[float, float]:
@@ -32,13 +36,19 @@ class Poses:
         return float(max(p[0], q[0])), float(min(p[-1], q[-1]))
 
     def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
-        """`world_from_body` at any moments [s]; NaN where the log does not tell: outside of it, and across gaps."""
+        """`world_from_body` at any moments [s]; NaN where unknown: outside of the log, across gaps and jumps."""
         matrix = np.zeros((len(time), 4, 4))
         matrix[:, :3, 3] = self.position.linear(time, max_gap=self.max_gap)
         matrix[:, :3, :3] = rotation_from_quaternion(slerp(self.orientation, time, max_gap=self.max_gap))
         matrix[:, 3, 3] = 1.0
+        for before, after in self.jumps:
+            matrix[(time > before) & (time < after)] = np.nan
         matrix[~np.isfinite(matrix).all(axis=(1, 2))] = np.nan
         return matrix
+
+    def stretch(self, time: float) -> int:
+        """How many jumps there were until a moment [s]: places of one stretch fit together."""
+        return int(np.searchsorted(self.jumps[:, 1], time, side="right"))
 
 
 def poses_from_drive(drive: Drive) -> Poses:
@@ -53,7 +63,7 @@ def poses_from_drive(drive: Drive) -> Poses:
             f"{drive.name}: cameras and LiDARs need positions with z, and orientations as quaternions",
             how="give channels.position three fields, and channels.orientation",
         )
-    return Poses(position, orientation, drive.rig.clock.max_gap)
+    return Poses(position, orientation, drive.rig.clock.max_gap, find_jumps(position, orientation))
 
 
 def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) -> Float[np.ndarray, "n 4"]:

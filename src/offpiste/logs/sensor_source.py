@@ -88,6 +88,10 @@ class SensorSource(ABC):
         """Stamps of all messages [s], in the order of the file, without decoding them."""
 
     @abstractmethod
+    def arrivals(self, topic: str) -> Float[np.ndarray, " n"] | None:
+        """When each message was recorded [s], by one clock for all topics; None where stamps are all there is."""
+
+    @abstractmethod
     def images(self, topic: str) -> Iterator[RawImage]:
         """Images in the order of the file.
 

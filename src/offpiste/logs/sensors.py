@@ -12,6 +12,7 @@ from offpiste.errors import LogError
 from offpiste.logs.bag_sensors import BagSensors
 from offpiste.logs.bags import BagLog
 from offpiste.logs.camera_model import model_from_intrinsics
+from offpiste.logs.coverage import DRIFT_LIMIT, clock_difference, clock_note, jump_note, span_notes
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
@@ -23,8 +24,6 @@ from offpiste.rig_sensors import CameraSource, LidarSource, Mounting
 
 _PATIENCE = 10
 """Messages in a row without anything usable, after which a sensor is given up."""
-_LATE = 1.0
-"""A sensor that misses more than this at either end of the drive is reported [s]."""
 _T = TypeVar("_T")
 
 
@@ -82,28 +81,35 @@ class SensorLog:
         return self._source.stamps(source.topic) - source.delay
 
     def coverage(self) -> tuple[str, ...]:
-        """Sensors that start late, stop early or pause, against the poses' span, in words; reads all stamps.
+        """Poses that jump, sensors that start late, stop early or pause, clocks that drift, in words; reads all stamps.
 
         Raises:
-            LogError: a sensor has no message while the vehicle's pose is known.
+            LogError: a sensor has no message while the vehicle's pose is known, or its clock drifts away from theirs.
         """
-        first, last = self.poses.span
-        notes = []
+        (first, last), notes = self.poses.span, jump_note(self.poses)
         for name in (*self.cameras, *self.lidars):
-            time = np.sort(self.stamps(name))
-            inside = time[(time >= first) & (time <= last)]
+            time = self.stamps(name)
+            inside = np.sort(time[(time >= first) & (time <= last)])
             if not len(inside):
                 what = f"'{name}' has no message from {first:.3f} to {last:.3f} s, where the pose is known"
                 raise LogError(what, where=self.path, how='use clock.stamps = "receive", or mend its delay')
-            if inside[0] - first > _LATE:
-                notes.append(f"{name}: starts {inside[0] - first:.1f} s after the poses")
-            if last - inside[-1] > _LATE:
-                notes.append(f"{name}: stops {last - inside[-1]:.1f} s before the poses")
-            steps = np.diff(inside)
-            if len(steps) and steps.max() > max(_LATE, 5 * np.median(steps)):
-                at = inside[int(steps.argmax())] - first
-                notes.append(f"{name}: pauses for {steps.max():.1f} s, {at:.1f} s after the poses start")
+            notes += span_notes(name, inside, (first, last)) + self._clock(name, time)
         return tuple(notes)
+
+    def _clock(self, name: str, stamps: Float[np.ndarray, " n"]) -> list[str]:
+        """What its clock does against that of the poses."""
+        position = self.rig.channels["position"]
+        arrivals, pose_arrivals = (self._source.arrivals(t) for t in (self._sensor(name).source.topic, position.topic))
+        if arrivals is None or pose_arrivals is None:
+            return []
+        pose_stamps = self._source.stamps(position.topic) - position.delay
+        found = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
+        if found is None:
+            return []
+        if abs(found[1]) > DRIFT_LIMIT:
+            what = f"'{name}': its stamps drift against the poses' by {abs(found[1]):.2f} s over the drive"
+            raise LogError(what, where=self.path, how='use clock.stamps = "receive", or remove the sensor from the rig')
+        return clock_note(name, *found)
 
     def _sensor(self, name: str) -> Camera | Lidar:
         return self.cameras[name] if name in self.cameras else self.lidars[name]
