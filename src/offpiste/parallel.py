@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
-from queue import Empty, Queue
+from queue import Empty
 from typing import Any, TypeVar
 
 from offpiste.errors import OffpisteError
@@ -105,7 +105,7 @@ def _begin(processes: int) -> None:
     torch.set_num_threads(max(1, usable_cores() // processes))
 
 
-def _reporting(work: Work[Job], job: Job, number: int, queue: "Queue[tuple[int, float]]") -> str | OffpisteError:
+def _reporting(work: Work[Job], job: Job, number: int, queue: Any) -> str | OffpisteError:
     try:
         return work(job, lambda share: queue.put((number, share)))
     except OffpisteError as error:
@@ -121,7 +121,7 @@ def _result(future: "Future[str | OffpisteError]") -> str | OffpisteError:
         )
 
 
-def _drained(queue: "Queue[tuple[int, float]]") -> Iterator[tuple[int, float]]:
+def _drained(queue: Any) -> Iterator[tuple[int, float]]:
     while True:
         try:
             yield queue.get_nowait()

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from offpiste.dataset.extract import Rows, extract_rows
+from offpiste.dataset.image_list import ListedImage
 from offpiste.dataset.splits import Split
 from offpiste.errors import PerceptionError
 from offpiste.logs.drive import drive_from_log, drive_name
@@ -26,6 +27,17 @@ SPACING = 2.0
 """Candidates lie so far apart [m]."""
 
 
+NEAR = 0.01
+"""A listed image is the one whose stamp is this near [s]."""
+
+
+class FittedPca(NamedTuple):
+    """A PCA, and the images that it was fitted on."""
+
+    pca: PrincipalComponents
+    images: list[ListedImage]
+
+
 class Candidate(NamedTuple):
     """An image that the PCA may look at."""
 
@@ -41,37 +53,57 @@ def fit_pca(
     split: Split,
     backbone: Backbone,
     *,
-    images: int = IMAGES,
+    images: int | Sequence[ListedImage] = IMAGES,
     components: int = COMPONENTS,
     seed: int = 0,
     tell: Callable[[str], None] = lambda line: None,
-) -> PrincipalComponents:
+) -> FittedPca:
     """Choose images of varied ground and light, and fit on their patches that ground points of the LiDAR hit.
+
+    Args:
+        images: how many are chosen; or the images themselves, which must lie in the training part too.
 
     Raises:
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
-        PerceptionError: no image of the training part, or no patch with ground in it.
+        PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
     found: list[Candidate] = []
     for number, log in enumerate(track(list(logs), "looking for images")):
-        found += _candidates(number, log, rig, split)
+        # Listed images need not lie apart.
+        found += _candidates(number, log, rig, split, SPACING if isinstance(images, int) else 0.0)
     if not found:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
-    chosen = most_diverse(np.stack([c.statistics for c in found]), images, seed=seed)
+    names = [drive_name(log) for log in logs]
+    if isinstance(images, int):
+        chosen = most_diverse(np.stack([c.statistics for c in found]), images, seed=seed).tolist()
+    else:
+        chosen = [_listed(image, found, names) for image in images]
     moments = Moments.none(backbone.channels)
     for number, log in enumerate(track(list(logs), "features of the chosen images")):
         times = {(found[i].camera, found[i].time) for i in chosen if found[i].log == number}
-        moments = _add_log(moments, _sensors(log, rig), backbone, times)
-    pca = fit(moments, backbone, components=components, logs=[drive_name(log) for log in logs], split=split.text)
+        if times:
+            moments = _add_log(moments, _sensors(log, rig), backbone, times)
+    pca = fit(moments, backbone, components=components, logs=names, split=split.text)
     tell(f"{len(chosen)} of {len(found)} images, {moments.count:.0f} patches of ground")
-    return pca
+    return FittedPca(pca, [ListedImage(names[found[i].log], found[i].camera, found[i].time) for i in chosen])
+
+
+def _listed(image: ListedImage, found: Sequence[Candidate], names: Sequence[str]) -> int:
+    for number, candidate in enumerate(found):
+        same = (names[candidate.log], candidate.camera) == (image.drive, image.camera)
+        if same and abs(candidate.time - image.time) <= NEAR:
+            return number
+    raise PerceptionError(
+        f"image '{image.drive} {image.camera} {image.time:.6f}' is not in the training part of these logs",
+        how="remove it from the list; nothing else may be looked at",
+    )
 
 
 def _sensors(log: str | Path, rig: Rig) -> SensorLog:
     return open_sensors(open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit), rig)
 
 
-def _candidates(number: int, log: str | Path, rig: Rig, split: Split) -> list[Candidate]:
+def _candidates(number: int, log: str | Path, rig: Rig, split: Split, spacing: float) -> list[Candidate]:
     sensors = _sensors(log, rig)
     rows = extract_rows(drive_from_log(open_log(log), rig))
     part = split.label(drive_name(log), rows.state[:, :2] + rows.origin)
@@ -79,7 +111,7 @@ def _candidates(number: int, log: str | Path, rig: Rig, split: Split) -> list[Ca
     for camera in sensors.cameras:
         stamps = np.sort(sensors.stamps(camera))
         stamps = stamps[_in_training(stamps, rows, part == 0)]
-        kept = frames_by_travel(sensors.poses.at(stamps)[:, :3, 3], SPACING)
+        kept = frames_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
         times = set(np.round(stamps[kept], 6))
         for image in sensors.stream([camera]):
             if isinstance(image, Image) and round(image.time, 6) in times:

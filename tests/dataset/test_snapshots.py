@@ -1,0 +1,155 @@
+"""Snapshots: which cells, at which windows, and the same on disk; predictions read them as they read the whole map."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from factories import circle_rows, small_rig
+from offpiste.dataset import store
+from offpiste.dataset.ground_truth import with_ground_truth
+from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter, crop, open_snapshots
+from offpiste.dataset.splits import PARTS, parse_split
+from offpiste.dataset.starts import judged_starts
+from offpiste.dataset.windows import Windows
+from offpiste.errors import DatasetError
+from offpiste.mapping.lookup import MapTerrain
+from offpiste.mapping.terrain import TerrainMap
+
+SPLIT = parse_split("blocks:0.5,0.25,0.25")
+NAMES = ("column", "row")
+SLOPE = np.array([0.25, -0.125])
+
+
+def tilted(shape: tuple[int, int] = (900, 800), origin: tuple[float, float] = (10.0, -150.0)) -> TerrainMap:
+    """A plane of 0.25 m cells; features tell the cell; a stripe is unknown."""
+    row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    z = SLOPE[0] * (origin[0] + 0.25 * column) + SLOPE[1] * (origin[1] + 0.25 * row)
+    features = np.stack((column, row), axis=-1).astype(np.float16)
+    rise = np.broadcast_to(SLOPE.astype(np.float32), (*shape, 2)).copy()
+    z[:, 300:304] = features[:, 300:304] = rise[:, 300:304] = np.nan
+    features[:, 310:312] = np.nan
+    return TerrainMap(np.array(origin), 0.25, z, features, rise)
+
+
+def test_a_snapshot_reaches_as_far_as_five_seconds_and_a_margin():
+    flat = TerrainMap(np.zeros(2) - 60, 0.25, np.zeros((481, 481), np.float32), np.zeros((481, 481, 1)), None)
+    flat = dataclasses.replace(flat, rise=np.zeros((481, 481, 2), np.float32))
+    for yaw in (0.0, np.pi / 2):  # at 4 m/s: a disc of 10 + 18 m, 10 m ahead
+        ahead = np.array([np.cos(yaw), np.sin(yaw)])
+        cells = crop(flat, np.array([1.0, 2.0, yaw, 4.0, 0.0, 0.0]), 18.0)
+        row, column = np.divmod(cells.place, cells.shape[1])
+        places = cells.origin + 0.25 * np.stack((column, row), axis=-1)
+        along = (places - [1.0, 2.0]) @ ahead
+        assert along.max() == pytest.approx(38.0, abs=0.13)
+        assert along.min() == pytest.approx(-18.0, abs=0.13)
+        assert len(places) == pytest.approx(np.pi * 28**2 / 0.25**2, rel=0.01)
+
+
+def test_only_known_cells_are_kept_and_come_back_in_their_places(tmp_path):
+    terrain = tilted()
+    writer = SnapshotWriter(tmp_path / "s", terrain.resolution, 2)
+    states = [np.array([60.0 + 5 * n, 10.0 * n, 0.3 * n, 3.0, 0.0, 0.0]) for n in range(4)]
+    cells = [crop(terrain, state, 18.0) for state in states]
+    for number, kept in enumerate(cells):
+        writer.add(100 * number, kept)
+    writer.close()
+    snapshots = open_snapshots(tmp_path / "s")
+    np.testing.assert_array_equal(snapshots.row, [0, 100, 200, 300])
+    for number, kept in enumerate(cells):
+        found = snapshots.load(number)
+        first = np.round((found.origin - terrain.origin) / 0.25).astype(int)
+        ny, nx = found.elevation.shape
+        original = terrain.elevation[first[1] : first[1] + ny, first[0] : first[0] + nx]
+        known = np.isfinite(found.elevation)
+        assert known.sum() == len(kept.place) == np.isfinite(kept.elevation).sum()
+        np.testing.assert_array_equal(found.elevation[known], original[known])
+        column = found.features[known][:, 0]
+        np.testing.assert_array_equal(
+            column[np.isfinite(column)], (np.nonzero(known)[1] + first[0])[np.isfinite(column)]
+        )
+        assert (np.isnan(found.features).all(axis=2) == (~known | np.isnan(found.features[..., 0]))).all()
+
+
+def test_a_chunk_that_is_missing_is_not_read_as_zeros(tmp_path):
+    writer = SnapshotWriter(tmp_path / "s", 0.25, 2)
+    writer.add(0, crop(tilted(), np.array([60.0, 0, 0, 3.0, 0, 0]), 18.0))
+    writer.close()
+    next(path for path in (tmp_path / "s" / "features" / "c").rglob("*") if path.is_file()).unlink()
+    with pytest.raises(ValueError, match="'features' is missing"):
+        open_snapshots(tmp_path / "s")
+
+
+def test_snapshots_keep_their_distance_and_their_number():
+    starts = np.zeros(1000, bool)
+    starts[100:900] = True
+    other = np.zeros(1000, bool)
+    other[905:990] = True
+    due = Due([starts, other], SnapshotSettings(seconds=0.5))
+    rows = [row for row in range(0, 1000, 5) if due.at(row)]
+    assert rows == [*range(100, 900, 25), *range(905, 990, 25)]
+    few = Due([starts], SnapshotSettings(seconds=0.1, most=10))
+    assert [row for row in range(1000) if few.at(row)] == list(range(100, 900, 80))
+    assert not few.at(-3)
+    assert not few.at(5000)
+
+
+def made(path: Path) -> store.Dataset:
+    """Two drives on a whole map, the same map as snapshots beside it in one part of the windows."""
+    store.create(path, small_rig(), SPLIT, NAMES)
+    for number in range(2):
+        rows = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), tilted(), small_rig()).rows
+        part = SPLIT.label("", rows.state[:, :2] + rows.origin)
+        with store.scratch(path, "snapshots") as folder:
+            writer = SnapshotWriter(folder / "s", 0.25, 2)
+            for row in judged_starts(rows, part == PARTS.index("test"))[::20]:
+                state = rows.state_causal[row].astype(np.float64)
+                state[:2] += rows.origin
+                writer.add(int(row), crop(tilted(), state, 18.0))
+            writer.close()
+            store.add_drive(path, f"drive {number}", rows, SPLIT, (), tilted(), folder / "s")
+    return store.open_dataset(path)
+
+
+def test_predictions_read_snapshots_as_they_read_the_whole_map(tmp_path):
+    dataset = made(tmp_path / "d.zarr")
+    assert not list((tmp_path / "d.zarr").glob(".*"))
+    windows = Windows(dataset, "test")
+    index = windows.judged(5)
+    assert 4 < len(index) < len(windows.every(5))
+    assert np.array_equal(index, np.flatnonzero(windows.maps.snapped))
+    whole = [dataclasses.replace(drive, snapshots=None) for drive in dataset.drives]
+    plain = Windows(dataclasses.replace(dataset, drives=tuple(whole)), "test")
+    assert np.array_equal(plain.judged(5), plain.every(5))
+    generator = torch.Generator().manual_seed(0)
+    # As far as 5 s reach at these speeds, and further: there a snapshot knows nothing.
+    state = torch.randn(len(index), 6, generator=generator) * torch.tensor([8.0, 8.0, 2.0, 1.0, 1.0, 1.0])
+
+    def read(windows: Windows) -> MapTerrain:
+        maps, number = windows.maps.of(index)
+        assert (number >= 0).all()
+        encode = lambda features, valid: torch.where(valid[:, None], features, -1.0)  # noqa: E731
+        return MapTerrain(maps, torch.as_tensor(number), windows.places(index), windows.wheels, encode)
+
+    snapped, mapped = read(windows).at(0, state), read(plain).at(0, state)
+    assert (snapped.latent == mapped.latent).all()
+    assert torch.allclose(snapped.normal, mapped.normal, atol=1e-4)
+    far = state + torch.tensor([0.0, 500.0, 0.0, 0.0, 0.0, 0.0])
+    assert (read(windows).at(0, far).latent == -1).all()
+
+
+def test_parts_without_snapshots_are_judged_on_all_windows(tmp_path):
+    dataset = made(tmp_path / "d.zarr")
+    windows = Windows(dataset, "validation")
+    assert not windows.maps.snapped.any()
+    assert np.array_equal(windows.judged(5), windows.every(5))
+
+
+def test_a_dataset_says_that_its_snapshots_are_damaged(tmp_path):
+    path = made(tmp_path / "d.zarr").path
+    shutil.rmtree(path / "drive 1" / "snapshots" / "features" / "c")
+    with pytest.raises(DatasetError, match="drive 'drive 1' cannot be read"):
+        store.open_dataset(path)

@@ -1,0 +1,18 @@
+"""Jobs for processes of their own, which must import them."""
+
+import os
+import time
+from collections.abc import Callable
+
+from offpiste.errors import LogError
+
+
+def square(job: int, report: Callable[[float], None]) -> str:
+    """Says the square; refuses negative numbers, and 13 kills its process."""
+    report(0.5)
+    if job < 0:
+        raise LogError(f"{job} is negative", where="here", how="give another")
+    if job == 13:
+        os._exit(1)
+    time.sleep(0.01)
+    return str(job * job)

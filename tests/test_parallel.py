@@ -1,0 +1,36 @@
+"""Jobs side by side: all done, whatever happens to some."""
+
+import pickle
+
+import pytest
+
+from jobs import square
+from offpiste.errors import LogError, OffpisteError
+from offpiste.parallel import run_all
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_all_jobs_are_done_even_if_one_fails(processes):
+    said: list[str] = []
+    failed = run_all(square, [3, -1, 4, 5], processes, "squares", said.append)
+    assert sorted(said) == ["16", "25", "9", "failed: here: -1 is negative; give another"]
+    assert [(type(error), str(error)) for error in failed] == [(LogError, "here: -1 is negative; give another")]
+
+
+def test_a_single_job_leaves_its_failure_to_the_caller():
+    said: list[str] = []
+    assert len(run_all(square, [-1], 4, "squares", said.append)) == 1
+    assert not said
+
+
+def test_a_process_that_is_killed_is_reported_and_does_not_hang():
+    failed = run_all(square, [13, 13], 2, "squares", lambda line: None)
+    assert len(failed) == 2
+    assert all("killed" in str(error) and "--processes" in str(error) for error in failed)
+
+
+def test_errors_come_back_from_other_processes_as_they_were():
+    error = pickle.loads(pickle.dumps(LogError("broken", where="a.mcap", how="mend it")))  # noqa: S301
+    assert type(error) is LogError
+    assert str(error) == "a.mcap: broken; mend it"
+    assert str(pickle.loads(pickle.dumps(OffpisteError("x")))) == "x"  # noqa: S301
