@@ -1,0 +1,205 @@
+"""The probe on made-up ground whose answer is known, on a real replay of a few seconds, and from end to end."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.conventions import FEATURE_SETS, GROUND_PROPERTIES
+from offpiste.errors import PerceptionError
+from offpiste.experiments.perturbed import Flaw
+from offpiste.experiments.probe import Probe
+from offpiste.experiments.probe_cells import GROUND, SeenCells, load_cells, save_cells, see_cells, with_colour
+from offpiste.experiments.probe_scores import drawn_blocks, fit_probe, judge, judged, pool, probe_rows
+from offpiste.logs.truth import read_truth
+from offpiste.perception.backbone import open_backbone
+from offpiste.perception.looking import Looking
+from offpiste.perception.pca import Moments, fit
+from offpiste.perception.pca_file import save_pca
+from offpiste.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world import WorldSettings
+
+FRICTION = np.array([0.6, 0.45, 0.65, 0.55, 0.3, 0.5, 0.35])
+"""Of the made-up ground kinds."""
+NOISE_BY_SET = dict(zip(FEATURE_SETS, (0.5, 0.5, 0.5, 0.5, 1.0, 2.0, 4.0, 8.0), strict=True))
+
+
+def made_up(seed: int, *, cells: int = 1500, missing: float = 0.2) -> SeenCells:
+    """Ground in patches of 10 cells; features are its kind and noise that grows with distance; brightness is noise."""
+    rng = np.random.default_rng(seed)
+    kind = np.repeat(rng.integers(0, 7, cells // 10), 10)
+    one_hot = np.eye(7)[kind]
+    noise = np.array(list(NOISE_BY_SET.values()))[:, None, None]
+    features = one_hot + noise * rng.normal(size=(8, cells, 7))
+    valid = rng.uniform(size=(8, cells)) > missing
+    properties = np.zeros((cells, len(GROUND_PROPERTIES)))
+    properties[:, 0] = FRICTION[kind] + 0.01 * rng.normal(size=cells)
+    properties[:, 2] = 0.2 - 0.2 * FRICTION[kind]
+    return SeenCells(
+        features=np.where(valid[..., None], features, np.nan),
+        colour=np.where(valid[..., None], rng.uniform(size=(8, cells, 3)), np.nan),
+        valid=valid,
+        properties=properties,
+        ground=np.column_stack((one_hot, np.zeros(cells))),
+        row=np.arange(cells) * 4,
+    )
+
+
+def by(rows: list[dict], **wanted: object) -> dict:
+    found = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+    assert len(found) == 1
+    return found[0]
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict]:
+    train, test = (pool([(0, made_up(seed)), (0, made_up(seed + 1))]) for seed in (0, 2))
+    return probe_rows(train, test, "made up")
+
+
+def test_the_ceiling_is_above_the_probe_and_the_probe_above_the_floor(rows: list[dict]) -> None:
+    asked = {"target": "friction", "trained": "hindsight", "feature_set": "hindsight", "cells": "valid"}
+    ceiling, visual, floor, world = (by(rows, input=n, **asked) for n in ("kind", "visual", "brightness", "world"))
+    # Friction is its kind's and noise of 0.01; its variance over kinds is that of FRICTION, about.
+    assert ceiling["r2"] == pytest.approx(1 - 0.01**2 / FRICTION.var(), abs=0.01)
+    assert ceiling["r2"] > visual["r2"] > 0.3 > 0.05 > abs(floor["r2"])
+    assert abs(floor["rank"]) < 0.1
+    assert abs(world["r2"]) < 0.05
+    assert ceiling["n"] == visual["n"] == floor["n"]
+    assert visual["r2_ci95"][0] < visual["r2"] < visual["r2_ci95"][1]
+
+
+def test_what_is_known_ahead_is_the_share_of_the_variance(rows: list[dict]) -> None:
+    """Least squares on a one-hot code with noise of variance v explains s / (s + v) of it, s = 1/7 being its own."""
+    for name in ("hindsight", "10", "20"):
+        found = by(rows, target="friction", trained="same", feature_set=name, cells="valid", input="visual")
+        wanted = (1 / 7) / (1 / 7 + NOISE_BY_SET[name] ** 2)
+        assert found["r2"] == pytest.approx(wanted, abs=0.06)
+
+
+def test_training_on_all_sets_or_on_the_same_beats_hindsight_where_features_are_worse(rows: list[dict]) -> None:
+    far = {"target": "friction", "feature_set": "30", "cells": "valid", "input": "visual"}
+    r2 = {trained: by(rows, trained=trained, **far)["r2"] for trained in ("hindsight", "all", "same")}
+    assert r2["same"] > r2["hindsight"]
+    assert r2["all"] > r2["hindsight"]
+
+
+def test_common_cells_are_the_same_for_every_set(rows: list[dict]) -> None:
+    common = [row for row in rows if row["cells"] == "common"]
+    assert {row["feature_set"] for row in common} == {"hindsight", "-10", "0", "10", "20"}
+    # Five sets, each valid with probability 0.8.
+    assert {row["n"] for row in common} == {common[0]["n"]}
+    assert common[0]["n"] == pytest.approx(3000 * 0.8**5, rel=0.1)
+
+
+def test_cells_that_the_map_did_not_hold_are_neither_trained_on_nor_judged() -> None:
+    seen = made_up(0)
+    pooled = pool([(0, seen)])
+    spoilt = replace(seen, features=np.where(seen.valid[..., None], seen.features, 1e6))
+    a, b = (fit_probe(p, "friction", "visual", FEATURE_SETS) for p in (pooled, pool([(0, spoilt)])))
+    np.testing.assert_array_equal(a.weights, b.weights)
+    assert fit_probe(pool([(0, replace(seen, valid=np.zeros_like(seen.valid)))]), "friction", "visual", ("10",)) is None
+    chosen = pooled.cells.valid[4]
+    assert judge(a, "friction", "visual", judged(pooled, "10", chosen)).n == chosen.sum()
+
+
+def test_parts_and_blocks_are_stretches_of_one_drive() -> None:
+    pooled = pool([(0, made_up(0)), (1, made_up(1))])
+    for drive in (0, 1):
+        part = pooled.part[pooled.drive == drive]
+        assert (np.diff(part) >= 0).all()
+        np.testing.assert_array_equal(np.unique(part), np.arange(5))
+    # 1500 cells 0.08 s apart are 120 s: twelve blocks of 10 s a drive.
+    drawn = drawn_blocks(pooled, np.ones(3000, bool))
+    assert drawn.blocks == 24
+    assert not set(drawn.block[:1500]) & set(drawn.block[1500:])
+
+
+def filterbank_looking() -> Looking:
+    backbone = open_backbone("filterbank")
+    vectors = np.random.default_rng(0).normal(size=(500, backbone.channels))
+    return Looking(backbone, fit(Moments.of(vectors), backbone, components=5))
+
+
+def test_colour_is_added_to_a_look_and_leaves_it_as_it_was() -> None:
+    looking = filterbank_looking()
+    pixels = np.random.default_rng(1).integers(0, 256, (42, 56, 3), dtype=np.uint8)
+    both, alone = with_colour(looking).look(pixels), looking.look(pixels)
+    np.testing.assert_allclose(both[..., :-3], alone, atol=1e-5)
+    patch = pixels[14:28, 28:42].reshape(-1, 3).mean(axis=0) / 255
+    np.testing.assert_allclose(both[1, 2, -3:], patch, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    log = tmp_path_factory.mktemp("probe") / "mojave-3.mcap"
+    world = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
+    simulate(DriveSettings(world, 5.0, seed=1, sensors="light"), log)
+    return log
+
+
+def test_cells_of_a_stretch_carry_the_truth_and_a_flaw_changes_their_looks_only(drive: Path) -> None:
+    rig, looking, truth = load_rig("proving_ground"), filterbank_looking(), read_truth(drive)
+    seen, late = (see_cells(drive, rig, looking, flaw=Flaw(late=x), seconds=4.0) for x in (0.0, 0.1))
+    assert seen.features.shape == (8, len(seen.row), 5)
+    assert 0 < seen.row.max() <= 200
+    assert seen.valid[0].mean() > 0.5
+    assert (np.isfinite(seen.colour).all(axis=2) == seen.valid).all()
+    np.testing.assert_allclose(seen.ground[:, : len(GROUND) - 1].sum(axis=1), 1.0, atol=1e-4)
+    # What the tyres felt when they entered the cell, but for half a cell of ground that changes.
+    felt = np.interp(seen.row * 0.02, truth.time - truth.time[0], truth.properties[:, :, 0].mean(axis=1))
+    assert np.corrcoef(felt, seen.properties[:, 0])[0, 1] > 0.7
+
+    np.testing.assert_array_equal(seen.row, late.row)
+    np.testing.assert_array_equal(seen.properties, late.properties)
+    both = seen.valid[0] & late.valid[0]
+    assert both.sum() > 100
+    assert (seen.features[0, both] != late.features[0, both]).any()
+
+
+def test_the_experiment_goes_on_from_what_is_there(tmp_path: Path) -> None:
+    """Cells that lie there are not extracted again: the drives themselves are empty files."""
+    looking = filterbank_looking()
+    save_pca(tmp_path / "pca.safetensors", looking.pca)
+    experiment = Probe(out=tmp_path, worlds=("a", "b"), seeds=(1,), judged=(2,), flaw_worlds=("a",), directions=1)
+    (tmp_path / "drives").mkdir()
+    cells = tmp_path / "cells" / looking.identity
+    flaws = [Flaw(), *(Flaw(degrees=d) for d in experiment.degrees), *(Flaw(late=x / 1000) for x in experiment.late)]
+    for number, name in enumerate(("a-1", "a-2", "b-1", "b-2")):
+        (tmp_path / "drives" / f"{name}.mcap").touch()
+        save_cells(cells / f"{name}.npz", made_up(number, cells=600))
+        for flaw in flaws if name[0] == "a" else ():
+            save_cells(cells / f"{name}-60s-{flaw}.npz", made_up(number, cells=600))
+    experiment.run()
+    result = json.loads((tmp_path / "probe.json").read_text())
+    assert {row["worlds"] for row in result["probes"]} == {"a", "b", "mixed"}
+    assert {row["flaw"] for row in result["flaws"]} == {str(flaw) for flaw in flaws}
+    clean, turned = (
+        by(result["flaws"], flaw=str(f), target="friction", probe="clean", feature_set="hindsight") for f in flaws[:2]
+    )
+    assert clean["r2"] == turned["r2"]  # the same cells were written for both
+    for name in ("probe_a", "probe_mixed", "probe_flaws"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_cells_come_back_from_their_file(tmp_path: Path) -> None:
+    seen = made_up(0)
+    save_cells(tmp_path / "cells.npz", seen)
+    back = load_cells(tmp_path / "cells.npz")
+    np.testing.assert_array_equal(back.features, seen.features)
+    np.testing.assert_array_equal(back.row, seen.row)
+    assert list(tmp_path.iterdir()) == [tmp_path / "cells.npz"]
+
+
+def test_no_drive_both_trains_and_judges(tmp_path: Path) -> None:
+    with pytest.raises(PerceptionError, match="both trains and judges"):
+        Probe(out=tmp_path, seeds=(1, 2), judged=(2,)).run()
+    looking = filterbank_looking()
+    fitted = fit(Moments.of(torch.randn(90, looking.backbone.channels)), looking.backbone, logs=["dunes-2"])
+    save_pca(tmp_path / "pca.safetensors", fitted)
+    with pytest.raises(PerceptionError, match="dunes-2"):
+        Probe(out=tmp_path, seeds=(1,), judged=(2,)).run()

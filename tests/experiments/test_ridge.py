@@ -1,0 +1,95 @@
+"""Linear probes against closed forms, on data whose answer is known."""
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from offpiste.evaluation.metrics import resampling
+from offpiste.experiments.ridge import PENALTIES, fit_ridge, score
+
+N = 4000
+
+
+def linear(noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Features of several sizes, and 3 + f . (2, -1, 0) / their sizes with noise: variance 5 + noise^2."""
+    rng = np.random.default_rng(seed)
+    standard = rng.normal(size=(N, 3))
+    y = 3 + standard @ np.array([2.0, -1.0, 0.0]) + noise * rng.normal(size=N)
+    return standard * [1.0, 100.0, 0.01] + [0.0, 500.0, 1.0], y
+
+
+def folds(n: int = N) -> np.ndarray:
+    return np.arange(n) * 5 // n
+
+
+def drawn(n: int = N, blocks: int = 40):
+    return resampling(np.arange(n) * blocks // n, np.random.default_rng(0))
+
+
+def test_r2_of_a_linear_target_is_its_share_of_the_variance() -> None:
+    ridge = fit_ridge(*linear(noise=np.sqrt(5.0)), folds())
+    x, y = linear(noise=np.sqrt(5.0), seed=1)
+    found = score(y, ridge.predict(x), drawn())
+    assert found.r2 == pytest.approx(0.5, abs=0.03)
+    assert found.r2_ci95[0] < 0.5 < found.r2_ci95[1]
+    assert found.r2_ci95[1] - found.r2_ci95[0] < 0.15
+    np.testing.assert_allclose(ridge.weights, [2.0, -1.0, 0.0], atol=0.15)
+
+
+def test_the_fit_is_the_textbooks() -> None:
+    x, y = linear(noise=1.0)
+    ridge = fit_ridge(x, y, folds(), penalties=(0.3,))
+    standard = (x - x.mean(axis=0)) / x.std(axis=0)
+    wanted = np.linalg.solve(standard.T @ standard + 0.3 * N * np.eye(3), standard.T @ (y - y.mean()))
+    np.testing.assert_allclose(ridge.weights, wanted, rtol=1e-9)
+    np.testing.assert_allclose(ridge.predict(x), y.mean() + standard @ wanted, rtol=1e-9)
+
+
+def test_a_constant_feature_changes_nothing_even_where_it_varies_later() -> None:
+    x, y = linear(noise=1.0)
+    with_constant = np.column_stack((x, np.full(N, 7.0)))
+    ridge = fit_ridge(with_constant, y, folds())
+    later = with_constant.copy()
+    later[:, 3] = 1e6
+    np.testing.assert_allclose(ridge.predict(later), fit_ridge(x, y, folds()).predict(x), rtol=1e-9)
+
+
+def test_features_that_say_nothing_are_penalised_until_little_is_left() -> None:
+    rng = np.random.default_rng(3)
+    x, y = rng.normal(size=(100, 60)), rng.normal(size=100)
+    ridge = fit_ridge(x, y, folds(100))
+    assert ridge.penalty >= 1.0
+    free = fit_ridge(x, y, folds(100), penalties=(PENALTIES[0],))
+    fresh, target = rng.normal(size=(N, 60)), rng.normal(size=N)
+    assert score(target, ridge.predict(fresh), drawn()).r2 > score(target, free.predict(fresh), drawn()).r2 + 0.3
+
+
+def test_scores_are_those_of_their_definitions() -> None:
+    rng = np.random.default_rng(4)
+    y = rng.normal(size=500)
+    p = np.exp(y + rng.normal(size=500))
+    found = score(y, p, drawn(500, 10))
+    assert found.rank == pytest.approx(spearmanr(y, p).statistic)
+    assert found.r2 == pytest.approx(1 - np.square(y - p).sum() / np.square(y - y.mean()).sum())
+    assert found.n == 500
+
+
+def test_what_cannot_be_scored_is_nan() -> None:
+    varied = np.arange(20.0)
+    assert np.isnan(score(np.ones(20), varied, drawn(20, 5)).r2)
+    constant = score(varied, np.full(20, varied.mean()), drawn(20, 5))
+    assert np.isnan(constant.rank)
+    assert constant.r2 == pytest.approx(0.0)
+    assert np.isnan(score(varied, varied, drawn(20, 2)).r2_ci95).all()
+
+
+def test_intervals_know_blocks() -> None:
+    """Cells of one block that all err alike count once, however many they are."""
+    rng = np.random.default_rng(5)
+    block = np.arange(3000) // 100
+    y = rng.normal(size=3000)
+    shared = y + rng.normal(size=30)[block]
+    each = y + rng.normal(size=3000)
+    by_block = resampling(block, np.random.default_rng(0))
+    wide, narrow = (np.diff(score(y, p, by_block).r2_ci95)[0] for p in (shared, each))
+    assert wide > 2 * narrow
