@@ -17,7 +17,7 @@ MOMENTS: Final = 4
 WIDTH: Final = 2000
 """Of a sheet [px]."""
 
-Picture = UInt8[np.ndarray, "h w 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
 @dataclass(frozen=True)

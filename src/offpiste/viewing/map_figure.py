@@ -82,8 +82,8 @@ def hillshade(ground: Ground) -> Float[np.ndarray, "ny nx"]:
 
 def feature_colours(ground: Ground, limits: Limits | None) -> Float[np.ndarray, "ny nx 3"]:
     """First three components as RGB [0..1]; ground without features in grey, unknown nearly white."""
-    grey = np.nan_to_num(0.35 + 0.35 * hillshade(ground), nan=0.6)
-    picture = np.where((ground.known > 0)[..., None], grey[..., None], PAPER)
+    grey = np.where(ground.known > 0, np.nan_to_num(0.35 + 0.35 * hillshade(ground), nan=0.6), PAPER)
+    picture = np.repeat(grey[..., None], 3, axis=2)
     if limits is not None:
         seen = ground.known == FEATURED
         picture = np.where(seen[..., None], _rgb(ground.components, limits) / 255, picture)

@@ -33,7 +33,7 @@ def tiles(layers: TerrainLayers, step: int) -> Iterator[Tile]:
     Args:
         step: every so many cells is taken, the same ones wherever the map is; divides `TILE`.
     """
-    low = np.floor(layers.origin / layers.resolution).astype(int)  # cell i covers [i, i + 1) cells
+    low = np.floor(layers.origin / layers.resolution).astype(int).tolist()  # cell i covers [i, i + 1) cells
     ny, nx = layers.known.shape
     for y in range(low[1] // TILE, (low[1] + ny - 1) // TILE + 1):
         for x in range(low[0] // TILE, (low[0] + nx - 1) // TILE + 1):

@@ -82,7 +82,7 @@ class Mosaic:
         self._components = np.full((ny, nx, 3), np.nan, np.float16)
         self._obstacle = np.full((ny, nx), np.nan, np.float16)
         self._slope = np.full((ny, nx), np.nan, np.float16)
-        self._known = np.zeros((ny, nx), np.uint8)
+        self._known = np.zeros((ny, nx), np.int8)
 
     def add(self, layers: TerrainLayers) -> None:
         """Take over what a map knows now; what it does not know any more stays."""
