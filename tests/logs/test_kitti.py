@@ -1,13 +1,11 @@
 """KITTI raw drives: a drive made up by hand, and the real one beside the project."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from msgspec import structs
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
@@ -16,7 +14,6 @@ from offpiste.logs.kitti import KittiLog, pose_from_oxts
 from offpiste.logs.kitti_sensors import time_in_sweep
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.sensors import SensorLog, open_sensors
-from offpiste.perception.carry import points_in_world
 from offpiste.rig import load_rig
 
 DRIVE = "kitti_raw/2011_09_26/2011_09_26_drive_0013_sync"
@@ -152,40 +149,3 @@ def test_the_real_drive_has_poses_that_move_as_its_velocities_say(real):
 
 def test_the_real_drives_sensors_stop_before_its_poses(real):
     assert real.coverage() == ("image_02: stops 3.4 s before the poses", "velodyne: stops 3.4 s before the poses")
-
-
-def off_upright_planes(carried: np.ndarray, onto: np.ndarray) -> float:
-    """Median distance of points from planes through upright structure of another scan [m]."""
-    tree = cKDTree(onto)
-    distance, index = tree.query(carried, distance_upper_bound=1.0)
-    carried, index = carried[np.isfinite(distance)], index[np.isfinite(distance)]
-    reach, near = tree.query(onto[index], 10)
-    patch = onto[near] - onto[near].mean(axis=1, keepdims=True)
-    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch) / 10)
-    normal, spread = axes[:, :, 0], spread.clip(0)
-    upright = (np.abs(normal[:, 2]) < 0.3) & (spread[:, 0] < 0.05**2) & (spread[:, 1] > 9 * spread[:, 0])
-    upright &= reach[:, -1] < 1
-    assert upright.sum() > 300
-    return float(np.median(np.abs(np.einsum("ni,ni->n", carried - onto[index], normal))[upright]))
-
-
-def test_a_scan_carried_by_the_poses_lies_on_the_next_ones(real):
-    """0.2 and 0.4 s later. Further apart, GPS wanders: 0.13 m in the median after 1 s, 0.43 m at worst."""
-    lidar, begin = real.lidars["velodyne"], real.poses.span[0]
-    scans = list(real.stream(["velodyne"], start=begin + 7.0, end=begin + 8.3))
-    assert len(scans) >= 6
-    first, last = scans[0], scans[5]
-    for scan in scans[1:3]:
-        onto = points_in_world(scan, lidar, real.poses)[::2]
-        assert off_upright_planes(points_in_world(first, lidar, real.poses)[::5], onto) < 0.2
-
-    def apart(turn: float) -> float:
-        """After 1 s, with points' times as they are, left out, or as if the Velodyne turned the other way."""
-        turned = [replace(scan, offset=turn * scan.offset) for scan in (first, last)]
-        one, other = (points_in_world(scan, lidar, real.poses) for scan in turned)
-        return off_upright_planes(one[::5], other[::2])
-
-    right, ignored, wrong = apart(1), apart(0), apart(-1)
-    assert right < 0.1
-    assert right < ignored
-    assert right < wrong
