@@ -122,7 +122,7 @@ class _Mapping:
 
 def _look(camera: SmallCamera, time: float, poses: Poses, parameters: Parameters) -> Float[np.ndarray, "4 4"] | None:
     """`world_from_camera` with these parameters."""
-    matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.body_from_camera, parameters)
+    matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.camera.body_from_camera, parameters)
     return matrix if np.isfinite(matrix).all() else None
 
 

@@ -73,13 +73,11 @@ class SmallCamera:
     """A camera of rectified, smaller images.
 
     Attributes:
-        body_from_camera: z forward, x right, y down.
         free: pixels that show the world.
     """
 
-    name: str
+    camera: Camera
     rectifier: Rectifier
-    body_from_camera: Float[np.ndarray, "4 4"]
     free: Bool[np.ndarray, "h w"]
 
     def grey(self, image: Image) -> Grey:
@@ -108,7 +106,7 @@ def small_camera(camera: Camera) -> SmallCamera:
     halved = model.matrix[0, 0] > _FINE
     rectifier = make_rectifier(lens_of(camera), size=(model.width // 2, model.height // 2) if halved else None)
     free = rectifier.valid & ~rectifier.mask(own_body(camera))
-    return SmallCamera(camera.name, rectifier, camera.body_from_camera, np.asarray(free))
+    return SmallCamera(camera, rectifier, np.asarray(free))
 
 
 def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:

@@ -1,9 +1,13 @@
 """All checks of cameras and LiDARs, in turn."""
 
+from collections.abc import Sequence
+
 from offpiste.errors import OffpisteError
 from offpiste.logs.checks import Finding
 from offpiste.logs.log import Log
-from offpiste.logs.sensors import SensorLog, open_sensors
+from offpiste.logs.measurements import Lidar
+from offpiste.logs.poses import Poses
+from offpiste.logs.sensors import open_sensors
 from offpiste.perception.checks.camera import check_camera
 from offpiste.perception.checks.gather import Gathered, SmallCamera, gather, small_camera
 from offpiste.perception.checks.lidar import check_lidar
@@ -39,20 +43,33 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
         findings.append(
             Finding("note", "cameras and LiDARs", "are there in part", said, "nothing where the rest is enough")
         )
-    return findings + findings_of(judge(sensors, cameras, gathered))
+    judged = judge_lidars(sensors.lidars, gathered, sensors.poses)
+    return findings + findings_of(judged + judge_cameras(cameras, judged, gathered, sensors.poses))
 
 
-def judge(sensors: SensorLog, cameras: dict[str, SmallCamera], gathered: Gathered) -> list[Judged]:
-    """LiDARs against the poses, then cameras, with the LiDAR of most scans, set right if needed, as ruler."""
-    judged = []
-    for name, lidar in track(sensors.lidars.items(), "LiDARs", total=len(sensors.lidars)):
-        judged.append(Judged(lidar, check_lidar(lidar, gathered.scans[name], sensors.poses)))
-    if not judged:
-        return [Judged(camera, None) for camera in sensors.cameras.values()]
-    ruler = max(judged, key=lambda one: len(gathered.scans[one.sensor.name]))
+def judge_lidars(lidars: dict[str, Lidar], gathered: Gathered, poses: Poses) -> list[Judged]:
+    """LiDARs against the poses."""
+    named = track(lidars.items(), "LiDARs", total=len(lidars))
+    return [Judged(lidar, check_lidar(lidar, gathered.scans[name], poses)) for name, lidar in named]
+
+
+def judge_cameras(
+    cameras: dict[str, SmallCamera], judged: Sequence[Judged], gathered: Gathered, poses: Poses
+) -> list[Judged]:
+    """Cameras against the poses; the LiDAR of most scans, set right if it needs that, tells how far things are.
+
+    Args:
+        judged: the LiDARs.
+    """
+    rulers = {one.sensor.name: one for one in judged if isinstance(one.sensor, Lidar)}
+    if not rulers:
+        return [Judged(camera.camera, None) for camera in cameras.values()]
+    ruler = rulers[max(rulers, key=lambda name: len(gathered.scans[name]))]
+    lidar, scans = ruler.sensor, gathered.scans[ruler.sensor.name]
+    assert isinstance(lidar, Lidar), "rulers are LiDARs"
     known = ruler.misfit.parameters if ruler.misfit and (ruler.is_turned or ruler.is_late) else None
-    lidar, scans = sensors.lidars[ruler.sensor.name], gathered.scans[ruler.sensor.name]
+    found = []
     for name, camera in track(cameras.items(), "cameras", total=len(cameras)):
-        found = check_camera(camera, gathered.images[name], lidar, scans, sensors.poses, known)
-        judged.append(Judged(sensors.cameras[name], found))
-    return judged
+        misfit = check_camera(camera, gathered.images[name], lidar, scans, poses, known)
+        found.append(Judged(camera.camera, misfit))
+    return found

@@ -53,7 +53,7 @@ class Judged:
     def is_turned(self) -> bool:
         """Surely, and by more than clean drives show."""
         angle, sigma = self.turn
-        return angle - SURE * sigma > TURN
+        return bool(angle - SURE * sigma > TURN)
 
     @property
     def is_late(self) -> bool:
@@ -89,8 +89,8 @@ def _turned(one: Judged, misfit: Misfit, alike: bool) -> Finding:
     # What is not known stays as the rig has it.
     known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
     matrix = turned(given, np.where(known, misfit.parameters, 0.0))
-    place = ", ".join(number(round(v, 4)) for v in matrix[:3, 3])
-    way = ", ".join(number(round(v, 5)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat())
+    place = ", ".join(str(round(v, 4)) for v in matrix[:3, 3].tolist())
+    way = ", ".join(str(round(v, 6)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
     key = "body_from_camera" if isinstance(sensor, Camera) else "body_from_lidar"
     mend = f"calibrate it again; or {one.key}.{key} = {{ position = [{place}], orientation = [{way}] }}"
     if alike:
