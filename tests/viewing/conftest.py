@@ -26,9 +26,9 @@ def run() -> Callable[..., int]:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with drive.mcap and pca.safetensors."""
     folder = tmp_path_factory.mktemp("viewing")
-    world = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
-    simulate(DriveSettings(world, 5.0, seed=1, sensors="light"), folder / "drive.mcap")
-    options = {"--rig": "proving_ground", "--backbone": "filterbank", "--images": "3", "--components": "5"}
+    world = WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
+    simulate(DriveSettings(world, 2.5, seed=1, sensors="light"), folder / "drive.mcap")
+    options = {"--rig": "proving_ground", "--backbone": "filterbank", "--images": "2", "--components": "5"}
     options |= {"--split": "blocks:1,0,0", "--out": str(folder / "pca.safetensors")}
     assert _run("fit-pca", str(folder / "drive.mcap"), *(word for pair in options.items() for word in pair)) == 0
     return folder

@@ -27,7 +27,7 @@ def test_pictures_and_a_recording_that_can_be_read_back(run: Run, drive: Path, t
     pytest.importorskip("rerun")
     out = tmp_path / "out"
     options = ("--rig", "proving_ground", "--pca", str(drive / "pca.safetensors"), "--out", str(out))
-    assert run("view", str(drive / "drive.mcap"), *options, "--seconds", "1:4") == 0
+    assert run("view", str(drive / "drive.mcap"), *options, "--seconds", "0.5:1.7") == 0
     assert names(out) == PICTURES | {"drive.rrd"}
     for name in PICTURES:
         assert min(cv2.imread(str(out / name)).shape[:2]) > 200, name
@@ -55,7 +55,9 @@ def test_without_pca_and_without_rerun_there_are_pictures_and_a_line(
     out.mkdir()
     (out / "mine.txt").write_text("mine")
     (out / "map.png").write_text("an old one")
-    assert run("view", str(drive / "drive.mcap"), "--rig", "proving_ground", "--out", str(out), "--seconds", ":2") == 0
+    assert (
+        run("view", str(drive / "drive.mcap"), "--rig", "proving_ground", "--out", str(out), "--seconds", ":0.6") == 0
+    )
     assert names(out) == PICTURES - {"features.png"} | {"mine.txt"}
     assert (out / "mine.txt").read_text() == "mine"
     assert cv2.imread(str(out / "map.png")) is not None
@@ -76,7 +78,8 @@ def test_an_interrupted_view_leaves_no_recording(
 
     monkeypatch.setattr(module.Recorder, "add", interrupted)
     (tmp_path / "drive.rrd").write_text("the one before")
-    assert run("view", str(drive / "drive.mcap"), "--rig", "proving_ground", "--out", str(tmp_path)) == 1
+    options = ("--rig", "proving_ground", "--out", str(tmp_path))
+    assert run("view", str(drive / "drive.mcap"), *options) == 1
     assert names(tmp_path) == {"drive.rrd", "sensors.png"}
     assert (tmp_path / "drive.rrd").read_text() == "the one before"
     assert "interrupted" in capsys.readouterr().err
@@ -88,7 +91,7 @@ def test_an_interrupted_view_leaves_no_recording(
         (("nothing",), "no such file"),
         (("drive.mcap",), "give --rig"),
         (("drive.mcap", "--rig", "tartandrive2"), "names no cameras and no LiDARs"),
-        (("drive.mcap", "--rig", "proving_ground", "--seconds", "70:"), "its poses last 5"),
+        (("drive.mcap", "--rig", "proving_ground", "--seconds", "70:"), "its poses last 2."),
         (("drive.mcap", "--rig", "proving_ground", "--seconds", "x"), "not a stretch"),
         (("drive.mcap", "--rig", "proving_ground", "--pca", "drive.mcap"), "not a PCA"),
         (("pca.safetensors", "--rig", "proving_ground"), "neither a log of a known format nor a dataset"),
@@ -111,11 +114,11 @@ def test_what_cannot_be_viewed_ends_in_one_line(
 
 
 def test_the_real_drive(data_folder: Path, tmp_path: Path, drive: Path) -> None:
-    """Two seconds of KITTI: the road lies where the wheels went."""
+    """A second of KITTI."""
     log = open_log(data_folder / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0013_sync")
     looking = load_looking(drive / "pca.safetensors")
     said: list[object] = []
-    view_log(log, load_rig("kitti"), tmp_path, looking=looking, stretch=(4.0, 6.0), rrd=False, tell=said.append)
+    view_log(log, load_rig("kitti"), tmp_path, looking=looking, stretch=(4.0, 4.8), rrd=False, tell=said.append)
     assert names(tmp_path) == PICTURES
     picture = cv2.imread(str(tmp_path / "features.png"))
     # Right of the image its features: patches of one colour each, not black.
