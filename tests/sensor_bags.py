@@ -30,20 +30,25 @@ time_unit = "ns"
 
 def sensor_rig(sensors: str = SENSORS) -> Rig:
     """A vehicle with /odom and these sensors."""
+    return parse_rig(sensor_rig_text(sensors), where="test")
+
+
+def sensor_rig_text(sensors: str = SENSORS) -> str:
+    """The same as a rig file has it."""
     odom = RIG.replace('topic = "odom"', 'topic = "/odom"')
     position = ", ".join(f'"pose.pose.position.{axis}"' for axis in "xyz")
     orientation = ", ".join(f'"pose.pose.orientation.{axis}"' for axis in "xyzw")
     head = odom.split("[channels")[0].replace("absent = [", 'absent = ["throttle", "brake", "steer", ')
     channels = f'[channels.position]\ntopic = "/odom"\nfields = [{position}]\n'
     channels += f'[channels.orientation]\ntopic = "/odom"\nfields = [{orientation}]\n'
-    return parse_rig(head + channels + sensors, where="test")
+    return head + channels + sensors
 
 
-def odometry(seconds: float):
+def odometry(seconds: float, aside: float = 0.0):
     """At SPEED along x."""
     pose = make(
         "geometry_msgs/Pose",
-        position=vector((SPEED * seconds, 0, 1), "geometry_msgs/Point"),
+        position=vector((SPEED * seconds, aside, 1), "geometry_msgs/Point"),
         orientation=quaternion((0, 0, 0, 1)),
     )
     twist = make("geometry_msgs/Twist", linear=vector((SPEED, 0, 0)), angular=vector((0, 0, 0)))

@@ -1,0 +1,192 @@
+"""Bad input as a person meets it: `fit-pca` and `extract` end in one line, and drives extracted before stay."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.cli import main
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.store import open_dataset
+from offpiste.logs.writer import McapWriter
+from sensor_bags import (
+    SENSORS,
+    cloud,
+    compressed,
+    info,
+    odometry,
+    sensor_rig_text,
+    stamp,
+    transforms,
+    tree,
+)
+
+SECONDS = 6.0
+SIDE = 56
+"""Of images [px]: four patches."""
+_RNG = np.random.default_rng(0)
+PICTURES = _RNG.integers(0, 256, (40, SIDE, SIDE, 3), dtype=np.uint8)
+X, Y = np.meshgrid(np.arange(-6, 25, 0.25), np.arange(-5, 5.1, 0.25))
+LIDAR_HEIGHT = 2.5
+AROUND = np.column_stack((Y.ravel(), -(X.ravel() - 1), np.full(X.size, -LIDAR_HEIGHT)))
+"""Level ground at the wheels' height; the LiDAR's x points to the left, and it sits 1 m ahead."""
+WIDE = info(SIDE, SIDE, d=np.zeros(5), k=np.array([30.0, 0, 27.5, 0, 30, 27.5, 0, 0, 1]))
+STATIC = [(0.0, "/tf_static", tree()), (0.0, "/info", WIDE)]
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+RIG = sensor_rig_text(SENSORS.replace('time_field = "t"\ntime_unit = "ns"\n', ""))
+
+
+def images(first: float = 0.0, last: float = SECONDS, stamped: Callable[[float], float] = lambda t: t):
+    times = np.arange(first + 0.05, last, 0.25).tolist()
+    return [(t, "/image", compressed(stamped(t), PICTURES[n])) for n, t in enumerate(times)]
+
+
+def clouds(points: np.ndarray = AROUND, first: float = 0.0, last: float = SECONDS):
+    return [(t, "/points", cloud(t, points, POINT)) for t in np.arange(first + 0.1, last, 0.25).tolist()]
+
+
+def poses(aside: Callable[[float], float] = lambda t: 0.0):
+    return [(t, "/odom", odometry(t, aside(t))) for t in np.arange(0, SECONDS + 0.01, 0.05).tolist()]
+
+
+def written(path: Path, *parts) -> Path:
+    messages = sorted((m for part in parts for m in part), key=lambda m: m[0])
+    with McapWriter(path) as writer:
+        for seconds, topic, message in messages:
+            writer.write(topic, message, stamp(seconds))
+    return path
+
+
+def run(capsys, *words: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as exit_:
+        main([str(word) for word in words])
+    said = capsys.readouterr()
+    return int(exit_.value.code or 0), said.out, said.err
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "rig.toml").write_text(RIG)
+    written(folder / "good.mcap", STATIC, images(), clouds(), poses())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pca(folder) -> Path:
+    options = ["--backbone", "filterbank", "--images", "4", "--components", "3", "--split", "blocks:1,0,0"]
+    with pytest.raises(SystemExit) as exit_:
+        main(["fit-pca", f"{folder}/good.mcap", "--rig", f"{folder}/rig.toml", "--out", f"{folder}/p.pca", *options])
+    assert not exit_.value.code
+    return folder / "p.pca"
+
+
+def extract(capsys, folder: Path, pca: Path, out: Path, *logs: Path) -> tuple[int, str, str]:
+    options = ("--rig", folder / "rig.toml", "--pca", pca, "--split", "blocks:1,0,0", "--processes", 1)
+    return run(capsys, "extract", *logs, "--out", out, *options)
+
+
+NAN = np.full((50, 3), np.nan)
+ANOTHER_TREE = [(0.0, "/tf_static", transforms(("odom", "base", (0, 0, 0), (0, 0, 0, 1)))), STATIC[1]]
+BAD = {
+    "no TF": ((STATIC[1:], images(), clouds(), poses()), r"no fixed transform joins 'camera' to 'base_link'"),
+    "another tree": (
+        (ANOTHER_TREE, images(), clouds(), poses()),
+        r"no fixed transform joins 'camera' to 'base_link'; frames with transforms: base, odom; mend frames\.body",
+    ),
+    "no calibration": (
+        (STATIC[:1], images(), clouds(), poses()),
+        r"'front': images without calibration: no topic '/info'; give cameras\.front\.intrinsics in the rig",
+    ),
+    "clouds of NaN": ((STATIC, images(), clouds(NAN), poses()), r"'top': 10 clouds have no usable point, one after"),
+    "clouds of nothing": ((STATIC, images(), clouds(AROUND[:0]), poses()), r"'top': 10 clouds have no usable point"),
+    "no clouds": ((STATIC, images(), poses()), r"'top': no messages on topic '/points'; it has: .*optional = true"),
+    "a clock of its own": (
+        (STATIC, images(stamped=lambda t: t + 500), clouds(), poses()),
+        r"'front' has no message from 100\.000 to 106\.000 s, where the pose is known; use clock\.stamps",
+    ),
+    "a drifting clock": (
+        (STATIC, images(stamped=lambda t: 1.1 * t), clouds(), poses()),
+        r"'front': its stamps drift against the poses' by 0\.\d+ s over the drive; use clock\.stamps = \"receive\"",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_extract_ends_in_one_line_and_keeps_what_was_there(case, capsys, folder, pca, tmp_path):
+    parts, message = BAD[case]
+    bad = written(tmp_path / "bad.mcap", *parts)
+    code, _, said = extract(capsys, folder, pca, tmp_path / "d.zarr", folder / "good.mcap", bad)
+    assert code == 1
+    assert re.search(message, said), said
+    assert len(said.strip().splitlines()) == 1
+    assert "bad.mcap" in said
+    assert [drive.name for drive in open_dataset(tmp_path / "d.zarr").drives] == ["good"]
+
+
+@pytest.mark.parametrize("case", ["no TF", "no calibration", "clouds of NaN", "no clouds"])
+def test_fit_pca_ends_in_one_line_and_writes_nothing(case, capsys, folder, tmp_path):
+    parts, message = BAD[case]
+    bad, out = written(tmp_path / "bad.mcap", *parts), tmp_path / "p.pca"
+    options = ("--backbone", "filterbank", "--images", 4, "--split", "blocks:1,0,0")
+    code, _, said = run(capsys, "fit-pca", bad, "--rig", folder / "rig.toml", "--out", out, *options)
+    assert code == 1
+    assert re.search(message, said), said
+    assert len(said.strip().splitlines()) == 1
+    assert not out.exists()
+
+
+TOLD = {
+    "some NaN": (
+        (STATIC, images(), [c for n, c in enumerate(clouds(NAN)) if n % 4 == 0], clouds(first=0.02), poses()),
+        "top: 6 of 30 clouds have no usable point and were dropped",
+    ),
+    "jumps": ((STATIC, images(), clouds(), poses(lambda t: 3.0 * (t > 3))), "poses jump once, 3.00 s after they start"),
+    "late": ((STATIC, images(first=2.0), clouds(), poses()), "front: starts 2.0 s after the poses"),
+    "early": ((STATIC, images(), clouds(last=4.0), poses()), "top: stops 2.2 s before the poses"),
+    "drift": (
+        (STATIC, images(stamped=lambda t: 1.02 * t), clouds(), poses()),
+        "front: its stamps drift against the poses' by 120 ms",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TOLD)
+def test_what_can_be_used_in_part_is_used_and_told(case, capsys, folder, pca, tmp_path):
+    parts, note = TOLD[case]
+    log = written(tmp_path / "some.mcap", *parts)
+    code, said, error = extract(capsys, folder, pca, tmp_path / "d.zarr", log)
+    assert code == 0, error
+    assert note in said
+    (drive,) = open_dataset(tmp_path / "d.zarr").drives
+    assert any(note in kept for kept in drive.notes)
+    assert drive.rows.cells.valid[0].any()
+
+
+def test_the_good_drive_is_told_nothing(capsys, folder, pca, tmp_path):
+    code, said, _ = extract(capsys, folder, pca, tmp_path / "d.zarr", folder / "good.mcap")
+    assert code == 0
+    (drive,) = open_dataset(tmp_path / "d.zarr").drives
+    assert drive.notes == (), said
+
+
+def test_after_a_jump_no_cell_holds_what_was_seen_before(capsys, folder, pca, tmp_path):
+    """At 2 m/s, what lies 5 m ahead or more of cells reached soon after the jump could be seen before it only."""
+    log = written(tmp_path / "jump.mcap", STATIC, images(), clouds(), poses(lambda t: 3.0 * (t > 3)))
+    extract(capsys, folder, pca, tmp_path / "d.zarr", folder / "good.mcap", log)
+    good, jumped = (drive.rows for drive in open_dataset(tmp_path / "d.zarr").drives)
+    ahead = FEATURE_SETS.index("10")
+    seen = []
+    for rows in (good, jumped):
+        time = rows.time - rows.time[0]
+        cells = np.unique(rows.cells.index[(time > 3.1) & (time < 5.2) & (np.abs(time - 3) > 0.3)])
+        cells = cells[cells >= 0]
+        assert rows.cells.valid[0, cells].any()
+        seen.append(rows.cells.valid[ahead, cells].mean())
+    assert seen[0] > 0.5
+    assert seen[1] == 0
+    time = jumped.time - jumped.time[0]
+    assert not jumped.valid[np.abs(time - 3) < 0.1].any()
+    assert jumped.valid.sum() > 100
