@@ -94,3 +94,45 @@ def test_loops_stay_inside_their_arrays(tmp_path):
         "PYTHONPATH": str(Path(__file__).parent),
     }
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("seed", range(2))
+def test_looking_only_into_columns_that_changed_says_to_the_bit_what_looking_into_all_does(rule, seed):
+    """Moves over every border and corner, back again, out of the map, scans without a move and moves without a scan."""
+    rng = np.random.default_rng(seed)
+    settings = VoxelSettings(reach=3.0, height_reach=20.0, rule=rule, capacity=20_000)
+    held = VoxelMap(2, settings)
+    kept, layers, rare = Flattener(held, FlattenSettings()), None, Flattener(held, FlattenSettings())
+    moves = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)] * 2 + [(9, 0), (-9, 0), (3, -3), (0.2, 0), (-0.2, 0.2)]
+    centre = np.zeros(3)
+    for number, move in enumerate(rng.permutation(moves)):
+        centre[:2] += move
+        held.recentre(centre[:2], 0.0)
+        if number % 4 != 3:
+            held.insert(*scan(rng, centre, 300, 2, spread=3.5))
+        layers = kept.layers(layers)
+        wanted = Flattener(held, FlattenSettings()).layers()
+        others = [layers, rare.layers()] if number % 5 == 4 else [layers]
+        for found in others:
+            for name, value in vars(wanted).items():
+                np.testing.assert_array_equal(getattr(found, name), value, err_msg=f"{name} after {number}")
+
+
+def test_flattening_with_other_settings_or_threads_in_between_disturbs_nothing():
+    rng = np.random.default_rng(0)
+    one, four = (VoxelMap(2, VoxelSettings(reach=3.0, capacity=20_000, threads=threads)) for threads in (1, 4))
+    kept, other = (
+        Flattener(one, FlattenSettings()),
+        Flattener(one, FlattenSettings(vehicle_height=0.5, plane_radius=0.2)),
+    )
+    for step in range(4):
+        cloud, centre = scan(rng, np.array([0.5 * step, 0, 0]), 500, 2, spread=3.5), np.array([0.5 * step, 0.0])
+        for held in (one, four):
+            held.recentre(centre, 0.0)
+            held.insert(*cloud)
+        found = kept.layers()
+        lower = other.layers()
+        for name, value in vars(Flattener(four, FlattenSettings()).layers()).items():
+            np.testing.assert_array_equal(getattr(found, name), value, err_msg=name)
+        assert np.nanmax(lower.obstacle_height) <= 0.5 < np.nanmax(found.obstacle_height)

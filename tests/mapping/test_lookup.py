@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.mapping.lookup import MapTerrain, look_up, stack_maps
@@ -49,6 +49,7 @@ def test_normals_between_cells_are_bilinear():
     torch.testing.assert_close(slope, torch.tensor([4.0, 2.25], dtype=torch.float64), atol=1e-6, rtol=0)
 
 
+@settings(deadline=None)
 @given(st.floats(-100, 100), st.floats(-100, 100))
 def test_off_the_map_is_flat_and_missing(x, y):
     terrain = plane(0.3, -0.1)

@@ -1,42 +1,86 @@
 """Loops over the columns of voxels: the ground, what stands on it and what it looks like. `reference.py` says the same.
 
-Each works on rows `first` to `last` of the layers.
+Only columns that changed are looked into; what they show is kept, wrapped around as the voxels are. Rows `first` to
+`last` are those of the layers, from the map's lowest cell.
 """
 
 import numpy as np
 
 from offpiste.mapping.compiled import inlined, map_loop, row_loop
-from offpiste.mapping.voxel_kernels import BASE, FEATURED, LEVELS, LOWEST, OCCUPIED, X, Y, Z
+from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
 
 
 @inlined
-def height_of(voxels, slot, level, reference, size):  # type: ignore[no-untyped-def]
-    """How high a voxel was hit."""
-    return (np.float32(level - reference) + voxels.seen[slot, Z]) * size
+def over_ground(voxels, slot, up, hit, size):  # type: ignore[no-untyped-def]
+    """How high over the lowest hit of its column the voxel `up` levels above it was hit."""
+    return (np.float32(up) + voxels.seen[slot, Z] - hit[Z]) * size
 
 
 @inlined
-def obstacle_above(voxels, head, slots, ground, reference, size, reach):  # type: ignore[no-untyped-def]
+def obstacle_above(voxels, occupied, slots, hit, size, reach):  # type: ignore[no-untyped-def]
     """Height over the ground of the highest voxel that was hit at most `reach` above it."""
-    occupied = head[OCCUPIED]
     levels = int(reach / size) + 1
     for up in range(levels if levels < LEVELS else LEVELS - 1, 0, -1):
         if (occupied >> up) & 1:
-            above = height_of(voxels, slots[up], head[BASE] + up, reference, size) - ground
+            above = over_ground(voxels, slots[up], up, hit, size)
             if above <= reach:
                 return above
     return np.float32(0)
 
 
 @inlined
-def lowest_feature(voxels, head, slots, reference, size):  # type: ignore[no-untyped-def]
-    """Slot and height of the lowest voxel with features; slot -1 if there is none."""
-    featured, up = head[FEATURED], 0
-    if featured == 0:
-        return np.int32(-1), np.float32(0)
-    while not (featured >> up) & 1:
-        up += 1
-    return slots[up], height_of(voxels, slots[up], head[BASE] + up, reference, size)
+def keep_features(seen, kept):  # type: ignore[no-untyped-def]
+    """Keep the distance from which a voxel's features were seen, and these."""
+    kept[0] = seen[FEATURE_DISTANCE]
+    for k in range(1, len(kept)):
+        kept[k] = seen[FEATURES + k - 1]
+
+
+@inlined  # a call hands over every array of its arguments, which takes as long as the work itself
+def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
+    """Keep what a column shows."""
+    head, slots = voxels.heads[row, across], voxels.slots[row, across]
+    surface.feature_height[row, across] = np.float32(np.nan)
+    if head[OCCUPIED] == 0:
+        surface.z[row, across] = np.float32(np.nan)
+        return
+    hit, featured = voxels.seen[head[LOWEST]], head[FEATURED]
+    surface.level[row, across] = head[BASE]
+    surface.x[row, across], surface.y[row, across], surface.z[row, across] = hit[X], hit[Y], hit[Z]
+    surface.obstacle[row, across] = np.float32(0)
+    if head[OCCUPIED] != 1:
+        surface.obstacle[row, across] = obstacle_above(voxels, head[OCCUPIED], slots, hit, size, reach)
+    if featured & 1:
+        surface.feature_height[row, across] = np.float32(0)
+        keep_features(hit, surface.features[row, across])
+    elif featured != 0:
+        up = 1
+        while not (featured >> up) & 1:
+            up += 1
+        surface.feature_height[row, across] = over_ground(voxels, slots[up], up, hit, size)
+        keep_features(voxels.seen[slots[up]], surface.features[row, across])
+
+
+@map_loop
+def see_columns(first, last, since, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
+    """Keep what the columns show that changed after `since`; rows are those of the voxels."""
+    n, block = voxels.changed.shape[0], 32
+    for row in range(first, last):
+        for start in range(0, n, block):
+            changed, newest = voxels.changed[row, start : start + block], np.int32(0)
+            for i in range(len(changed)):
+                newest = max(newest, changed[i])
+            if newest > since:
+                for i in range(len(changed)):
+                    if changed[i] > since:
+                        see_column(row, start + i, size, reach, voxels, surface)
+
+
+@row_loop
+def put_lower(a, out):  # type: ignore[no-untyped-def]
+    """Put a where it is less."""
+    for i in range(len(out)):
+        out[i] = a[i] if a[i] < out[i] else out[i]
 
 
 @row_loop
@@ -45,53 +89,56 @@ def put_lowest_beside(height, radius, lowest):  # type: ignore[no-untyped-def]
     n = len(height)
     for i in range(n):
         lowest[i] = height[i] if height[i] == height[i] else np.float32(np.inf)
-    for k in range(1, radius + 1):
-        for i in range(n - k):  # what is not a number is not less
-            lowest[i] = height[i + k] if height[i + k] < lowest[i] else lowest[i]
-        for i in range(k, n):
-            lowest[i] = height[i - k] if height[i - k] < lowest[i] else lowest[i]
+    for k in range(1, radius + 1):  # what is not a number is not less
+        put_lower(height[k:], lowest[: n - k])
+        put_lower(height[: n - k], lowest[k:])
+
+
+@row_loop
+def put_heights(level, z, reference, size, out):  # type: ignore[no-untyped-def]
+    """Put heights over the floor of the reference level."""
+    for i in range(len(out)):
+        out[i] = (np.float32(level[i] - reference) + z[i]) * size
+
+
+@row_loop
+def put(a, out):  # type: ignore[no-untyped-def]
+    """Put a."""
+    for i in range(len(out)):
+        out[i] = a[i]
 
 
 @map_loop
-def read_columns(first, last, low, reference, size, reach, radius, voxels, scratch):  # type: ignore[no-untyped-def]
-    """Ground, obstacle and feature of each column, and the lowest ground within `radius` cells along the row."""
-    n = voxels.heads.shape[0]
+def read_columns(first, last, low, reference, size, radius, surface, scratch):  # type: ignore[no-untyped-def]
+    """What the columns show, in the layers' order, and the lowest ground within `radius` cells along the row."""
+    n = scratch.height.shape[0]
+    start = low[0] % n
     for j in range(first, last):
         row = (low[1] + j) % n
-        across = low[0] % n
-        for i in range(n):
-            head, slots, hit = voxels.heads[row, across], voxels.slots[row, across], voxels.ground[row, across]
-            across = across + 1 if across + 1 < n else 0
-            scratch.feature_slot[j, i] = -1
-            if head[OCCUPIED] == 0:
-                scratch.height[j, i] = np.nan
-                continue
-            ground = (np.float32(head[BASE] - reference) + hit[Z]) * size
-            scratch.x[j, i], scratch.y[j, i], scratch.height[j, i] = hit[X], hit[Y], ground
-            scratch.obstacle[j, i] = np.float32(0)
-            if head[OCCUPIED] != 1:
-                scratch.obstacle[j, i] = obstacle_above(voxels, head, slots, ground, reference, size, reach)
-            if head[FEATURED] & 1:
-                scratch.feature_slot[j, i], scratch.feature_height[j, i] = head[LOWEST], ground
-            else:
-                slot, height = lowest_feature(voxels, head, slots, reference, size)
-                scratch.feature_slot[j, i], scratch.feature_height[j, i] = slot, height
+        for to, at in ((slice(0, n - start), slice(start, n)), (slice(n - start, n), slice(0, start))):
+            put_heights(surface.level[row, at], surface.z[row, at], np.int32(reference), size, scratch.height[j, to])
+            put(surface.x[row, at], scratch.x[j, to])
+            put(surface.y[row, at], scratch.y[j, to])
+            put(surface.obstacle[row, at], scratch.obstacle[j, to])
+            put(surface.feature_height[row, at], scratch.feature_height[j, to])
         put_lowest_beside(scratch.height[j], radius, scratch.lowest[j])
 
 
 @map_loop
 def drop_overhangs(first, last, radius, reach, feature_height, scratch):  # type: ignore[no-untyped-def]
-    """Columns whose lowest voxel is a branch have no ground; features too far above their ground do not count."""
+    """Columns whose lowest voxel is a branch have no ground; features too far above their ground do not count.
+
+    Heights of features become those over the reference level.
+    """
     n = scratch.height.shape[0]
+    nothing = np.float32(np.nan)
     for j in range(first, last):
-        lowest, height, slot = scratch.centre[j], scratch.height[j], scratch.feature_slot[j]
+        lowest, height, feature = scratch.centre[j], scratch.height[j], scratch.feature_height[j]
         lowest[:] = np.float32(np.inf)
         for jj in range(max(j - radius, 0), min(j + radius + 1, n)):
-            other = scratch.lowest[jj]
-            for i in range(n):
-                lowest[i] = other[i] if other[i] < lowest[i] else lowest[i]
+            put_lower(scratch.lowest[jj], lowest)
         for i in range(n):
-            overhang = height[i] > lowest[i] + reach
-            high = not (scratch.feature_height[j, i] - height[i] <= feature_height)
-            slot[i] = -1 if overhang or high else slot[i]
-            height[i] = np.float32(np.nan) if overhang else height[i]
+            good = (feature[i] <= feature_height) & (height[i] <= lowest[i] + reach)
+            feature[i] = height[i] + feature[i] if good else nothing
+        for i in range(n):
+            height[i] = height[i] if height[i] <= lowest[i] + reach else nothing

@@ -7,7 +7,6 @@ writing over what those before it left.
 import numpy as np
 
 from offpiste.mapping.compiled import map_loop, row_loop
-from offpiste.mapping.voxel_kernels import FEATURE_DISTANCE, FEATURES
 
 
 @row_loop
@@ -60,20 +59,18 @@ def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyp
 
 
 @row_loop
-def nearest_features(j, offsets, limit, ground, scratch):  # type: ignore[no-untyped-def]
-    """For each cell of a row, the nearest slot whose features were seen within `limit` of the ground here."""
+def nearest_features(j, offsets, limit, feature_height, ground, which):  # type: ignore[no-untyped-def]
+    """For each cell of a row, the number of the first offset to features seen within `limit` of the ground here."""
     n = len(ground)
-    scratch.filled_slot[j, :] = np.int32(-1)
+    which[:] = np.int32(-1)
     for k in range(len(offsets) - 1, -1, -1):
         jj, right = j + offsets[k, 0], offsets[k, 1]
         if 0 <= jj < n:
             to, at = slice(max(0, -right), min(n, n - right)), slice(max(0, right), min(n, n + right))
-            found, here = scratch.filled_slot[j, to], ground[to]
-            slot, height = scratch.feature_slot[jj, at], scratch.feature_height[jj, at]
+            found, here, height, number = which[to], ground[to], feature_height[jj, at], np.int32(k)
             for i in range(len(found)):
                 off = height[i] - here[i]
-                good = (slot[i] >= 0) & (off <= limit) & (off >= -limit)
-                found[i] = slot[i] if good else found[i]
+                found[i] = number if (off <= limit) & (off >= -limit) else found[i]
 
 
 @map_loop
@@ -89,17 +86,43 @@ def fill_gaps(first, last, blocks, offsets, limit, scratch):  # type: ignore[no-
         ground = scratch.line[block, 0]
         for j in range(n * block // blocks, n * (block + 1) // blocks):
             nearest_grounds(j, offsets, scratch.height, scratch.which[j], ground)
-            nearest_features(j, offsets, limit, ground, scratch)
+            nearest_features(j, offsets, limit, scratch.feature_height, ground, scratch.which_feature[j])
 
 
 @row_loop
-def write_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped-def]
-    """The ground of a row, its own or that of the cell which fills it; cells that had none stay as they are."""
-    nothing = np.float32(np.nan)
-    for i in range(scratch.height.shape[0]):
-        k = scratch.which[j, i]
-        if k >= 0:
-            jj, ii = j + offsets[k, 0], i + offsets[k, 1]
+def put_up(rise_x, rise_y, out):  # type: ignore[no-untyped-def]
+    """Upward parts of the unit normals."""
+    for i in range(len(out)):
+        out[i] = np.float32(1) / np.sqrt(np.float32(1) + (rise_x[i] * rise_x[i] + rise_y[i] * rise_y[i]))
+
+
+@row_loop
+def write_own_ground(j, floor, up, scratch, layers):  # type: ignore[no-untyped-def]
+    """The ground of a row, not a number where a cell has none of its own."""
+    rise_x, rise_y, height = scratch.rise_x[j], scratch.rise_y[j], scratch.height[j]
+    elevation, centre, slope, normal = layers.elevation[j], scratch.centre[j], layers.slope[j], layers.normal[j]
+    obstacle, obstacle_here = layers.obstacle_height[j], scratch.obstacle[j]
+    roughness, roughness_here = layers.roughness[j], scratch.roughness[j]
+    put_up(rise_x, rise_y, up)
+    for i in range(len(up)):
+        elevation[i] = floor + centre[i]
+    for i in range(len(up)):
+        normal[i, 0], normal[i, 1], normal[i, 2] = -rise_x[i] * up[i], -rise_y[i] * up[i], up[i]
+    for i in range(len(up)):
+        slope[i] = np.sqrt(rise_x[i] * rise_x[i] + rise_y[i] * rise_y[i])
+    for i in range(len(up)):
+        roughness[i] = roughness_here[i]
+    for i in range(len(up)):
+        obstacle[i] = obstacle_here[i] if height[i] == height[i] else np.float32(np.nan)
+
+
+@row_loop
+def write_filled_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped-def]
+    """The ground of those cells of a row that others fill."""
+    which = scratch.which[j]
+    for i in range(len(which)):
+        if which[i] > 0:
+            jj, ii = j + offsets[which[i], 0], i + offsets[which[i], 1]
             rise_x, rise_y = scratch.rise_x[jj, ii], scratch.rise_y[jj, ii]
             squared = rise_x * rise_x + rise_y * rise_y
             up = np.float32(1) / np.sqrt(np.float32(1) + squared)
@@ -108,41 +131,56 @@ def write_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped
             layers.slope[j, i] = np.sqrt(squared)
             layers.roughness[j, i] = scratch.roughness[jj, ii]
             layers.obstacle_height[j, i] = scratch.obstacle[jj, ii]
-        elif layers.known[j, i]:
-            layers.elevation[j, i] = np.nan
-            layers.normal[j, i, 0], layers.normal[j, i, 1], layers.normal[j, i, 2] = nothing, nothing, nothing
-            layers.slope[j, i], layers.roughness[j, i], layers.obstacle_height[j, i] = nothing, nothing, nothing
-        layers.observed[j, i], layers.known[j, i] = k == 0, k >= 0
 
 
 @row_loop
-def write_features(j, seen, scratch, layers):  # type: ignore[no-untyped-def]
+def write_flags(which, which_feature, observed, known, valid):  # type: ignore[no-untyped-def]
+    """Whether each cell of a row was hit, has ground, has features."""
+    for i in range(len(which)):
+        observed[i] = which[i] == 0
+    for i in range(len(which)):
+        known[i] = which[i] >= 0
+    for i in range(len(which)):
+        valid[i] = which_feature[i] >= 0
+
+
+@row_loop
+def write_features(j, low, offsets, surface, scratch, layers):  # type: ignore[no-untyped-def]
     """The features of a row; cells that had none already stay as they are."""
-    channels = layers.features.shape[2]
-    for i in range(layers.features.shape[1]):
-        slot = scratch.filled_slot[j, i]
-        if slot >= 0:
-            for k in range(channels):
-                layers.features[j, i, k] = seen[slot, FEATURES + k]
-            layers.distance[j, i] = seen[slot, FEATURE_DISTANCE]
-        elif layers.valid[j, i]:
-            for k in range(channels):
-                layers.features[j, i, k] = np.float32(np.nan)
+    n, channels = layers.valid.shape[0], layers.features.shape[2]
+    which, valid = scratch.which_feature[j], layers.valid[j]
+    start_x, start_y = low[0] % n, low[1] % n + j
+    for i in range(n):
+        k = which[i]
+        if k >= 0:
+            row, across = start_y + offsets[k, 0], start_x + i + offsets[k, 1]
+            seen = surface.features[row - n if row >= n else row, across - n if across >= n else across]
+            layers.distance[j, i] = seen[0]
+            for q in range(channels):
+                layers.features[j, i, q] = seen[1 + q]
+        elif valid[i]:
             layers.distance[j, i] = np.float32(np.nan)
-        layers.valid[j, i] = slot >= 0
+            for q in range(channels):
+                layers.features[j, i, q] = np.float32(np.nan)
 
 
 @map_loop
-def write_layers(first, last, blocks, floor, offsets, voxels, scratch, layers):  # type: ignore[no-untyped-def]
+def write_layers(first, last, blocks, floor, low, offsets, surface, scratch, layers):  # type: ignore[no-untyped-def]
     """Write the layers.
 
     Args:
         floor: height of the reference level in the world [m].
+        low: integer coordinates x, y of the lowest cell [2].
         offsets: as `fill_gaps` was given.
+        surface: `scratch.Surface`.
         layers: `scratch.Layers`.
     """
     n = scratch.height.shape[0]
     for block in range(first, last):
         for j in range(n * block // blocks, n * (block + 1) // blocks):
-            write_ground(j, floor, offsets, scratch, layers)
-            write_features(j, voxels.seen, scratch, layers)
+            write_own_ground(j, floor, scratch.line[block, 0], scratch, layers)
+            write_filled_ground(j, floor, offsets, scratch, layers)
+            write_features(j, low, offsets, surface, scratch, layers)
+            write_flags(
+                scratch.which[j], scratch.which_feature[j], layers.observed[j], layers.known[j], layers.valid[j]
+            )

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Int
 
-from offpiste.mapping.columns import drop_overhangs, read_columns
+from offpiste.mapping.columns import drop_overhangs, read_columns, see_columns
 from offpiste.mapping.compiled import spread
 from offpiste.mapping.fill import fill_gaps, smooth_residuals, write_layers
 from offpiste.mapping.layers import TerrainLayers, empty_layers
 from offpiste.mapping.planes import fit_planes
-from offpiste.mapping.scratch import Layers, make_scratch
+from offpiste.mapping.scratch import Layers, make_scratch, make_surface
 from offpiste.mapping.settings import FlattenSettings
 from offpiste.mapping.voxels import VoxelMap
 
@@ -43,7 +43,10 @@ def neighbour_offsets(radius: float) -> Int[np.ndarray, "K 2"]:
 
 
 class Flattener:
-    """Makes layers of one voxel map; keeps the memory that this takes, 18 MB on 600 x 600 cells."""
+    """Makes layers of one voxel map, looking only into columns that changed since it last did.
+
+    Keeps the memory that this takes: on 600 x 600 cells 29 MB, and 1.4 MB for each feature.
+    """
 
     def __init__(self, voxel_map: VoxelMap, settings: FlattenSettings) -> None:
         self.settings = settings
@@ -53,6 +56,7 @@ class Flattener:
         self._overhang_cells = round(settings.overhang_radius / size)
         self._offsets = neighbour_offsets(settings.fill_radius / size)
         self._scratch = make_scratch(n, threads, self._plane_cells)
+        self._surface, self._since = make_surface(n, voxel_map.channels), 0
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
         """The map's layers.
@@ -64,16 +68,18 @@ class Flattener:
         voxel_map, settings = self._map, self.settings
         size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
         out = out or empty_layers(n, voxel_map.channels)
-        scratch, voxels = self._scratch, voxel_map.voxels
+        scratch, surface, low = self._scratch, self._surface, voxel_map.low
         reference = round(voxel_map.middle / size)
         step, reach = np.float32(size), np.float32(settings.vehicle_height)
         arrays = Layers(*(getattr(out, name) for name in Layers._fields))
         limit, floor = np.float32(settings.feature_height), reference * size
 
-        spread(threads, n, read_columns, voxel_map.low, reference, step, reach, self._overhang_cells, voxels, scratch)
+        spread(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
+        self._since = voxel_map.changes
+        spread(threads, n, read_columns, low, reference, step, self._overhang_cells, surface, scratch)
         spread(threads, n, drop_overhangs, self._overhang_cells, reach, limit, scratch)
         spread(threads, threads, fit_planes, threads, self._plane_cells, step, scratch)
         spread(threads, threads, smooth_residuals, threads, self._plane_cells, scratch)
         spread(threads, threads, fill_gaps, threads, self._offsets, limit, scratch)
-        spread(threads, threads, write_layers, threads, floor, self._offsets, voxels, scratch, arrays)
+        spread(threads, threads, write_layers, threads, floor, low, self._offsets, surface, scratch, arrays)
         return replace(out, origin=voxel_map.origin, resolution=size)

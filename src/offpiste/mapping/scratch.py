@@ -26,6 +26,37 @@ class Layers(NamedTuple):
     valid: np.ndarray
 
 
+class Surface(NamedTuple):
+    """What each column shows from above; kept from one flattening to the next, wrapped around as the voxels are.
+
+    Attributes:
+        level: of the lowest voxel, counted from the world's zero [n, n].
+        x, y, z: where it was hit, from its centre, z from its floor; NaN in an empty column [voxels] [n, n].
+        obstacle: height of the highest thing in reach over that [m] [n, n].
+        feature_height: of the lowest voxel with features over it; infinite if there is none [m] [n, n].
+        features: of that voxel, and before them the distance from which they were seen [n, n, 1 + F].
+    """
+
+    level: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    obstacle: np.ndarray
+    feature_height: np.ndarray
+    features: np.ndarray
+
+
+def make_surface(cells: int, channels: int) -> Surface:
+    """Of an empty map of [cells, cells]."""
+    shape = (cells, cells)
+    names = ("x", "y", "z", "obstacle", "feature_height")
+    return Surface(
+        level=np.zeros(shape, np.int32),
+        **{name: np.full(shape, np.nan, np.float32) for name in names},
+        features=np.full((*shape, 1 + channels), np.nan, np.float32),
+    )
+
+
 class Scratch(NamedTuple):
     """What is handed from loop to loop.
 
@@ -33,8 +64,8 @@ class Scratch(NamedTuple):
         x, y: where the lowest voxel of a column was hit, from the cell's centre [n, n].
         height: and how high; NaN where there is no ground [n, n].
         obstacle: height of the highest thing in reach over it [n, n].
-        feature_height, feature_slot: of the lowest voxel with features; slot -1 where there is none that counts [n, n].
-        filled_slot: the same with gaps filled [n, n].
+        feature_height: of the lowest voxel with features; NaN where there is none that counts [n, n].
+        which, which_feature: numbers of the offsets that lead to a cell's ground and features, -1 if none [n, n].
         lowest: least height of the cells beside, along the row [n, n].
         rise_x, rise_y: of the plane around a cell [m per m]; NaN where there is none [n, n].
         centre: height of the ground at the cell's centre [n, n].
@@ -43,7 +74,6 @@ class Scratch(NamedTuple):
         sums, moments: room for the sums of `planes.py` [blocks, 2 plane_cells + 2, SUMS, n] and
             [blocks, SUMS, n + 2 plane_cells].
         line: room for rows [blocks, 2, n].
-        which: number of the offset that leads to a cell's ground, -1 if none [n, n].
     """
 
     x: np.ndarray
@@ -51,8 +81,6 @@ class Scratch(NamedTuple):
     height: np.ndarray
     obstacle: np.ndarray
     feature_height: np.ndarray
-    feature_slot: np.ndarray
-    filled_slot: np.ndarray
     lowest: np.ndarray
     rise_x: np.ndarray
     rise_y: np.ndarray
@@ -63,11 +91,12 @@ class Scratch(NamedTuple):
     moments: np.ndarray
     line: np.ndarray
     which: np.ndarray
+    which_feature: np.ndarray
 
 
 def make_scratch(cells: int, blocks: int, plane_cells: int) -> Scratch:
     """Room for maps of [cells, cells], worked on in blocks of rows."""
-    whole = {"feature_slot", "filled_slot", "which"}
+    whole = {"which", "which_feature"}
     grids = [name for name in Scratch._fields if name not in ("sums", "moments", "line")]
     return Scratch(
         **{name: np.zeros((cells, cells), np.int32 if name in whole else np.float32) for name in grids},

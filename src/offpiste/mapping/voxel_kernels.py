@@ -3,8 +3,8 @@
 A column keeps the `LEVELS` levels from its lowest occupied voxel upwards, whatever its height: what lies higher above
 the ground matters to no vehicle. Which of them are occupied is a word of bits whose lowest is always set.
 
-The arrays are laid out for the cache: flattening goes through what it needs of open ground in its order (heads, places
-of the lowest hits), and a voxel with up to 8 channels is one cache line.
+Columns say when they last changed, so that flattening looks into these alone. A voxel with up to 8 channels is one
+cache line.
 """
 
 from typing import Final, NamedTuple
@@ -46,7 +46,8 @@ class Voxels(NamedTuple):
 
     Attributes:
         heads: int32 [n, n, 4].
-        ground: x, y, z of the lowest voxel, as it has them: float32 [n, n, 3].
+        changed: number of the change of the map that last touched what the column shows, as it is flattened:
+            int32 [n, n].
         slots: of each level of a column, if it is occupied: int32 [n, n, 32].
         seen: float32 [capacity, FEATURES + F, or more].
         freed: int32 [PARTS, capacity / PARTS].
@@ -54,7 +55,7 @@ class Voxels(NamedTuple):
     """
 
     heads: np.ndarray
-    ground: np.ndarray
+    changed: np.ndarray
     slots: np.ndarray
     seen: np.ndarray
     freed: np.ndarray
@@ -128,7 +129,7 @@ def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
 
 @inlined
 def fuse_place(seen, x, y, z, distance, rule):  # type: ignore[no-untyped-def]
-    """Put where a voxel was hit."""
+    """Put where a voxel was hit; whether that has moved."""
     seen[HITS] += np.float32(1)
     if rule == AVERAGE and seen[HITS] > 1:
         share = np.float32(1) / seen[HITS]
@@ -136,23 +137,29 @@ def fuse_place(seen, x, y, z, distance, rule):  # type: ignore[no-untyped-def]
         seen[Y] += (y - seen[Y]) * share
         seen[Z] += (z - seen[Z]) * share
         seen[DISTANCE] += (distance - seen[DISTANCE]) * share
-    elif rule != CLOSEST or distance < seen[DISTANCE]:
+        return True
+    if rule != CLOSEST or distance < seen[DISTANCE]:
         seen[X], seen[Y], seen[Z], seen[DISTANCE] = x, y, z, distance
+        return True
+    return False
 
 
 @inlined
 def fuse_features(seen, features, distance, rule):  # type: ignore[no-untyped-def]
-    """Put what a voxel looked like."""
+    """Put what a voxel looked like; whether that has changed."""
     seen[FEATURE_HITS] += np.float32(1)
     if rule == AVERAGE and seen[FEATURE_HITS] > 1:
         share = np.float32(1) / seen[FEATURE_HITS]
         seen[FEATURE_DISTANCE] += (distance - seen[FEATURE_DISTANCE]) * share
         for k in range(len(features)):
             seen[FEATURES + k] += (features[k] - seen[FEATURES + k]) * share
-    elif rule != CLOSEST or distance < seen[FEATURE_DISTANCE]:
+        return True
+    if rule != CLOSEST or distance < seen[FEATURE_DISTANCE]:
         seen[FEATURE_DISTANCE] = distance
         for k in range(len(features)):
             seen[FEATURES + k] = features[k]
+        return True
+    return False
 
 
 @inlined
@@ -165,7 +172,9 @@ def finite(features):  # type: ignore[no-untyped-def]
 
 
 @map_loop
-def insert_points(first, last, points, features, has_feature, distance, low, middle, reach, scale, rule, voxels):  # type: ignore[no-untyped-def]
+def insert_points(  # type: ignore[no-untyped-def]
+    first, last, points, features, has_feature, distance, low, middle, reach, scale, rule, number, voxels
+):
     """Points into the parts `first` to `last` of the map.
 
     Args:
@@ -177,6 +186,7 @@ def insert_points(first, last, points, features, has_feature, distance, low, mid
         middle, reach: points with |z - middle| > reach are left out [m].
         scale: voxels a metre.
         rule: CLOSEST, LATEST or AVERAGE.
+        number: of this change of the map.
     """
     n = voxels.heads.shape[0]
     start_x, start_y = low[0] % n, low[1] % n
@@ -206,17 +216,16 @@ def insert_points(first, last, points, features, has_feature, distance, low, mid
             continue
         seen = voxels.seen[slot]
         x, y, z = x - floor_x - 0.5, y - floor_y - 0.5, z - level
-        fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], rule)
-        if bit == 1:
-            ground = voxels.ground[row, across]
-            ground[X], ground[Y], ground[Z] = seen[X], seen[Y], seen[Z]
+        changed = fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], rule)
         if has_feature[i] and finite(features[i]):
-            fuse_features(seen, features[i], distance[i], rule)
+            changed |= fuse_features(seen, features[i], distance[i], rule)
             voxels.heads[row, across, FEATURED] |= bit
+        if changed:
+            voxels.changed[row, across] = number
 
 
 @inlined
-def forget_column(voxels, part, row, across):  # type: ignore[no-untyped-def]
+def forget_column(voxels, part, row, across, number):  # type: ignore[no-untyped-def]
     """Empty a column."""
     occupied, level = np.int64(voxels.heads[row, across, OCCUPIED]), 0
     while occupied != 0:
@@ -225,11 +234,16 @@ def forget_column(voxels, part, row, across):  # type: ignore[no-untyped-def]
         occupied >>= 1
         level += 1
     voxels.heads[row, across, OCCUPIED] = 0
+    voxels.changed[row, across] = number
 
 
 @map_loop
-def forget_left_behind(old, new, voxels):  # type: ignore[no-untyped-def]
-    """Empty the columns that the map leaves when its lowest cell moves from `old` to `new` (integer x, y [2])."""
+def forget_left_behind(old, new, number, voxels):  # type: ignore[no-untyped-def]
+    """Empty the columns that the map leaves when its lowest cell moves from `old` to `new` (integer x, y [2]).
+
+    Args:
+        number: of this change of the map.
+    """
     n = voxels.heads.shape[0]
     left, right = max(old[0], new[0]), min(old[0], new[0]) + n
     for j in range(old[1], old[1] + n):
@@ -237,7 +251,7 @@ def forget_left_behind(old, new, voxels):  # type: ignore[no-untyped-def]
         part = (row >> STRIPE) % PARTS
         gone = not (new[1] <= j < new[1] + n) or left >= right
         for i in range(old[0], old[0] + n if gone else left):
-            forget_column(voxels, part, row, i % n)
+            forget_column(voxels, part, row, i % n, number)
         if not gone:
             for i in range(right, old[0] + n):
-                forget_column(voxels, part, row, i % n)
+                forget_column(voxels, part, row, i % n, number)

@@ -29,7 +29,7 @@ class VoxelMap:
     the features alone. Of equally close observations the first stays.
 
     A column keeps 31 levels from its lowest occupied voxel upwards, so that ground may lie anywhere: all that is lost
-    is what hangs 6.2 m above it. Memory with voxels of 0.2 m and +-60 m: 56 MB for the columns, and for each voxel
+    is what hangs 6.2 m above it. Memory with voxels of 0.2 m and +-60 m: 53 MB for the columns, and for each voxel
     that was in use at one time 36 bytes without features, 68 with up to 8, 196 with up to 40: at most 350 MB with the
     1.5 million voxels (`VoxelSettings.capacity`) of 40 features.
 
@@ -38,6 +38,7 @@ class VoxelMap:
         channels: features of a voxel, F.
         low: integer coordinates x, y of the lowest cell; cell i covers [i, i + 1) voxel sizes.
         middle: height of the vehicle [m].
+        changes: insertions and moves so far.
         voxels: the arrays themselves, for loops that read them.
     """
 
@@ -47,10 +48,11 @@ class VoxelMap:
         width = FEATURES if channels == 0 else -(-(FEATURES + channels) // 16) * 16
         self.low: Int[np.ndarray, " 2"] = np.full(2, -self.settings.half_cells, np.int64)
         self.middle = 0.0
+        self.changes = 0
         self.channels = channels
         self.voxels = Voxels(
             heads=_aligned((n, n, 4), np.int32),
-            ground=np.zeros((n, n, 3), np.float32),
+            changed=np.zeros((n, n), np.int32),
             slots=_aligned((n, n, LEVELS + 1), np.int32),
             seen=_aligned((PARTS * slots, width), np.float32),
             freed=np.empty((PARTS, slots), np.int32),
@@ -83,7 +85,7 @@ class VoxelMap:
     def nbytes(self) -> int:
         """Memory that is in use [bytes]; the system counts whole pages."""
         used = int(self.voxels.counts[:, EVER].sum())
-        columns = self.voxels.heads.nbytes + self.voxels.ground.nbytes + self.voxels.slots.nbytes
+        columns = self.voxels.heads.nbytes + self.voxels.changed.nbytes + self.voxels.slots.nbytes
         return columns + used * (self.voxels.seen.strides[0] + 4)
 
     def recentre(self, xy: Float[np.ndarray, " 2"], z: float) -> None:
@@ -102,7 +104,8 @@ class VoxelMap:
             raise ValueError(f"a map cannot be centred at {xy}, {z} m")
         new = cell.astype(np.int64) - self.settings.half_cells
         if (new != self.low).any():
-            forget_left_behind(self.low, new, self.voxels)
+            self.changes += 1
+            forget_left_behind(self.low, new, self.changes, self.voxels)
         self.low, self.middle = new, float(z)
 
     def insert(
@@ -130,6 +133,7 @@ class VoxelMap:
             features, has_feature = np.zeros((1, self.channels), np.float32), np.zeros(len(points_world), bool)
         elif features.shape[1] != self.channels:
             raise ValueError(f"the map has {self.channels} channels, these points {features.shape[1]}")
+        self.changes += 1
         arguments = (
             np.ascontiguousarray(points_world, np.float64),
             np.ascontiguousarray(features, np.float32),
@@ -140,6 +144,7 @@ class VoxelMap:
             self.settings.height_reach,
             self._scale,
             RULES.index(self.settings.rule),
+            self.changes,
             self.voxels,
         )
         spread(self.settings.threads, PARTS, insert_points, *arguments)
