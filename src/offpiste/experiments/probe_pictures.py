@@ -16,6 +16,7 @@ _STYLES = {
     "ground": ("#8c8c8c", ":", "true kind and wetness"),
     "kind": ("#000000", "-", "true kind (ceiling)"),
     "visual": ("#0072b2", "-", "visual features"),
+    "averaged": ("#56b4e9", "--", "the same, averaged over 0.8 s"),
     "colour": ("#009e73", "--", "mean colour"),
     "brightness": ("#d55e00", "-", "brightness (floor)"),
     "world": ("#cc79a7", ":", "which world"),

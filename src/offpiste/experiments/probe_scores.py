@@ -24,6 +24,9 @@ PARTS = 5
 FEWEST = 50
 """Cells below which nothing is fitted or judged."""
 
+NEARBY = 20
+"""Rows to either side over which features are averaged along the way: 0.4 s, 2 m at 5 m/s."""
+
 TRAINED = ("hindsight", "all", "same")
 """Feature sets that a probe sees in training: hindsight only, all of them, or the one it is judged on."""
 
@@ -80,15 +83,30 @@ def _kind(pooled: Pooled, number: int) -> Float[np.ndarray, "M F"]:
     return np.eye(len(GROUND_KINDS))[shares.argmax(axis=1)]
 
 
+def _averaged(pooled: Pooled, number: int) -> Float[np.ndarray, "M F"]:
+    """Visual features, each the mean over valid cells that the drive enters at most `NEARBY` rows before or after."""
+    cells, found = pooled.cells, np.full(pooled.cells.features[number].shape, np.nan)
+    for drive in np.unique(pooled.drive):
+        mine = np.flatnonzero((pooled.drive == drive) & cells.valid[number])
+        mine = mine[np.argsort(cells.row[mine], kind="stable")]
+        row, features = cells.row[mine], cells.features[number, mine].astype(np.float64)
+        sums = np.concatenate((np.zeros((1, features.shape[1])), features.cumsum(axis=0)))
+        first, stop = np.searchsorted(row, row - NEARBY), np.searchsorted(row, row + NEARBY, side="right")
+        found[mine] = (sums[stop] - sums[first]) / (stop - first)[:, None]
+    return found
+
+
 INPUTS: Mapping[str, Input] = {
     "visual": lambda pooled, number: pooled.cells.features[number],
+    "averaged": _averaged,
     "colour": lambda pooled, number: pooled.cells.colour[number],
     "brightness": lambda pooled, number: pooled.cells.colour[number].mean(axis=1, keepdims=True),
     "world": lambda pooled, number: np.eye(1 + pooled.world.max())[pooled.world],
     "kind": _kind,
     "ground": lambda pooled, number: pooled.cells.ground,
 }
-"""`visual` components of the backbone; `colour` and `brightness` (the floor) of the same patches; `world` which world
+"""`visual` components of the backbone; `averaged` the same along the way, which shows how much of what is missed is
+noise of single patches; `colour` and `brightness` (the floor) of the same patches; `world` which world
 it is, nothing of the cell; `kind` the true ground kind, one of seven (the ceiling); `ground` true shares of kinds, and
 wetness."""
 
