@@ -7,6 +7,9 @@ import torch
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from torch import Tensor
 
+from offpiste.dataset.slabs import Slabs
+from offpiste.dataset.views import Views
+
 
 @dataclass(frozen=True)
 class Cells:
@@ -45,29 +48,94 @@ class UnderWheels:
 
 
 class CellTable:
-    """The cells of all drives in one table, and a last one that is not there."""
+    """The cells of all drives; their features are read when windows ask for them.
 
-    def __init__(self, cells: list[Cells], device: torch.device, feature_set: int = 0) -> None:
+    Args:
+        cells: of the drives, in the order of their rows.
+        device: where what is read goes.
+    """
+
+    def __init__(self, cells: list[Cells], device: torch.device) -> None:
         sizes = [c.features.shape[1] for c in cells]
-        first, missing = np.cumsum([0, *sizes[:-1]]), sum(sizes)
-        index = [np.where(c.index < 0, missing, c.index + n) for c, n in zip(cells, first, strict=True)]
-        self._index = torch.as_tensor(np.concatenate(index), device=device)
-        features = np.concatenate([c.features[feature_set] for c in cells])
-        valid = np.concatenate([c.valid[feature_set] for c in cells])
-        self._features = torch.as_tensor(np.pad(features, ((0, 1), (0, 0)), constant_values=np.nan), device=device)
-        self._valid = torch.as_tensor(np.pad(valid, (0, 1)), device=device)
+        self._first = np.cumsum([0, *sizes])
+        self._index = np.concatenate(
+            [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, self._first[:-1], strict=True)]
+        )
+        self._valid = np.concatenate([c.valid for c in cells], axis=1)
+        self._slabs = [Slabs(c.features) for c in cells]
+        self._channels, self._device = cells[0].features.shape[2], device
 
-    def under(self, past: Int[Tensor, "B H"], ahead: Int[Tensor, "B T"]) -> UnderWheels:
-        """What lies under the wheels at rows."""
-        before, after = self._index[past], self._index[ahead]
-        touched = torch.zeros(len(self._valid), dtype=torch.bool, device=self._valid.device)
-        touched[before.flatten()] = True
-        touched[after.flatten()] = True
+    @property
+    def sets(self) -> int:
+        """How many feature sets there are."""
+        return len(self._valid)
+
+    def under(self, rows: Int[np.ndarray, "B R"], views: Views, history: int = 0) -> UnderWheels:
+        """What lies under the wheels at rows.
+
+        Args:
+            rows: of each window, rising.
+            history: how many of them are past.
+        """
+        cell = self._index[rows]
+        sets = np.broadcast_to(views.sets[..., None], cell.shape)
+        known = cell >= 0
+        place, ranges, total = _merged(cell, views.sets, self.sets, int(self._first[-1]))
+        number = np.where(known, cell + place[np.arange(len(rows))[:, None, None], sets], total)
+        touched = np.zeros(total + 1, bool)
+        touched[number] = True
         touched[-1] = True
-        number = touched.cumsum(0) - 1
-        return UnderWheels(self._features[touched].float(), self._valid[touched], number[before], number[after])
+        features = np.full((total + 1, self._channels), np.nan, np.float16)
+        valid = np.zeros(total + 1, bool)
+        for chosen, first, low, count in ranges:
+            self._read(features[first : first + count], valid[first : first + count], chosen, low, views.flags_only)
+        number = (np.cumsum(touched) - 1)[number]
+        under = torch.from_numpy(number).to(self._device)
+        return UnderWheels(
+            torch.from_numpy(features[touched]).to(self._device).float(),
+            torch.from_numpy(valid[touched]).to(self._device),
+            under[:, :history],
+            under[:, history:],
+        )
 
-    def at(self, rows: Int[Tensor, " n"]) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
-        """Features and validity of all wheels at rows."""
-        cells = self._index[rows].flatten()
-        return self._features[cells].float(), self._valid[cells]
+    def _read(self, features: np.ndarray, valid: np.ndarray, chosen: int, low: int, flags_only: bool) -> None:
+        drive = int(np.searchsorted(self._first, low, side="right")) - 1
+        read = 0 if flags_only else chosen
+        self._slabs[drive].read(read, low - int(self._first[drive]), features)
+        valid[:] = self._valid[read, low : low + len(valid)]
+        if flags_only:
+            valid &= self._valid[chosen, low : low + len(valid)]
+
+
+def _merged(
+    cell: Int[np.ndarray, "B R 4"], sets: Int[np.ndarray, "B S"], stored: int, cells: int
+) -> tuple[Int[np.ndarray, "B D"], list[tuple[int, int, int, int]], int]:
+    """Ranges of cells that hold what windows touch, each read once.
+
+    Returns:
+        What to add to a cell's number, by window and set, for its place among all that is read; the ranges: set, place
+        of the first, number of the first, how many; and how many cells are read in all.
+    """
+    windows = len(cell)
+    known = cell >= 0
+    low = np.where(known, cell, cells).min(axis=(1, 2))
+    end = np.where(known, cell, -1).max(axis=(1, 2)) + 1
+    used = np.zeros((windows, stored), bool)
+    used[np.arange(windows)[:, None], sets] = True
+    used &= (end > 0)[:, None]
+    window, chosen = np.nonzero(used)
+    place = np.zeros((windows, stored), np.int64)
+    if not len(window):
+        return place, [], 0
+    # Cells of different sets are kept apart by counting on from set to set; ranges of different drives never overlap.
+    begin, stop = low[window] + chosen * cells, end[window] + chosen * cells
+    order = np.argsort(begin, kind="stable")
+    begin, stop = begin[order], np.maximum.accumulate(stop[order])
+    new = np.concatenate(([True], begin[1:] >= stop[:-1]))
+    group = np.cumsum(new) - 1
+    starts = begin[new]
+    sizes = stop[np.append(np.flatnonzero(new)[1:] - 1, len(stop) - 1)] - starts
+    first = np.cumsum(sizes) - sizes
+    place[window[order], chosen[order]] = (first - starts % cells)[group]
+    ranges = zip((starts // cells).tolist(), first.tolist(), (starts % cells).tolist(), sizes.tolist(), strict=True)
+    return place, list(ranges), int(sizes.sum())

@@ -218,8 +218,9 @@ def stored_split(text: str, drives: list[list[str]]) -> Split:
 def _read_drive(path: Path, name: str) -> StoredDrive:
     with _reading(path, name):
         group = zarr.open_group(path / name, mode="r")
-        arrays = {key: _whole_array(group, key) for key in (*_ROWS, "part")}
-        cells = _read_cells(group["cells"]) if "cells" in group else None
+        arrays = {key: _whole_array(group, key) for key in (*_ROWS, "part") if key != "normal"}
+        arrays["normal"] = _mapped_array(path / name, group, "normal")
+        cells = _read_cells(path / name / "cells", group["cells"]) if "cells" in group else None
         attributes: dict[str, Any] = dict(group.attrs)
         rows = Rows(origin=np.array(attributes["origin"]), cells=cells, **{key: arrays[key] for key in _ROWS})
         load_map = (lambda: _read_map(path, name)) if "map" in group else None
@@ -227,8 +228,10 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
         return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]), load_map, kept)
 
 
-def _read_cells(group: Any) -> Cells:
-    return Cells(**{field.name: _whole_array(group, field.name) for field in fields(Cells)})
+def _read_cells(folder: Path, group: Any) -> Cells:
+    small = {key: _whole_array(group, key) for key in ("index", "valid")}
+    large = {key: _mapped_array(folder, group, key) for key in ("features", "distance", "elevation")}
+    return Cells(**small, **large)
 
 
 def _read_map(path: Path, name: str) -> TerrainMap:
@@ -253,6 +256,17 @@ def _reading(path: Path, name: str) -> Iterator[None]:
             where=path,
             how=f"delete {path / name} and run `offpiste extract` again",
         ) from error
+
+
+def _mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
+    """An array that stays on disk until it is looked at: its one chunk is its bytes."""
+    array = group[key]
+    if not isinstance(array, zarr.Array) or array.chunks != array.shape or not array.size or array.compressors:
+        return _whole_array(group, key)
+    file = folder / key / "/".join(["c", *("0" for _ in array.shape)])
+    if not file.exists() or file.stat().st_size != array.nbytes:
+        raise ValueError(f"a chunk of '{key}' is missing or cut short")
+    return np.memmap(file, dtype=array.dtype, mode="r", shape=array.shape)
 
 
 def _whole_array(group: zarr.Group, key: str) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -10,9 +11,11 @@ from torch import Tensor
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
 from offpiste.dataset.cells import CellTable, UnderWheels
 from offpiste.dataset.extract import present_actuators, present_control
+from offpiste.dataset.normals import Normals
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.starts import judged_starts
 from offpiste.dataset.store import Dataset
+from offpiste.dataset.views import Views, same_view, set_number
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.errors import DatasetError
 from offpiste.geometry import wrap_angle
@@ -52,10 +55,11 @@ class Windows:
         start: "causal" starts from the estimate that was known at the time, "smoothed" from the target's.
         min_speed: of the causal estimate at the start [m/s].
         horizon: predicted steps.
+        feature_set: that features and normals are of, where a batch asks for no other; of `conventions.FEATURE_SETS`.
         device: where batches are made.
 
     Raises:
-        DatasetError: the part has no such window.
+        DatasetError: the part has no such window, or the dataset no such feature set.
     """
 
     def __init__(
@@ -66,6 +70,7 @@ class Windows:
         start: str = "causal",
         min_speed: float = MIN_JUDGED_SPEED,
         horizon: int = HORIZON_STEPS,
+        feature_set: str = "hindsight",
         device: torch.device | str = "cpu",
     ) -> None:
         self.part, self.horizon, self.start = part, horizon, start
@@ -75,10 +80,12 @@ class Windows:
         self._start = self._column([r.state_causal if start == "causal" else r.state for r in rows])
         self._actuators = self._column([r.actuators for r in rows])
         self._control = self._column([r.control for r in rows])
-        self._normal = self._column([r.normal[0] for r in rows])
+        self._normals = Normals([r.normal for r in rows], self.device)
         self._valid = self._column([r.valid for r in rows])
         cells = [r.cells for r in rows if r.cells is not None]
         self._cells = CellTable(cells, self.device) if dataset.features else None
+        self.sets = self._cells.sets if self._cells is not None else 1
+        self._set = set_number(feature_set, self.sets)
         self.control, self.actuators = present_control(dataset.rig), present_actuators(dataset.rig)
 
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
@@ -122,8 +129,13 @@ class Windows:
         """Row t of windows, counted in their own drive."""
         return np.asarray(self.rows[index] - self._offset[self.drive[index]])
 
-    def gather(self, index: Int[np.ndarray, " B"]) -> Batch:
-        """A batch of windows by their indices."""
+    def gather(self, index: Int[np.ndarray, " B"], views: Views | None = None) -> Batch:
+        """A batch of windows by their indices.
+
+        Args:
+            views: which feature sets they read.
+        """
+        views = views or same_view(len(index), self._set)
         t = torch.as_tensor(self.rows[index], device=self.device)
         past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
         now = t[:, None] + torch.arange(self.horizon, device=self.device)
@@ -132,27 +144,33 @@ class Windows:
         place = torch.zeros_like(start)
         place[:, :2] = start[:, :2]
         place[:, 2] = start[:, 2] - wrap_angle(start[:, 2])
+        first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
+        normal = self._normals.at(first, count, views)
+        before, after = (
+            Terrain(part, part[..., :0]) for part in (normal[:, :HISTORY_STEPS], normal[:, HISTORY_STEPS:])
+        )
+        ground = None
+        if self._cells is not None:
+            ground = self._cells.under(first[:, None] + np.arange(count), views, HISTORY_STEPS)
         return Batch(
-            history=History(
-                self._start[past] - place[:, None],
-                self._actuators[past],
-                self._control[past],
-                self._terrain(past),
-            ),
+            history=History(self._start[past] - place[:, None], self._actuators[past], self._control[past], before),
             state=start - place,
             actuators=self._actuators[t],
             control=self._control[now],
-            terrain=self._terrain(now),
+            terrain=after,
             target=self._state[ahead] - place[:, None],
             target_actuators=self._actuators[ahead],
-            ground=None if self._cells is None else self._cells.under(past, now),
+            ground=ground,
         )
 
-    def features_at_starts(self) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
-        """Features under the wheels at the start of every window, and whether they are there."""
+    def features_at_starts(self, most: int = 20_000) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
+        """Features under the wheels at the start of windows, all or `most` of them, and whether they are there."""
         if self._cells is None:
             raise DatasetError("no terrain features", how="extract them with `--features ground-truth`")
-        return self._cells.at(torch.as_tensor(self.rows, device=self.device))
+        chosen = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
+        under = self._cells.under(self.rows[chosen, None], same_view(len(chosen), self._set))
+        cells = under.ahead.flatten()
+        return under.features[cells], under.valid[cells]
 
     def path(
         self, index: Int[np.ndarray, " B"], *, behind: int = 50, ahead: int = 400
@@ -169,7 +187,7 @@ class Windows:
         known = torch.as_tensor(inside, device=self.device) & self._valid[near]
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), None, :2]
         position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
-        return position, self._normal[near][..., 0, :]
+        return position, self._driven_normal[near][..., 0, :]
 
     def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
         """Where windows start: px, py in the world frame [m], in double precision."""
@@ -177,9 +195,9 @@ class Windows:
         origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
         return start + torch.as_tensor(origin, device=self.device)
 
-    def _terrain(self, rows: Int[Tensor, "B T"]) -> Terrain:
-        normal = self._normal[rows]
-        return Terrain(normal, normal[..., :0])
+    @cached_property
+    def _driven_normal(self) -> Float[Tensor, "N 4 3"]:
+        return self._normals.whole()
 
     def _column(self, arrays: list[np.ndarray]) -> Tensor:
         return torch.as_tensor(np.concatenate(arrays), device=self.device)

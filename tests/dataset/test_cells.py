@@ -1,0 +1,109 @@
+"""Features under the wheels of windows, read in pieces from memory and from disk, against plain indexing."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from offpiste.dataset.cells import Cells, CellTable
+from offpiste.dataset.normals import Normals
+from offpiste.dataset.slabs import Slabs
+from offpiste.dataset.views import Views, same_view, set_number
+from offpiste.errors import DatasetError
+
+SETS, FEATURES = 3, 2
+
+
+def drive(rng: np.random.Generator, rows: int, count: int) -> Cells:
+    """A drive over `count` cells, with places that the map does not have, and some cells met again."""
+    index = np.sort(rng.integers(-3, count, (rows, 4)), axis=0).clip(min=-1).astype(np.int32)
+    index[rng.random((rows, 4)) < 0.1] = rng.integers(-1, count)
+    features = rng.normal(size=(SETS, count, FEATURES)).astype(np.float16)
+    valid = rng.random((SETS, count)) < 0.7
+    far = rng.random((SETS, count)).astype(np.float32)
+    return Cells(index, features, valid, far, far)
+
+
+def plainly(cells: list[Cells], rows: np.ndarray, views: Views) -> tuple[np.ndarray, np.ndarray]:
+    """Features and validity at each row and wheel; NaN and false where there is no cell."""
+    first = np.cumsum([0, *(len(c.index) for c in cells)])
+    features = np.full((*rows.shape, 4, FEATURES), np.nan)
+    valid = np.zeros((*rows.shape, 4), bool)
+    sets = np.broadcast_to(views.sets, rows.shape)
+    for place in np.ndindex(*rows.shape, 4):
+        number = int(np.searchsorted(first, rows[place[:2]], side="right")) - 1
+        mine, chosen = cells[number], int(sets[place[:2]])
+        cell = mine.index[rows[place[:2]] - first[number], place[2]]
+        if cell >= 0:
+            features[place] = mine.features[0 if views.flags_only else chosen, cell]
+            valid[place] = mine.valid[chosen, cell] and (not views.flags_only or mine.valid[0, cell])
+    return features, valid
+
+
+@given(seed=st.integers(0, 10_000), kind=st.sampled_from(["one", "each", "steps", "flags"]))
+def test_windows_find_what_plain_indexing_finds(seed, kind):
+    rng = np.random.default_rng(seed)
+    cells = [drive(rng, 40, 30), drive(rng, 25, 1), drive(rng, 30, 50)]
+    start = np.array([n for n in (0, 3, 3, 34, 41, 58, 65, 80, 89) if rng.random() < 0.8] or [0])
+    rows = start[:, None] + np.arange(6)
+    shape = (len(rows), 6 if kind == "steps" else 1)
+    views = same_view(len(rows), 1) if kind == "one" else Views(rng.integers(0, SETS, shape), kind == "flags")
+    under = CellTable(cells, torch.device("cpu")).under(rows, views, history=2)
+    wanted, valid = plainly(cells, rows, views)
+    number = torch.cat((under.past, under.ahead), dim=1)
+    assert under.past.shape[1] == 2
+    np.testing.assert_array_equal(under.features[number].numpy(), wanted.astype(np.float32))
+    np.testing.assert_array_equal(under.valid[number].numpy(), valid)
+    assert len(torch.unique(number)) >= len(under.features) - 1, "cells that no wheel touches are not encoded"
+
+
+def on_disk(array: np.ndarray, path) -> np.memmap:
+    array.tofile(path)
+    return np.memmap(path, dtype=array.dtype, mode="r", shape=array.shape)
+
+
+def test_pieces_on_disk_are_those_in_memory(tmp_path):
+    array = np.random.default_rng(0).normal(size=(3, 11, 2, 5)).astype(np.float32)
+    mapped = Slabs(on_disk(array, tmp_path / "a"))
+    for lead, first, count in ((0, 0, 11), (2, 3, 8), (1, 5, 0), (2, 10, 1)):
+        out = np.empty((count, 2, 5), np.float32)
+        mapped.read(lead, first, out)
+        np.testing.assert_array_equal(out, array[lead, first : first + count])
+
+
+def test_a_file_that_is_cut_short_is_told(tmp_path):
+    array = np.ones((2, 4), np.float32)
+    slabs = Slabs(on_disk(array, tmp_path / "a"))
+    with (tmp_path / "a").open("r+b") as file:
+        file.truncate(20)
+    with pytest.raises(EOFError, match="cut short"):
+        slabs.read(1, 0, np.empty(4, np.float32))
+
+
+@pytest.mark.parametrize("disk", [False, True])
+def test_normals_of_a_window_are_of_its_set(tmp_path, disk):
+    rng = np.random.default_rng(1)
+    arrays = [rng.normal(size=(SETS, rows, 4, 3)).astype(np.float32) for rows in (30, 20)]
+    given_ = [on_disk(a, tmp_path / str(n)) for n, a in enumerate(arrays)] if disk else arrays
+    normals, start = Normals(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
+    whole = np.concatenate(arrays, axis=1)
+    for views in (
+        Views(rng.integers(0, SETS, (4, 1))),
+        Views(rng.integers(0, SETS, (4, 6))),
+        Views(np.ones((4, 1), int), True),
+    ):
+        found = normals.at(start, 6, views).numpy()
+        for window, first in enumerate(start):
+            for step in range(6):
+                chosen = 0 if views.flags_only else np.broadcast_to(views.sets, (4, 6))[window, step]
+                np.testing.assert_array_equal(found[window, step], whole[chosen, first + step])
+
+
+def test_sets_have_names():
+    assert [set_number(name, 8) for name in ("hindsight", "-20", "0", "40")] == [0, 1, 3, 7]
+    assert set_number("hindsight", 1) == 0
+    with pytest.raises(DatasetError, match="no feature set '15'"):
+        set_number("15", 8)
+    with pytest.raises(DatasetError, match="no set '10'"):
+        set_number("10", 1)
