@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.mapping.flatten import Flattener, flatten, neighbour_offsets
-from offpiste.mapping.lookup import look_up, stack_maps
+from offpiste.mapping.lookup import MapTerrain, look_up, stack_maps
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
 from offpiste.mapping.voxels import VoxelMap
 from offpiste.mapping.wheels import look_up_wheels
@@ -302,6 +302,23 @@ def test_layers_cover_the_map_and_say_where_they_are():
 
 
 # --- wheels ----------------------------------------------------------------------------------------------------------
+def test_a_vehicle_turned_by_90_degrees_reads_what_lies_under_its_own_wheels():
+    """Facing +y at (1, 2): front-left is at (0.3, 3.1), rear-right at (1.7, 0.9). z = x: it leans."""
+    held = ground(1.0, 0.0)
+    under = {(0.3, 3.1): 1.0, (1.7, 3.1): 2.0, (0.3, 0.9): 3.0, (1.7, 0.9): 4.0}
+    for (x, y), feature in under.items():
+        put(held, [x, y, x + 0.03], [feature], 1.0)
+    wheels = torch.tensor([[1.1, 0.7], [1.1, -0.7], [-1.1, 0.7], [-1.1, -0.7]], dtype=torch.float64)
+    stack = stack_maps([flatten(held).terrain_map()])
+    number, offset = torch.zeros(1, dtype=torch.long), torch.tensor([[1.0, 2.0]], dtype=torch.float64)
+    source = MapTerrain(stack, number, offset, wheels, lambda features, valid: features)
+    state = torch.tensor([[0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    found = source.at(0, state)
+    assert found.latent[0, :, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
+    lean = torch.tensor([-(0.5**0.5), 0.0, 0.5**0.5], dtype=torch.float64)
+    torch.testing.assert_close(found.normal[0], lean.expand(4, 3), atol=2e-5, rtol=0)
+
+
 @pytest.mark.parametrize("channels", [0, 4])
 def test_the_loop_over_wheels_says_what_look_up_says(channels):
     layers = flatten(ground(0.3, -0.2, scatter=0.09, keep=0.3, channels=channels))
