@@ -2,8 +2,8 @@
 
 `python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m between scans of
 100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m in cells of 0.2 m.
-Times are medians, in brackets the best one and the processor time that all threads together took: on a busy machine the
-last divided by the threads says what a free one would take.
+Times are medians, in brackets the best one and the processor time that all threads together took, median and best: on
+a busy machine that divided by the threads says what a free one would take.
 """
 
 import sys
@@ -49,9 +49,9 @@ def timed(task: Callable[[], object]) -> np.ndarray:
 
 
 def summary(name: str, times: list[np.ndarray]) -> str:
-    """Median, best, and median processor time."""
-    (clock, busy), best = np.median(times, axis=0), np.min(times, axis=0)[0]
-    return f"{name:24} {clock:6.1f} ms (best {best:5.1f}, processor {busy:5.1f})"
+    """Median and best, by the clock and of processor time."""
+    (clock, busy), (best, least) = np.median(times, axis=0), np.min(times, axis=0)
+    return f"{name:24} {clock:6.1f} ms (best {best:5.1f}; processor {busy:5.1f}, best {least:5.1f})"
 
 
 def report(name: str, times: list[np.ndarray], plain: np.ndarray, touched: int) -> None:
