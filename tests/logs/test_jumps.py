@@ -106,13 +106,22 @@ def test_passes_are_watched_within_one_stretch_only():
     xy = np.column_stack((2 * time, np.zeros(len(time))))
     wheels = np.repeat(xy[:, None], 4, axis=1)
     free = find_passes(time, xy, wheels, resolution=0.2)
-    cut = find_passes(time, xy, wheels, resolution=0.2, jumps=np.array([[4.95, 5.05]]))
+    cut = find_passes(time, xy, wheels, resolution=0.2, jumps=time[[49, 50]][None])
     np.testing.assert_array_equal(free.contact, cut.contact)
-    early, late = cut.contact < 5, cut.contact > 5.05
-    assert (cut.end[early] == 5.05).all()
-    assert (cut.approach[late] == 5.05).all()
+    early, late = cut.contact < time[50], cut.contact >= time[50]
+    assert (cut.end[early] == time[50]).all()
+    assert (cut.approach[late] == time[50]).all()
     assert (cut.approach[early] == free.approach[early]).all()
     assert np.isinf(cut.end[late]).all()
+
+
+def test_a_pass_ends_at_a_jump_and_begins_anew():
+    time = np.arange(6) * 0.1
+    still = np.zeros((6, 2))
+    found = find_passes(time, still, np.zeros((6, 4, 2)), resolution=0.2, jumps=np.array([[time[2], time[4]]]))
+    assert found.contact.tolist() == [time[0], time[4]]
+    assert found.end.tolist() == [time[4], np.inf]
+    assert found.index[:, 0].tolist() == [0, 0, 0, -1, 1, 1]  # between the two, the place is unknown
 
 
 def test_the_recorded_drives_have_none(data_folder):

@@ -44,9 +44,12 @@ def find_passes(
         xy: of the pose point, in the world frame; NaN where unknown [m].
         wheels: places of the wheels [m].
         resolution: size of a cell [m].
-        jumps: of the poses, the moments before and after [s]: a pass is not watched across one.
+        jumps: of the poses, the moments before and after [s]: no pass goes on across one, nor is watched across it.
     """
+    jumps = np.zeros((0, 2)) if jumps is None else jumps
     known = np.isfinite(wheels).all(axis=(1, 2)) & np.isfinite(xy).all(axis=1)
+    for earlier, later in jumps:
+        known &= (time <= earlier) | (time >= later)
     grid = np.round(np.where(known[:, None, None], wheels, 0.0) / resolution).astype(np.int64)
     rows = np.repeat(np.flatnonzero(known), 4)
     cells, cell = np.unique(grid[known].reshape(-1, 2), axis=0, return_inverse=True)
@@ -57,6 +60,7 @@ def find_passes(
     touched, when = cell[order], time[rows[order]]
     begins = np.ones(len(order), bool)
     begins[1:] = (np.diff(touched) != 0) | (np.diff(when) > PAUSE)
+    begins[1:] |= np.diff(np.searchsorted(jumps[:, 1], when, side="right")) != 0
     number = np.cumsum(begins) - 1
     contact, of = when[begins], touched[begins]
     again = np.append(of[1:] == of[:-1], False)
@@ -73,10 +77,9 @@ def find_passes(
     centre = cells[of[sort]] * resolution
     approach = _farthest(time[known], xy[known], centre, before[sort], contact[sort])
     contact, end = contact[sort], end[sort]
-    if jumps is not None and len(jumps):
-        edges = np.concatenate(([-np.inf], jumps[:, 1], [np.inf]))
-        stretch = np.searchsorted(jumps[:, 1], contact, side="right")
-        approach, end = np.maximum(approach, edges[stretch]), np.minimum(end, edges[stretch + 1])
+    edges = np.concatenate(([-np.inf], jumps[:, 1], [np.inf]))
+    stretch = np.searchsorted(jumps[:, 1], contact, side="right")
+    approach, end = np.maximum(approach, edges[stretch]), np.minimum(end, edges[stretch + 1])
     return Passes(cells[of[sort]], approach, contact, end, index)
 
 
