@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import OffpisteError, RigError
 from offpiste.progress import tell
 from offpiste.training.config import TrainConfig
@@ -299,13 +300,26 @@ class Evaluate:
     """The dataset they were trained on, or another one."""
     out: Path = Path("report")
     """Folder of the report."""
+    lookup: Literal["recorded", "map", "both"] = "both"
+    """Where models read the ground: under the recorded wheels, or where they predict to be, as a planner does."""
+    feature_set: Literal["hindsight", "-20", "-10", "0", "10", "20", "30", "40", "all"] = "hindsight"
+    """Views that are read at recorded places: from how far ahead [m], or the last there were."""
     device: str = "cpu"
 
     def run(self) -> int:
         """Load, judge, report."""
         from offpiste.experiments.judge_runs import judge_runs
 
-        judge_runs(self.runs, self.dataset, self.out, device=self.device, tell=tell)
+        lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
+        judge_runs(
+            self.runs,
+            self.dataset,
+            self.out,
+            lookups=lookups if self.lookup == "both" else (self.lookup,),
+            feature_sets=FEATURE_SETS if self.feature_set == "all" else (self.feature_set,),
+            device=self.device,
+            tell=tell,
+        )
         return 0
 
 

@@ -14,7 +14,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.errors import DatasetError, RunError
 from offpiste.mapping.terrain import TerrainMap, wheel_places
-from offpiste.training.ground import encoded, map_source
+from offpiste.training.ground import encoded, on_map
 from offpiste.training.run import build, vehicle_of
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -67,15 +67,17 @@ def test_recorded_and_predicted_places_read_the_same_ground(tmp_path):
     index = np.arange(0, len(windows), 37)
     df = build("df", vehicle_of(dataset), seed=0)
     batch = encoded(df, windows.gather(index))
-    source = map_source(df, windows, index, batch)
+    mapped, source = on_map(df, windows, index, batch)
+    torch.testing.assert_close(mapped.history.terrain.normal, batch.history.terrain.normal, atol=1e-4, rtol=0)
+    assert (mapped.history.terrain.latent == batch.history.terrain.latent).all(dim=-1).float().mean() > 0.99
     for t in (1, 100, 249):
         # A vehicle that is predicted where it was recorded must find what was recorded.
-        on_map = source.at(t, batch.target[:, t - 1])
-        torch.testing.assert_close(on_map.normal, batch.terrain.normal[:, t], atol=1e-4, rtol=0)
-        same = (on_map.latent == batch.terrain.latent[:, t]).all(dim=-1)
+        found = source.at(t, batch.target[:, t - 1])
+        torch.testing.assert_close(found.normal, batch.terrain.normal[:, t], atol=1e-4, rtol=0)
+        same = (found.latent == batch.terrain.latent[:, t]).all(dim=-1)
         # Float32 places may fall on the other side of a border between cells.
         assert same.float().mean() > 0.99
-        torch.testing.assert_close(on_map.latent, batch.terrain.latent[:, t], atol=1.0, rtol=1e-3)
+        torch.testing.assert_close(found.latent, batch.terrain.latent[:, t], atol=1.0, rtol=1e-3)
 
 
 def test_hold_keeps_the_codes_of_the_start_on_the_record_and_on_the_map(tmp_path):
@@ -87,9 +89,9 @@ def test_hold_keeps_the_codes_of_the_start_on_the_record_and_on_the_map(tmp_path
     assert not (free.terrain.latent == free.terrain.latent[:, :1]).all()
     torch.testing.assert_close(held.history.terrain.latent, free.history.terrain.latent)
     far = free.target[:, -1]
-    on_map = map_source(hold, windows, index, held).at(249, far)
-    torch.testing.assert_close(on_map.latent, free.terrain.latent[:, 0])
-    torch.testing.assert_close(on_map.normal, map_source(df, windows, index, free).at(249, far).normal)
+    found = on_map(hold, windows, index, held)[1].at(249, far)
+    torch.testing.assert_close(found.latent, free.terrain.latent[:, 0])
+    torch.testing.assert_close(found.normal, on_map(df, windows, index, free)[1].at(249, far).normal)
 
 
 def test_models_without_an_encoder_do_not_see_features(tmp_path):
@@ -98,7 +100,7 @@ def test_models_without_an_encoder_do_not_see_features(tmp_path):
     b = MODELS["b"](vehicle_of(dataset))
     batch = encoded(b, windows.gather(index))
     assert batch.terrain.latent.shape[-1] == 0
-    assert map_source(b, windows, index, batch).at(0, batch.state).latent.shape == (2, 4, 0)
+    assert on_map(b, windows, index, batch)[1].at(0, batch.state).latent.shape == (2, 4, 0)
 
 
 def test_a_model_of_features_refuses_a_dataset_without(tmp_path):

@@ -239,7 +239,7 @@ def replace_row(found: ResultRow, **change) -> ResultRow:
 
 
 def test_headlines_say_how_far_below_or_above() -> None:
-    about = {"model": "b", "start": "causal", "lookup": "map", "other": "kinematic"}
+    about = {"model": "b", "start": "causal", "lookup": "map", "feature_set": None, "other": "kinematic"}
     better = Headline(**about, runs=3, distance_error_m=1.7, relative=-0.5, ci95=(-0.61, -0.42))
     assert headline_text(better) == (
         "b: 1.70 m mean distance error after 5 s, 50 % [42, 61] below kinematic "

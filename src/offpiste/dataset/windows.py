@@ -1,5 +1,6 @@
 """Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -120,6 +121,12 @@ class Windows:
         """Indices of the windows whose row in their drive is `phase` modulo `stride`."""
         row = self.rows - self._offset[self.drive]
         return np.flatnonzero(row % stride == phase % stride)
+
+    def reading(self, feature_set: str) -> "Windows":
+        """The same windows, of another feature set."""
+        other = copy(self)
+        other._set = set_number(feature_set, self.sets)
+        return other
 
     def judged(self, stride: int) -> Int[np.ndarray, " n"]:
         """Indices of the windows that models are judged on: those with a snapshot of the map, where there are any."""

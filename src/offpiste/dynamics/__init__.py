@@ -16,6 +16,9 @@ MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {
     "b-history": lambda vehicle: Hybrid(vehicle, history=64),
     "df": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.features)),
     "cf": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.features)),
+    "dc": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.features)),
+    "dc-step": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.features)),
+    "cf-masked": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.features)),
     "hold": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.features), holds=True),
 }
 """Models by the names of DESIGN.md and the paper; each is built from a `Vehicle`."""

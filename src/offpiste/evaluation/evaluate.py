@@ -19,7 +19,7 @@ from offpiste.errors import RunError
 from offpiste.evaluation.judge import Errors, Track, predict, untracked
 from offpiste.evaluation.overlap import driven_distances, share_driven_in_training, start_speeds
 from offpiste.evaluation.provenance import provenance
-from offpiste.evaluation.results import LossUnits, Metrics, WindowNumbers, label, way
+from offpiste.evaluation.results import LossUnits, Metrics, WindowNumbers, label
 from offpiste.evaluation.tabulate import (
     REFERENCE,
     Case,
@@ -39,6 +39,11 @@ from offpiste.training.run import vehicle_of
 
 GROUND_BLIND = ("ctrv", REFERENCE)
 """Models that do not read the ground: there is nothing to look up."""
+
+Way = tuple[Lookup | None, str | None]
+"""Where a model reads the ground, and from which distance it was seen."""
+
+NO_WAY: Way = (None, None)
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,7 @@ def evaluate_models(
     part: str = "test",
     starts: Sequence[Start] = ("causal", "smoothed"),
     lookups: Sequence[Lookup] = ("recorded", "map"),
+    feature_sets: Sequence[str] = ("hindsight",),
     stride: int = JUDGED_STRIDE,
     sampling: Sampling | None = None,
     device: torch.device | str = "cpu",
@@ -116,6 +122,7 @@ def evaluate_models(
         weights: of the loss.
         starts: estimates of the state that predictions start from.
         lookups: where models read the ground; datasets without slope have only one way.
+        feature_sets: read at recorded places where there are views by distance (`conventions.FEATURE_SETS`).
         stride: rows between windows; where the dataset keeps snapshots of the map, their windows are judged instead.
         sampling: blocks and seed of the intervals.
         command: that asked for it, for the report; empty: this process's own.
@@ -127,7 +134,7 @@ def evaluate_models(
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = _with_baselines(models, dataset, device)
-    ways = _ways(dataset, part, lookups)
+    ways = _ways(dataset, part, lookups, feature_sets)
 
     predictions = [
         _Prediction(
@@ -142,7 +149,7 @@ def evaluate_models(
                 scale=scale,
                 weights=torch.tensor(weights.in_order()),
                 track=track,
-                description=" ".join(filter(None, ("judging", case.label, case.start, case.lookup))),
+                description=" ".join(filter(None, ("judging", case.label, case.start, case.lookup, case.feature_set))),
             ),
         )
         for case, model, windows in _every_way(models, dataset, part, starts, ways, device)
@@ -169,7 +176,7 @@ def evaluate_models(
         ),
         errors=errors,
         speed=speed,
-        shown=way(shown.label, shown.lookup),
+        shown=shown.way,
         worst=draw_worst(
             worst_windows(errors[shown]),
             [(p.case, p.model.dynamics, p.windows) for p in predictions],
@@ -184,7 +191,7 @@ def _every_way(
     dataset: Dataset,
     part: str,
     starts: Sequence[Start],
-    ways: Sequence[Lookup | None],
+    ways: Sequence[Way],
     device: torch.device | str,
 ) -> Iterator[tuple[Case, Judged, Windows]]:
     """Each model from each start, reading the ground in each way, on the windows of its split."""
@@ -194,8 +201,9 @@ def _every_way(
             windows = Windows(parted, part, start=start, device=device)
             for model in models:
                 if (model.split or dataset.split) == split:
-                    for lookup in (None,) if model.name in GROUND_BLIND else ways:
-                        yield Case(model.name, model.variant, start, lookup), model, windows
+                    for lookup, chosen in (NO_WAY,) if model.name in GROUND_BLIND else ways:
+                        read = windows.reading(chosen) if chosen else windows
+                        yield Case(model.name, model.variant, start, lookup, chosen), model, read
 
 
 def _with_baselines(models: Sequence[Judged], dataset: Dataset, device: torch.device | str) -> list[Judged]:
@@ -269,12 +277,16 @@ def _shown_case(errors: dict[Case, Errors], model: Judged, start: Start) -> Case
     return max(found, key=lambda case: case.lookup == "map")
 
 
-def _ways(dataset: Dataset, part: str, lookups: Sequence[Lookup]) -> Sequence[Lookup | None]:
+def _ways(dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]) -> Sequence[Way]:
     """Where models can read the ground: features without a map only where they were recorded."""
     if not _has_ground(dataset):
-        return (None,)
-    mapped = not dataset.features or Windows(dataset, part).maps.any
-    return lookups if mapped else ("recorded",)
+        return (NO_WAY,)
+    windows = Windows(dataset, part)
+    mapped = not dataset.features or windows.maps.any
+    sets = tuple(feature_sets) if windows.sets > 1 else (None,)
+    recorded: list[Way] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or not mapped else []
+    on_map: list[Way] = [("map", None)] if "map" in lookups and mapped else []
+    return recorded + on_map
 
 
 def _has_ground(dataset: Dataset) -> bool:

@@ -13,7 +13,7 @@ from offpiste.conventions import DT
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, rollout
 from offpiste.geometry import wrap_angle
-from offpiste.training.ground import encoded, map_source
+from offpiste.training.ground import encoded, on_map
 from offpiste.training.losses import summed_loss
 from offpiste.training.train import predict as predict_recorded
 
@@ -147,8 +147,9 @@ def _rolled_out(
     if lookup != "map":
         return batch, predict_recorded(dynamics, batch).state
     batch = encoded(dynamics, batch)
+    batch, source = on_map(dynamics, windows, index, batch)
     carry = dynamics.start(batch.history, batch.state, batch.actuators)
-    return batch, rollout(dynamics, carry, batch.control, map_source(dynamics, windows, index, batch)).state
+    return batch, rollout(dynamics, carry, batch.control, source).state
 
 
 def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B 5 6"]) -> Float[Tensor, "B 5 5"]:

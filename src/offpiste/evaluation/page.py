@@ -10,7 +10,7 @@ import numpy as np
 
 from offpiste.evaluation.judge import COMPONENTS, HORIZONS
 from offpiste.evaluation.metrics import PairedDifference
-from offpiste.evaluation.results import Headline, Metrics, Minus, ResultRow, pooled_rows, run_rows, way
+from offpiste.evaluation.results import Headline, Metrics, Minus, ResultRow, pooled_rows, run_rows
 from offpiste.evaluation.table import by_way, interval, number
 from offpiste.evaluation.tabulate import REFERENCE
 
@@ -102,7 +102,7 @@ def _facts(metrics: Metrics) -> str:
 def _horizon_table(rows: Sequence[ResultRow]) -> str:
     """Ways as lines, starts side by side."""
     starts = list(dict.fromkeys(row.start for row in rows))
-    mean = {(way(row.label, row.lookup), row.start, row.horizon_s): number(row.distance_error_m.mean) for row in rows}
+    mean = {(row.way, row.start, row.horizon_s): number(row.distance_error_m.mean) for row in rows}
     groups = "".join(f'<th class="group" colspan="{len(HORIZONS)}">{_safe(start)} start [m]</th>' for start in starts)
     seconds = "".join(f"<th>{horizon} s</th>" for _ in starts for horizon in HORIZONS)
     lines = []
@@ -120,7 +120,7 @@ def _horizon_table(rows: Sequence[ResultRow]) -> str:
 def _component_table(rows: Sequence[ResultRow]) -> str:
     lines = [
         [
-            _safe(way(row.label, row.lookup)),
+            _safe(row.way),
             _safe(row.start),
             *(_with_interval(getattr(row, name).mean, getattr(row, name).ci95, 3) for name in _NAMES),
         ]
@@ -136,7 +136,7 @@ def _distribution_table(rows: Sequence[ResultRow]) -> str:
         error = row.distance_error_m
         numbers = (error.mean, error.q1, error.median, error.q3, error.p90)
         windows = f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else "")
-        lines.append([_safe(way(row.label, row.lookup)), _safe(row.start), *map(number, numbers), windows])
+        lines.append([_safe(row.way), _safe(row.start), *map(number, numbers), windows])
     names = ["model", "start", "mean [m]", "25 % [m]", "median [m]", "75 % [m]", "90 % [m]", "windows"]
     return _table(names, lines, left=2)
 
@@ -149,7 +149,7 @@ def _difference_table(rows: Sequence[ResultRow]) -> str:
     for row in learned:
         for other, minus in row.minus.items():
             if other not in order or order.index(other) > order.index(row.label):
-                found.setdefault((way(row.label, row.lookup), other), {})[row.start] = minus
+                found.setdefault((row.way, other), {})[row.start] = minus
     starts = list(dict.fromkeys(row.start for row in rows))
     lines = []
     for (name, other), by_start in found.items():
@@ -172,7 +172,7 @@ def _run_section(rows: Sequence[ResultRow]) -> str:
         against = row.minus.get(REFERENCE)
         lines.append(
             [
-                _safe(way(row.label, row.lookup)),
+                _safe(row.way),
                 _safe(row.start),
                 "" if row.seed is None else str(row.seed),
                 "" if row.fold is None else str(row.fold),

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from offpiste.conventions import FEATURE_SETS
 from offpiste.evaluation.drawings import worst_plot
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.figures import box_plot, distribution_plot, growth_plot, speed_plot
 from offpiste.evaluation.page import render_html
-from offpiste.evaluation.results import pooled_rows, way, write_metrics
+from offpiste.evaluation.results import pooled_rows, write_metrics
 from offpiste.evaluation.table import by_way
 from offpiste.evaluation.tabulate import Case
 from offpiste.files import write_text, write_whole
@@ -29,11 +30,12 @@ def draw_figures(evaluation: Evaluation) -> dict[str, Figure]:
     """The report's pictures by name, all from the first start; models in the order of their median errors."""
     rows = pooled_rows(evaluation.metrics.results)
     start = rows[0].start
-    groups = {way(group[0].label, group[0].lookup): group for group in by_way(rows) if group[0].start == start}
+    groups = {group[0].way: group for group in by_way(rows) if group[0].start == start}
     cases = _ordered({case: errors.distance() for case, errors in evaluation.errors.items() if case.start == start})
-    distance = {way(case.label, case.lookup): errors for case, errors in cases.items()}
+    distance = {case.way: errors for case, errors in cases.items()}
     # Curves would lie on each other: where a model reads the ground in two ways, the one that decides is drawn.
-    decides = [way(c.label, c.lookup) for c in cases if c.lookup != "recorded" or c._replace(lookup="map") not in cases]
+    mapped = {c.label for c in cases if c.lookup == "map"}
+    decides = [c.way for c in cases if c.lookup != "recorded" or c.label not in mapped]
     deciding = {label: distance[label] for label in decides}
     title = f"{evaluation.metrics.part} part, {start} start"
     return {
@@ -50,8 +52,12 @@ def _ordered(errors: dict[Case, np.ndarray]) -> dict[Case, np.ndarray]:
     median = dict.fromkeys((case.label for case in errors), 0.0)
     for case, values in errors.items():
         median[case.label] = max(median[case.label], float(np.median(values)))
-    ways = (None, "recorded", "map")
-    order = sorted(errors, key=lambda case: (-median[case.label], case.label, ways.index(case.lookup)))
+    ways, sets = (None, "recorded", "map"), (None, *FEATURE_SETS)
+
+    def place(case: Case) -> tuple[float, str, int, int]:
+        return -median[case.label], case.label, ways.index(case.lookup), sets.index(case.feature_set)
+
+    order = sorted(errors, key=place)
     return {case: errors[case] for case in order}
 
 

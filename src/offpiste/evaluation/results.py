@@ -24,6 +24,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.pooling`).
+        feature_set: that was read at recorded places, in datasets with views by distance; None otherwise.
         lookup: None for models that do not read the ground.
         n: windows.
         n_failed: of them, predictions that are not finite at this horizon; any makes the mean infinite, null in JSON.
@@ -55,6 +56,11 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
         """The model's name, and its variant if it has one."""
         return label(self.model, self.variant)
 
+    @property
+    def way(self) -> str:
+        """Model, and where it reads the ground."""
+        return way(self.label, self.lookup, self.feature_set)
+
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
     """A model's distance error at 5 s, and how it compares with `other`'s: -0.3 is 30 % below."""
@@ -62,6 +68,7 @@ class Headline(msgspec.Struct, frozen=True, kw_only=True):
     model: str
     start: str
     lookup: str | None
+    feature_set: str | None = None
     runs: int
     distance_error_m: float
     other: str
@@ -122,9 +129,10 @@ def label(model: str, variant: str) -> str:
     return f"{model} ({variant})" if variant else model
 
 
-def way(model: str, lookup: str | None) -> str:
-    """A model's label and where it reads the ground."""
-    return f"{model} · {lookup}" if lookup else model
+def way(model: str, lookup: str | None, feature_set: str | None = None) -> str:
+    """A model's label and where it reads the ground, from which distance where that is told."""
+    distance = "" if feature_set in (None, "hindsight") else f" {feature_set} m"
+    return f"{model} · {lookup}{distance}" if lookup else model
 
 
 def pooled_rows(rows: list[ResultRow]) -> list[ResultRow]:

@@ -53,7 +53,7 @@ def render_table(rows: Sequence[ResultRow]) -> Table:
         table.add_row(
             last.label + (f" ({last.n_failed} failed)" if last.n_failed else ""),
             last.start,
-            last.lookup or "",
+            " ".join(filter(None, (last.lookup, last.feature_set))),
             *(number(row.distance_error_m.mean) for row in group),
             interval(error.ci95),
             f"{number(difference.mean)} {interval(difference.ci95)}" if difference else "",

@@ -9,7 +9,7 @@ import numpy as np
 from offpiste.evaluation.judge import COMPONENTS, HORIZONS, Errors
 from offpiste.evaluation.metrics import Resampling, blocks, paired, relative, resampling, summary
 from offpiste.evaluation.pooling import pool, positions
-from offpiste.evaluation.results import Headline, Minus, ResultRow, label
+from offpiste.evaluation.results import Headline, Minus, ResultRow, label, way
 
 REFERENCE = "kinematic"
 """The model that headlines compare with."""
@@ -25,11 +25,17 @@ class Case(NamedTuple):
     variant: str
     start: Start
     lookup: Lookup | None
+    feature_set: str | None = None
 
     @property
     def label(self) -> str:
         """The model's name, and its variant if it has one."""
         return label(self.model, self.variant)
+
+    @property
+    def way(self) -> str:
+        """Model, and where it reads the ground."""
+        return way(self.label, self.lookup, self.feature_set)
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,7 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
                 model=case.label,
                 start=case.start,
                 lookup=case.lookup,
+                feature_set=case.feature_set,
                 runs=len(cases[case]),
                 distance_error_m=float(errors.distance().mean()),
                 other=REFERENCE,
@@ -119,7 +126,7 @@ def _rows(
             seed=run.seed,
             fold=run.fold,
             start=case.start,
-            feature_set=None,
+            feature_set=case.feature_set,
             lookup=case.lookup,
             part=part,
             horizon_s=float(seconds),
@@ -138,8 +145,9 @@ def _rows(
 
 def _counterpart(together: Mapping[Case, Errors], other: str, case: Case) -> Errors | None:
     """Another model judged in the same way, or in the only way it can be."""
+    ways = ((case.lookup, case.feature_set), (None, None))
     for key, errors in together.items():
-        if key.label == other and key.start == case.start and key.lookup in (case.lookup, None):
+        if key.label == other and key.start == case.start and (key.lookup, key.feature_set) in ways:
             return errors
     # A baseline that does not read the ground, against one that does: as the latter decides, on the map.
     for lookup in ("map", "recorded"):

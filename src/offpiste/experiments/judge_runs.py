@@ -9,7 +9,7 @@ from offpiste.errors import RunError
 from offpiste.evaluation.evaluate import Evaluation, Judged, evaluate_models
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.table import render_table
-from offpiste.evaluation.tabulate import Start
+from offpiste.evaluation.tabulate import Lookup, Start
 from offpiste.progress import track
 from offpiste.training.folds import fold_folders
 from offpiste.training.ground import encoder_of
@@ -23,6 +23,8 @@ def judge_runs(
     *,
     device: str = "cpu",
     starts: Sequence[Start] = ("causal", "smoothed"),
+    lookups: Sequence[Lookup] = ("recorded", "map"),
+    feature_sets: Sequence[str] = ("hindsight",),
     tell: Callable[[object], None] = lambda said: None,
 ) -> Evaluation:
     """Judge runs on the test part of a dataset; write metrics.json, pictures and report.html to `out`.
@@ -45,7 +47,15 @@ def judge_runs(
             fold = number if folds else None
             judged.append(Judged(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
     evaluation = evaluate_models(
-        judged, dataset, scale=runs[0].scale, weights=runs[0].weights, starts=starts, device=device, track=track
+        judged,
+        dataset,
+        scale=runs[0].scale,
+        weights=runs[0].weights,
+        starts=starts,
+        lookups=lookups,
+        feature_sets=feature_sets,
+        device=device,
+        track=track,
     )
     write_report(evaluation, out)
     tell(render_table(evaluation.metrics.results))

@@ -44,17 +44,24 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     )
 
 
-def map_source(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch) -> TerrainSource:
-    """The ground where predictions go, as a planner reads it: the drive's map, or the slope of the driven path.
+def on_map(
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
+) -> tuple[Batch, TerrainSource]:
+    """The ground where predictions go, as a planner reads it: on the map, or else the slope of the driven path.
+
+    What lay under the wheels before the start comes from the map as well: hindsight knows more than the vehicle did.
 
     Args:
         batch: of the same windows, encoded.
+
+    Returns:
+        the batch, its past read on the map, and the source of what lies ahead.
 
     Raises:
         DatasetError: a drive has no map.
     """
     if not windows.maps.any:
-        return path_terrain(windows, index)
+        return batch, path_terrain(windows, index)
     maps, number = windows.maps.of(index)
     if (number < 0).any():
         name = windows.drive_names[windows.drive[index][number < 0][0]]
@@ -66,8 +73,11 @@ def map_source(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"
         windows.wheels,
         encoder_of(dynamics),
     )
+    past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
+    known = Terrain(torch.stack([t.normal for t in past], dim=1), torch.stack([t.latent for t in past], dim=1))
+    batch = replace(batch, history=replace(batch.history, terrain=known))
     held = isinstance(dynamics, Hybrid) and dynamics.holds
-    return _Held(source, batch.terrain.latent[:, 0]) if held else source
+    return batch, _Held(source, source.at(0, batch.state).latent) if held else source
 
 
 @dataclass(frozen=True)

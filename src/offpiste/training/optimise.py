@@ -11,11 +11,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from offpiste.dataset.views import Views
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError
 from offpiste.progress import track
 from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
 from offpiste.training.config import TrainConfig
+from offpiste.training.drawing import Draw
 from offpiste.training.record import Record
 
 MEND = "lower the learning rate; the last good checkpoint is kept, and --resume goes on from it"
@@ -30,12 +32,14 @@ class Stage:
         module: holds the parameters; those that require no gradient stay.
         loss: of each window of a batch.
         epochs: passes over the training windows.
+        draw: the feature sets that windows read; hindsight, or what the windows say, where there is none.
     """
 
     name: str
     module: nn.Module
     loss: Callable[[Batch], Float[Tensor, " B"]]
     epochs: int
+    draw: Draw | None = None
 
 
 def run_stage(
@@ -79,9 +83,12 @@ def run_stage(
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig) -> float:
     """Mean loss over the judged windows of a part, without gradients."""
-    index = _strided(windows, config.stride)
+    index, rng = _strided(windows, config.stride), np.random.default_rng(config.seed)
     with torch.no_grad():
-        losses = [stage.loss(windows.gather(part)) for part in np.array_split(index, math.ceil(len(index) / 512))]
+        losses = [
+            stage.loss(windows.gather(part, _views(stage, windows, len(part), rng)))
+            for part in np.array_split(index, math.ceil(len(index) / 512))
+        ]
     return float(torch.cat(losses).mean())
 
 
@@ -118,6 +125,10 @@ class _State:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
 
+def _views(stage: Stage, windows: Windows, count: int, rng: np.random.Generator) -> Views | None:
+    return stage.draw(rng, count, windows.horizon, windows.sets) if stage.draw is not None else None
+
+
 def _strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
     """Windows a stride apart, or all of them where they are so few that none is left."""
     index = windows.every(stride, phase=phase)
@@ -138,7 +149,7 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
         _set_learning_rate(state.optimiser, (epoch + number / len(batches)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
         try:
-            loss = stage.loss(train.gather(index)).mean()
+            loss = stage.loss(train.gather(index, _views(stage, train, len(index), rng))).mean()
         except TrainingError as error:
             raise TrainingError(error.what, where=where, how=error.how) from error
         if not torch.isfinite(loss):

@@ -15,16 +15,20 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Hybrid, Kinematic, Parametric, Recurrent, rollout
 from offpiste.dynamics.kernels.function import rollout_recorded, supports
-from offpiste.errors import RunError, TrainingError
+from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training.actuators import actuator_loss
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
+from offpiste.training.drawing import DRAWS, Draw
 from offpiste.training.ground import encoded, encoder_of
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.optimise import MEND, Stage, run_stage
 from offpiste.training.record import also_tensorboard, metrics_writer
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.trajectory import RecordedTerrain, Trajectory
+
+STANDARDISED = 4096
+"""Windows that means and scales of a network's inputs are taken from."""
 
 
 def train(
@@ -47,14 +51,17 @@ def train(
     vehicle = vehicle_of(dataset)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
     windows = Windows(dataset, "train", start=config.start, device=config.device)
+    draw = _draw(config.model, windows)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
     _claim(folder, dataset, config, resume)
     record = metrics_writer(folder / "metrics.jsonl", tell)
     if tensorboard:
         record = also_tensorboard(record, folder / "tensorboard")
 
-    def fit(name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int) -> None:
-        run_stage(Stage(name, module, loss, epochs), windows, validation, config, folder, record)
+    def fit(
+        name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int, draw: Draw | None = None
+    ) -> None:
+        run_stage(Stage(name, module, loss, epochs, draw), windows, validation, config, folder, record)
 
     kinematic = Kinematic(vehicle).to(config.device)
     if vehicle.actuators:
@@ -74,10 +81,19 @@ def train(
         dynamics.bicycle.load_state_dict(bicycle.bicycle.state_dict())
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
-        fit("model", dynamics, loss_of(dynamics), config.epochs)
+        fit("model", dynamics, loss_of(dynamics), config.epochs, draw)
     save_run(folder, dynamics, config, dataset, scale)
     tell(f"{folder}: each stage kept its best epoch by validation")
     return dynamics
+
+
+def _draw(model: str, windows: Windows) -> Draw | None:
+    if model in DRAWS and windows.sets == 1:
+        raise DatasetError(
+            f"model '{model}' trains on views by distance and the dataset has none",
+            how="extract visual features (`extract --pca`), or train `cf`",
+        )
+    return DRAWS.get(model)
 
 
 def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
@@ -94,6 +110,7 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
     if not isinstance(dynamics, Hybrid | Recurrent):
         return
     index = windows.every(25) if len(windows.every(25)) else np.arange(len(windows))
+    index = index[np.unique(np.linspace(0, len(index) - 1, min(len(index), STANDARDISED)).astype(int))]
     with torch.no_grad():
         if (encoder := encoder_of(dynamics)) is not None:
             encoder.fill_with(*windows.features_at_starts())
