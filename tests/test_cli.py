@@ -122,3 +122,10 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
 def test_wrong_usage_is_exit_code_2() -> None:
     assert run("train") == 2
     assert run("fly") == 2
+
+
+def test_a_reader_that_stops_early_sees_no_complaint():
+    command = f"{sys.executable} -c 'from offpiste.cli import main; main()' train --help | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
+    assert done.stdout.startswith("usage")
+    assert not done.stderr

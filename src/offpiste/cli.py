@@ -1,5 +1,6 @@
 """The command line: one subcommand a stage, no logic."""
 
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -340,14 +341,14 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
-    command = tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="offpiste",
-        description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
     try:
+        command = tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog="offpiste",
+            description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
         sys.exit(command.run())
     except OffpisteError as error:
         if debug:
@@ -358,4 +359,6 @@ def main(arguments: list[str] | None = None) -> None:
         print("offpiste: interrupted; what was finished is kept", file=sys.stderr)  # noqa: T201
         sys.exit(1)
     except BrokenPipeError:
+        # Whoever read what was printed has stopped, e.g. `head`; Python would complain when it flushes at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
