@@ -105,7 +105,7 @@ def test_quartiles_are_of_valid_cells_only() -> None:
 def test_what_lies_at_the_ends_of_a_drive_was_never_at_some_distances() -> None:
     """50 m straight ahead, one cell a metre, wheels at the pose point."""
     time = np.arange(51.0)
-    xy = np.column_stack((time, np.zeros(51)))
+    xy = np.column_stack((time, np.zeros(51))) + 0.5
     wheels = np.repeat(xy[:, None], 4, axis=1)
     passes = find_passes(time, xy, wheels, resolution=1.0)
     reached = dict(zip(FEATURE_SETS, coverage.within_reach(passes, time, xy, 1.0), strict=True))

@@ -44,7 +44,7 @@ def brute_force(time, xy, passes, changing: ChangingMap):
     """By pass and set: (step or None); nothing shared with the code but the definition."""
     chosen = {}
     for p in range(len(passes.contact)):
-        centre = passes.cell[p] * RESOLUTION
+        centre = (passes.cell[p] + 0.5) * RESOLUTION
         steps, left = [], False
         for step, t in enumerate(time):
             if not passes.approach[p] <= t < passes.end[p]:
@@ -88,7 +88,7 @@ def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():
     time, xy = there_and_back()
     passes = passes_of(time, xy)
     index = passes.index
-    under = passes.cell[index[:, 0]] * RESOLUTION
+    under = (passes.cell[index[:, 0]] + 0.5) * RESOLUTION
     np.testing.assert_allclose(under, xy + WHEELS[0], atol=RESOLUTION / 2 + 1e-9)
     cells, counts = np.unique(passes.cell, axis=0, return_counts=True)
     # Near the turn the vehicle is back within the pause; at the start it is not.

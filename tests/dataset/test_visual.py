@@ -89,6 +89,15 @@ def test_every_set_is_there_and_its_views_were_taken_from_where_it_says(dataset:
     assert (np.isfinite(cells.features).all(axis=2) == cells.valid).all()
 
 
+def test_ground_that_no_camera_sees_any_more_stays_as_it_was(dataset: Dataset) -> None:
+    """The one camera looks ahead, and the map keeps the closest observation."""
+    cells = dataset.drives[0].rows.cells
+    behind = [FEATURE_SETS.index(name) for name in ("-10", "-20")]
+    both = cells.valid[behind].all(axis=0)
+    assert both.sum() > 100
+    np.testing.assert_array_equal(*cells.features[behind][:, both])
+
+
 def test_elevation_and_normals_are_those_of_the_world(dataset: Dataset, folder: Path) -> None:
     rows, rig = dataset.drives[0].rows, dataset.rig
     truth = read_truth_map(folder / "drive.mcap")

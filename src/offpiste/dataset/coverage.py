@@ -77,7 +77,7 @@ def within_reach(
         xy: of the pose point in the world frame; NaN where unknown [m].
         resolution: size of a cell [m].
     """
-    centre = passes.cell * resolution
+    centre = (passes.cell + 0.5) * resolution
     reached = np.ones((len(FEATURE_SETS), len(centre)), bool)
     for first in range(0, len(centre), 1000):
         of = slice(first, first + 1000)

@@ -14,7 +14,8 @@ class Passes:
     """Passes of a vehicle over cells, numbered by their beginning.
 
     Attributes:
-        cell: column and row of the cell on the world-aligned grid: its centre lies at (column, row) resolution.
+        cell: column and row of the cell on the world-aligned grid, which covers from (column, row) to (column + 1,
+            row + 1) resolutions, as the map's cells do.
         approach: the vehicle comes nearer from this moment on: when it was farthest from the cell since the pass
             before, or the start of the drive [s].
         contact: when the first wheel enters the cell [s].
@@ -50,7 +51,7 @@ def find_passes(
     known = np.isfinite(wheels).all(axis=(1, 2)) & np.isfinite(xy).all(axis=1)
     for earlier, later in jumps:
         known &= (time <= earlier) | (time >= later)
-    grid = np.round(np.where(known[:, None, None], wheels, 0.0) / resolution).astype(np.int64)
+    grid = np.floor(np.where(known[:, None, None], wheels, 0.0) / resolution).astype(np.int64)
     rows = np.repeat(np.flatnonzero(known), 4)
     cells, cell = np.unique(grid[known].reshape(-1, 2), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
@@ -74,7 +75,7 @@ def find_passes(
     flat[order] = rank[number]
     index[known] = flat.reshape(-1, 4)
     sort = np.argsort(contact, kind="stable")
-    centre = cells[of[sort]] * resolution
+    centre = (cells[of[sort]] + 0.5) * resolution
     approach = _farthest(time[known], xy[known], centre, before[sort], contact[sort])
     contact, end = contact[sort], end[sort]
     edges = np.concatenate(([-np.inf], jumps[:, 1], [np.inf]))

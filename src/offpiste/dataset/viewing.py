@@ -56,7 +56,7 @@ class Viewing:
     def __init__(self, passes: Passes, *, resolution: float, reach: float, features: int) -> None:
         count, sets = len(passes.contact), len(FEATURE_SETS)
         self._passes, self._reach = passes, reach
-        self._centre = passes.cell * resolution
+        self._centre = (passes.cell + 0.5) * resolution
         self._left = np.zeros(count, bool)
         self._nearest = np.full((sets, count), np.inf)
         self.features = np.full((sets, count, features), np.nan, np.float16)

@@ -82,7 +82,7 @@ def with_visual_features(
 
 
 def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], CellViews]:
-    first = np.round(layers.origin / layers.resolution).astype(np.int64)
+    first = np.floor(layers.origin / layers.resolution).astype(np.int64)  # the origin is a centre: cell i starts at i
     ny, nx = layers.elevation.shape
 
     def read(cells: np.ndarray) -> CellViews:

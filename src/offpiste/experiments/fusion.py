@@ -138,7 +138,7 @@ def ride(log: Path, rig: Rig, looking: Looking, rules: Sequence[str], seconds: f
     resolution = VoxelSettings().size
     passes, xy = _passes(rows, sensors, rig, resolution)
     shares = np.stack([truth.layers[name] for name in GROUND_KINDS], axis=-1)
-    kind = read_grid(shares, truth.origin, truth.resolution, passes.cell * resolution).argmax(axis=1)
+    kind = read_grid(shares, truth.origin, truth.resolution, (passes.cell + 0.5) * resolution).argmax(axis=1)
     return Ridden(cells, within_reach(passes, rows.time, xy, resolution), kind)
 
 
