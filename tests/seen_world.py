@@ -29,8 +29,8 @@ BODY_FROM_CAMERA = mounting(Rotation.from_euler("y", 0.45) * Rotation.from_matri
 
 
 @cache
-def poses(*, straight: bool = False) -> Poses:
-    """Over rough ground; or straight ahead, which tells nothing of delays."""
+def poses(*, straight: bool = False, noise: float = 0.0) -> Poses:
+    """Over rough ground; or straight ahead, which tells nothing of delays. White noise of the attitude [rad]."""
     time = np.arange(0, SECONDS + 1.5, 0.01)
     wiggle = 0.0 if straight else 1.0
     yaw = wiggle * 0.4 * np.sin(0.8 * time)
@@ -39,6 +39,8 @@ def poses(*, straight: bool = False) -> Poses:
     step = np.column_stack((np.cos(yaw), np.sin(yaw))) * speed[:, None] * 0.01
     place = np.column_stack((np.cumsum(step, axis=0), np.full(len(time), 0.5)))
     turn = Rotation.from_euler("ZYX", np.column_stack((yaw, pitch, roll))).as_quat()
+    shaken = Rotation.from_rotvec(noise * np.random.default_rng(7).standard_normal((len(time), 3)))
+    turn = (Rotation.from_quat(turn) * shaken).as_quat()
     return Poses(Channel("position", "m", time, place), Channel("orientation", "1", time, turn), 0.5)
 
 

@@ -29,6 +29,13 @@ def test_camera(turn, late):
     as_planted(found, turn, late, degrees=0.25, seconds=0.008)
 
 
+def test_noise_of_the_poses_does_not_pass_for_motion():
+    """Differences over a few ms did: the fit of a turned and late camera then ended at half of its delay."""
+    noisy = world.poses(noise=np.deg2rad(0.05))
+    found = check_camera(world.camera(TURN), world.images(late=0.08), world.lidar(), world.scans(), noisy)
+    as_planted(found, TURN, 0.08, degrees=0.35, seconds=0.01)
+
+
 def test_straight_at_even_speed_tells_no_delay_and_says_so():
     found = check_lidar(world.lidar(), world.scans(late=0.08, straight=True), world.poses(straight=True))
     assert found is not None

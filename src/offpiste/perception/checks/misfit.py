@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
 """What is thought possible before looking [rad, rad, rad, s]: what nothing tells about stays as uncertain as this."""
-STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.005])
-"""For differences; the poses' own samples lie some ms apart [rad, rad, rad, s]."""
+STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04])
+"""For differences [rad, rad, rad, s]. Long in time: over less, noise of the poses would pass for motion."""
 LEAST_PAIRS: Final = 8
 """Fewer pairs than this cannot tell their own scatter."""
 _BIWEIGHT: Final = 4.685
@@ -63,7 +63,7 @@ def turned(mounting: Float[np.ndarray, "4 4"], parameters: Parameters) -> Float[
     return matrix
 
 
-def fit_misfit(compare: Callable[[Parameters], Sequence[Pair]], *, rounds: int = 4) -> Misfit | None:
+def fit_misfit(compare: Callable[[Parameters], Sequence[Pair]], *, rounds: int = 6) -> Misfit | None:
     """The parameters that bring measurements together.
 
     Args:
@@ -79,7 +79,7 @@ def fit_misfit(compare: Callable[[Parameters], Sequence[Pair]], *, rounds: int =
         if len(pairs) < LEAST_PAIRS:
             return None
         found = _step(pairs, before)
-        if (np.abs(found.parameters - before) < 0.3 * found.sigma).all():
+        if (np.abs(found.parameters - before) < 0.2 * found.sigma).all():
             break
     return found
 
