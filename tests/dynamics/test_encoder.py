@@ -1,10 +1,16 @@
 """Codes of ground cells: what is missing is filled and flagged, and its numbers are never read."""
 
 import math
+from dataclasses import replace
 
+import pytest
 import torch
 
+from factories import VEHICLE
+from offpiste.dynamics import MODELS
 from offpiste.dynamics.encoder import Compressor, Identity
+from offpiste.errors import RunError
+from offpiste.training.run import build
 
 
 def test_the_identity_gives_features_and_a_flag():
@@ -45,3 +51,24 @@ def test_a_constant_feature_does_not_blow_up():
     encoder = Compressor(1)
     encoder.fill_with(torch.full((4, 1), 3.0), torch.ones(4, dtype=torch.bool))
     assert encoder(torch.tensor([[3.0]]), torch.tensor([True])).isfinite().all()
+
+
+@pytest.mark.parametrize("kind", [Identity, Compressor])
+def test_an_encoder_reads_the_first_features_of_cells_that_have_more(kind):
+    torch.manual_seed(0)
+    features, valid = torch.randn(30, 5), torch.arange(30) % 4 > 0
+    cut, whole = kind(2), kind(2)
+    whole.load_state_dict(cut.state_dict())
+    cut.fill_with(features[:, :2], valid)
+    whole.fill_with(features, valid)
+    assert torch.equal(cut(features[:, :2], valid), whole(features, valid))
+
+
+def test_settings_decide_what_a_model_reads_and_how_long_its_code_is():
+    vehicle = replace(VEHICLE, features=7, pca=5, codes=2)
+    assert (MODELS["cf"](vehicle).codes, MODELS["df"](vehicle).codes, MODELS["b"](vehicle).codes) == (2, 6, 0)
+    assert MODELS["dc"](vehicle).encoder.layers[0].in_features == 6
+    assert MODELS["df"](replace(vehicle, pca=0)).codes == 8
+    for wrong in ({"pca": 8}, {"codes": 0}):
+        with pytest.raises(RunError):
+            build("cf", replace(vehicle, **wrong), seed=0)

@@ -25,6 +25,8 @@ class Vehicle:
         actuators: names (of `conventions.ACTUATORS`) that the log has; "steer" only together with "steer_rate".
         rear_axle: how far behind the pose point the rear axle lies [m].
         features: how many terrain features the dataset has under each wheel.
+        pca: how many of them a model reads, the first ones; 0: all.
+        codes: length of the code that an encoder makes of them.
     """
 
     mass: float
@@ -34,10 +36,17 @@ class Vehicle:
     actuators: tuple[str, ...]
     rear_axle: float = 0.0
     features: int = 0
+    pca: int = 0
+    codes: int = 4
 
     def __post_init__(self) -> None:
         if "steer" in self.actuators and "steer_rate" not in self.actuators:
             raise ValueError("a steering angle needs its rate: the delay model has both as its state")
+
+    @property
+    def read(self) -> int:
+        """How many terrain features a model reads."""
+        return self.pca or self.features
 
 
 class Dynamics(nn.Module, ABC):

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 class FeatureEncoder(nn.Module, ABC):
     """Codes of single cells; the same weights serve all four wheels. Subclasses are final.
 
+    Cells may have more features than an encoder was made for: the first ones are read (of a PCA, those that vary most).
+
     Attributes:
         size: E, length of a code.
         mean: what stands for missing features, from training cells.
@@ -30,7 +32,7 @@ class FeatureEncoder(nn.Module, ABC):
     def fill_with(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> None:
         """Take the mean of training cells."""
         if valid.any():
-            self.mean.copy_(features[valid].double().mean(dim=0))
+            self.mean.copy_(features[valid, : len(self.mean)].double().mean(dim=0))
 
 
 class Identity(FeatureEncoder):
@@ -43,7 +45,7 @@ class Identity(FeatureEncoder):
 
     def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
         """Features and flag."""
-        return with_flag(features, valid, self.mean)
+        return with_flag(features[:, : len(self.mean)], valid, self.mean)
 
 
 class Compressor(FeatureEncoder):
@@ -63,13 +65,14 @@ class Compressor(FeatureEncoder):
     def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
         """The code of standardised features and flag."""
         nothing = torch.zeros_like(self.mean)
-        return self.layers(with_flag((features - self.mean) / self.scale, valid, nothing))
+        read = features[:, : len(self.mean)]
+        return self.layers(with_flag((read - self.mean) / self.scale, valid, nothing))
 
     def fill_with(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> None:
         """Take mean and scale of training cells; a feature that hardly varies keeps its unit."""
         super().fill_with(features, valid)
         if valid.sum() > 1:
-            scale = features[valid].double().std(dim=0)
+            scale = features[valid, : len(self.mean)].double().std(dim=0)
             self.scale.copy_(torch.where(scale > 1e-6, scale, torch.ones_like(scale)))
 
 

@@ -25,6 +25,8 @@ class TrainConfig:
 
     Attributes:
         model: name in `offpiste.dynamics.MODELS`.
+        codes: length of the code that models with an encoder make of the features under a wheel (the paper's n).
+        pca: how many of the dataset's features models read, the first ones; 0: all.
         epochs: passes over the training windows for the model itself.
         bicycle_epochs: passes that fit the bicycle's constants before the network joins in.
         actuator_epochs: passes that fit the actuator models before they are frozen.
@@ -40,6 +42,8 @@ class TrainConfig:
     """
 
     model: str = "b"
+    codes: int = 4
+    pca: int = 0
     epochs: int = 30
     bicycle_epochs: int = 30
     actuator_epochs: int = 8

@@ -129,9 +129,13 @@ def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
                 )
 
 
-def vehicle_of(dataset: Dataset) -> Vehicle:
-    """What models must know of the vehicle that a dataset is of."""
-    rig = dataset.rig
+def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
+    """What models must know of the vehicle that a dataset is of.
+
+    Args:
+        config: says how much of the features is read, and how long a code is.
+    """
+    rig, config = dataset.rig, config or TrainConfig()
     return Vehicle(
         mass=rig.vehicle.mass,
         wheelbase=rig.vehicle.wheelbase,
@@ -140,6 +144,8 @@ def vehicle_of(dataset: Dataset) -> Vehicle:
         actuators=present_actuators(rig),
         rear_axle=rig.vehicle.rear_axle,
         features=len(dataset.features),
+        pca=config.pca,
+        codes=config.codes,
     )
 
 
@@ -147,10 +153,16 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
     """An untrained model with initial weights that follow from the seed.
 
     Raises:
-        RunError: no model of that name.
+        RunError: no model of that name, or none with so many features or so long a code.
     """
     if model not in MODELS:
         raise RunError(f"no model '{model}'", how=f"models are: {', '.join(MODELS)}")
+    if vehicle.codes < 1:
+        raise RunError(f"a code of length {vehicle.codes}", how="give --codes 1 or more")
+    if vehicle.features and not 0 <= vehicle.pca <= vehicle.features:
+        raise RunError(
+            f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}", how="give a smaller --pca"
+        )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         dynamics = MODELS[model](vehicle)

@@ -48,7 +48,7 @@ def train(
         TrainingError: something is not finite; the last good checkpoint stays.
     """
     check_device(config.device)
-    vehicle = vehicle_of(dataset)
+    vehicle = vehicle_of(dataset, config)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
     windows = Windows(dataset, "train", start=config.start, device=config.device)
     draw = _draw(config.model, windows)
