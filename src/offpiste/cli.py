@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.errors import OffpisteError, RigError
+from offpiste.errors import OffpisteError, RigError, RunError
 from offpiste.progress import tell
 from offpiste.training.config import TrainConfig
 
@@ -276,18 +277,32 @@ class Train:
     """Blocked cross-validation: that many runs in OUT/fold-K, each with its own split, everything fitted anew."""
     tensorboard: bool = False
     """Also write TensorBoard files (needs the extra `tensorboard`)."""
+    ddp: bool = False
+    """One of several processes: `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`. The batch is shared out."""
 
     def run(self) -> int:
         """Open, train, save."""
         from offpiste.dataset.store import open_dataset
         from offpiste.training.folds import train_folds
+        from offpiste.training.processes import ALONE, joined
         from offpiste.training.train import train
 
         dataset = open_dataset(self.dataset)
         if self.folds:
+            if self.ddp:
+                raise RunError("--folds and --ddp do not go together", how="train the folds one after the other")
             train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume, tell=tell)
-        else:
-            train(dataset, self.train, self.out, resume=self.resume, tensorboard=self.tensorboard, tell=tell)
+            return 0
+        with joined(self.train.device) if self.ddp else nullcontext(ALONE) as group:
+            train(
+                dataset,
+                self.train,
+                self.out,
+                resume=self.resume,
+                tensorboard=self.tensorboard,
+                group=group,
+                tell=tell,
+            )
         return 0
 
 

@@ -117,7 +117,7 @@ def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_
     real = optimise._train_epoch
 
     def poisoned(stage: optimise.Stage, *rest: object) -> float:
-        if stage.name == "model" and rest[-1] == 1:
+        if stage.name == "model" and rest[-2] == 1:
             assert isinstance(stage.module, Hybrid)
             with torch.no_grad():
                 stage.module.compensator.output[-1].bias[0] = torch.nan

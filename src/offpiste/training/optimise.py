@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from offpiste.progress import track
 from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.drawing import Draw
+from offpiste.training.processes import ALONE, Group
 from offpiste.training.record import Record
 
 MEND = "lower the learning rate; the last good checkpoint is kept, and --resume goes on from it"
@@ -43,12 +44,18 @@ class Stage:
 
 
 def run_stage(
-    stage: Stage, train: Windows, validation: Windows, config: TrainConfig, folder: Path, record: Record
+    stage: Stage,
+    train: Windows,
+    validation: Windows,
+    config: TrainConfig,
+    folder: Path,
+    record: Record,
+    group: Group = ALONE,
 ) -> None:
     """Fit the stage's module and leave its best weights in it and in `<folder>/<stage>.safetensors`.
 
     A finished stage is read back; an interrupted one goes on after its last whole epoch, to the same weights as if it
-    had not been interrupted.
+    had not been interrupted. Several processes take the steps that one alone would, up to rounding.
 
     Raises:
         TrainingError: a loss or a gradient is not finite. The last good checkpoint stays.
@@ -62,11 +69,12 @@ def run_stage(
         state.restore(running)
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
-        loss = _train_epoch(stage, state, train, config, epoch)
-        score = mean_loss(stage, validation, config)
+        loss = _train_epoch(stage, state, train, config, epoch, group)
+        score = mean_loss(stage, validation, config, group)
         state.keep_if_best(score)
         state.epoch = epoch + 1
-        state.save(running)
+        if group.writes:
+            state.save(running)
         record(
             {
                 "stage": stage.name,
@@ -77,19 +85,22 @@ def run_stage(
             }
         )
     load_weights(stage.module, state.best, done)
-    save_tensors(done, state.best, validation_loss=state.best_score)
-    running.unlink(missing_ok=True)
+    if group.writes:
+        save_tensors(done, state.best, validation_loss=state.best_score)
+        running.unlink(missing_ok=True)
+    group.together(None)
 
 
-def mean_loss(stage: Stage, windows: Windows, config: TrainConfig) -> float:
+def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
     """Mean loss over the judged windows of a part, without gradients."""
     index, rng = _strided(windows, config.stride), np.random.default_rng(config.seed)
+    parts = np.array_split(index, math.ceil(len(index) / 512))
+    views = [_views(stage, windows, len(part), rng) for part in parts]
+    total = torch.zeros((), dtype=torch.float64, device=windows.device)
     with torch.no_grad():
-        losses = [
-            stage.loss(windows.gather(part, _views(stage, windows, len(part), rng)))
-            for part in np.array_split(index, math.ceil(len(index) / 512))
-        ]
-    return float(torch.cat(losses).mean())
+        for number, part in group.mine(parts):
+            total += stage.loss(windows.gather(part, views[number])).double().sum()
+    return float(group.sum(total)) / len(index)
 
 
 class _State:
@@ -139,7 +150,7 @@ def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
-def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int) -> float:
+def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int, group: Group) -> float:
     # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
     rng = np.random.default_rng((config.seed, epoch))
     order = rng.permutation(_strided(train, config.stride, phase=int(rng.integers(config.stride))))
@@ -149,18 +160,33 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
         _set_learning_rate(state.optimiser, (epoch + number / len(batches)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
         try:
-            loss = stage.loss(train.gather(index, _views(stage, train, len(index), rng))).mean()
+            loss = _share_of_loss(stage, train, index, _views(stage, train, len(index), rng), group)
         except TrainingError as error:
             raise TrainingError(error.what, where=where, how=error.how) from error
-        if not torch.isfinite(loss):
+        mean = group.sum(loss.detach())
+        if not torch.isfinite(mean):
             raise TrainingError("the loss is not finite", where=where, how=MEND)
         state.optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        if loss.requires_grad:
+            loss.backward()  # type: ignore[no-untyped-call]
+        group.sum_gradients(state.names)
         _check_gradients(state, where)
         nn.utils.clip_grad_norm_(list(state.names), config.gradient_clip)
         state.optimiser.step()
-        total += loss.item() * len(index)
+        total += mean.item() * len(index)
     return total / len(order)
+
+
+def _share_of_loss(
+    stage: Stage, train: Windows, index: Int[np.ndarray, " B"], views: Views | None, group: Group
+) -> Float[Tensor, ""]:
+    """What this process's windows add to the mean loss of a batch."""
+    share = group.share(len(index))
+    mine = index[share]
+    if not len(mine):
+        return torch.zeros((), device=train.device)
+    read = None if views is None else replace(views, sets=views.sets[share])
+    return stage.loss(train.gather(mine, read)).sum() / len(index)
 
 
 def _check_gradients(state: _State, where: str) -> None:

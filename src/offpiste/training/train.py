@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Hybrid, Kinematic, Parametric, Recurrent, rollout
 from offpiste.dynamics.kernels.function import rollout_recorded, supports
-from offpiste.errors import DatasetError, RunError, TrainingError
+from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.training.actuators import actuator_loss
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
@@ -23,6 +24,7 @@ from offpiste.training.drawing import DRAWS, Draw
 from offpiste.training.ground import encoded, encoder_of
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.optimise import MEND, Stage, run_stage
+from offpiste.training.processes import ALONE, Group
 from offpiste.training.record import also_tensorboard, metrics_writer
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.trajectory import RecordedTerrain, Trajectory
@@ -38,9 +40,13 @@ def train(
     *,
     resume: bool = False,
     tensorboard: bool = False,
+    group: Group = ALONE,
     tell: Callable[[str], None] = lambda line: None,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
+
+    Args:
+        group: the processes that train together; only the first one writes and tells.
 
     Raises:
         RunError: the folder holds a run already and `resume` is false, or one with other settings.
@@ -53,15 +59,15 @@ def train(
     windows = Windows(dataset, "train", start=config.start, device=config.device)
     draw = _draw(config.model, windows)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
-    _claim(folder, dataset, config, resume)
-    record = metrics_writer(folder / "metrics.jsonl", tell)
-    if tensorboard:
+    group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
+    record = metrics_writer(folder / "metrics.jsonl", tell) if group.writes else _unrecorded
+    if tensorboard and group.writes:
         record = also_tensorboard(record, folder / "tensorboard")
 
     def fit(
         name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int, draw: Draw | None = None
     ) -> None:
-        run_stage(Stage(name, module, loss, epochs, draw), windows, validation, config, folder, record)
+        run_stage(Stage(name, module, loss, epochs, draw), windows, validation, config, folder, record, group)
 
     kinematic = Kinematic(vehicle).to(config.device)
     if vehicle.actuators:
@@ -82,9 +88,22 @@ def train(
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
         fit("model", dynamics, loss_of(dynamics), config.epochs, draw)
-    save_run(folder, dynamics, config, dataset, scale)
-    tell(f"{folder}: each stage kept its best epoch by validation")
+    if group.writes:
+        save_run(folder, dynamics, config, dataset, scale)
+        tell(f"{folder}: each stage kept its best epoch by validation")
     return dynamics
+
+
+def _unrecorded(line: dict[str, Any]) -> None:
+    """What processes do that do not write."""
+
+
+def _refusal(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> OffpisteError | None:
+    try:
+        _claim(folder, dataset, config, resume)
+    except OffpisteError as error:
+        return error
+    return None
 
 
 def _draw(model: str, windows: Windows) -> Draw | None:

@@ -1,0 +1,100 @@
+"""One training on several processes or GPUs: each does a share of every batch, and all take the same step."""
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from jaxtyping import Int
+from torch import Tensor
+
+from offpiste.errors import OffpisteError, RunError
+
+PATIENCE = timedelta(minutes=30)
+"""How long processes wait for each other: one may be writing or reading a large file."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """The processes of a training.
+
+    Attributes:
+        rank: number of this one; 0 writes.
+        size: how many there are.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def writes(self) -> bool:
+        """Whether this process writes files and prints."""
+        return self.rank == 0
+
+    def share(self, count: int) -> slice:
+        """The part of `count` things that is this process's."""
+        edges = np.linspace(0, count, self.size + 1).round().astype(int)
+        return slice(int(edges[self.rank]), int(edges[self.rank + 1]))
+
+    def mine(self, parts: list[Int[np.ndarray, " n"]]) -> Iterator[tuple[int, Int[np.ndarray, " n"]]]:
+        """Those of some parts that this process works on, with their numbers."""
+        return ((number, part) for number, part in enumerate(parts) if number % self.size == self.rank)
+
+    def sum(self, value: Tensor) -> Tensor:
+        """The sum of a value over all processes."""
+        if self.size > 1:
+            value = value.detach().clone()
+            dist.all_reduce(value)
+        return value
+
+    def sum_gradients(self, parameters: Iterable[Tensor]) -> None:
+        """Add up the gradients of all processes; where one has none, it counts as zero."""
+        if self.size == 1:
+            return
+        found = list(parameters)
+        for parameter in found:
+            if parameter.grad is None:
+                parameter.grad = torch.zeros_like(parameter)
+        flat = torch.cat([p.grad.flatten() for p in found if p.grad is not None])
+        dist.all_reduce(flat)
+        for parameter, part in zip(found, flat.split([p.numel() for p in found]), strict=True):
+            parameter.grad = part.view_as(parameter).clone()
+
+    def together(self, error: OffpisteError | None) -> None:
+        """Raise in all processes what went wrong in the first; otherwise wait until all are here."""
+        if self.size > 1:
+            said: list[OffpisteError | None] = [error]
+            dist.broadcast_object_list(said, src=0)
+            error = said[0]
+        if error is not None:
+            raise error
+
+
+ALONE = Group()
+
+
+@contextmanager
+def joined(device: str) -> Iterator[Group]:
+    """The group that `torchrun` started this process in.
+
+    Args:
+        device: "cpu" talks through gloo, "cuda" through NCCL; each process has the GPU of its local rank.
+
+    Raises:
+        RunError: not started by `torchrun`.
+    """
+    if not {"RANK", "WORLD_SIZE", "MASTER_ADDR"} <= set(os.environ):
+        raise RunError(
+            "--ddp needs several processes", how="start it as `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`"
+        )
+    if device.startswith("cuda"):
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+    dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=PATIENCE)
+    try:
+        yield Group(dist.get_rank(), dist.get_world_size())
+    finally:
+        dist.destroy_process_group()
