@@ -126,7 +126,7 @@ def test_extract_ends_in_one_line_and_keeps_what_was_there(case, capsys, folder,
     assert [drive.name for drive in open_dataset(tmp_path / "d.zarr").drives] == ["good"]
 
 
-@pytest.mark.parametrize("case", ["no TF", "no calibration", "clouds of NaN", "no clouds"])
+@pytest.mark.parametrize("case", ["no TF", "no calibration", "clouds of NaN", "no clouds", "a drifting clock"])
 def test_fit_pca_ends_in_one_line_and_writes_nothing(case, capsys, folder, tmp_path):
     parts, message = BAD[case]
     bad, out = written(tmp_path / "bad.mcap", *parts), tmp_path / "p.pca"

@@ -104,8 +104,10 @@ def _sensors(log: str | Path, rig: Rig) -> SensorLog:
 
 
 def _candidates(number: int, log: str | Path, rig: Rig, split: Split, spacing: float) -> list[Candidate]:
-    sensors = _sensors(log, rig)
-    rows = extract_rows(drive_from_log(open_log(log), rig))
+    opened = open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit)
+    sensors = open_sensors(opened, rig)
+    sensors.coverage()  # refuses clocks that are not the poses'
+    rows = extract_rows(drive_from_log(opened, rig))
     part = split.label(drive_name(log), rows.state[:, :2] + rows.origin)
     found = []
     for camera in sensors.cameras:
