@@ -49,3 +49,7 @@ class TrainingError(OffpisteError):
 
 class PerceptionError(OffpisteError):
     """An image, a calibration, a mask or a backbone is wrong or missing, or does not fit what it is used with."""
+
+
+class PlanningError(OffpisteError):
+    """A plan cannot be made, e.g. no sampled trajectory has a finite cost."""

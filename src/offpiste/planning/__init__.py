@@ -1,0 +1,1 @@
+"""Planning with the learned model: MPPI (`mppi`), its noise, its costs."""

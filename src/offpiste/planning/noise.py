@@ -1,0 +1,91 @@
+"""Noise for sampled control sequences, of unit size: planners multiply it by a standard deviation per control.
+
+Every function draws [K, T, U] (samples, steps, controls) from a `torch.Generator`, on its device; samples and controls
+are independent, steps are as the function says.
+"""
+
+import math
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Generator, Tensor
+
+Shape = tuple[int, int, int]
+"""Samples K, steps T, controls U."""
+
+Noise = Callable[[Shape, Generator, torch.dtype], Tensor]
+"""One of the functions below, with its options bound (`functools.partial`)."""
+
+
+def gaussian(shape: Shape, generator: Generator, dtype: torch.dtype = torch.float32) -> Float[Tensor, "K T U"]:
+    """White noise: independent steps of variance 1 (Williams et al., 2017)."""
+    return torch.randn(shape, generator=generator, dtype=dtype, device=generator.device)
+
+
+def log_normal(
+    shape: Shape, generator: Generator, dtype: torch.dtype = torch.float32, *, spread: float = 0.5
+) -> Float[Tensor, "K T U"]:
+    """White noise with heavy tails, variance 1: a normal times a log-normal number (Mohamed et al., log-MPPI, 2022).
+
+    Args:
+        spread: standard deviation of the logarithm; 0 is `gaussian`. The kurtosis is 3 exp(4 spread^2).
+    """
+    size = torch.exp(spread * gaussian(shape, generator, dtype) - spread**2)
+    return size * gaussian(shape, generator, dtype)
+
+
+def coloured(
+    shape: Shape,
+    generator: Generator,
+    dtype: torch.dtype = torch.float32,
+    *,
+    exponent: float = 2.0,
+    period: int | None = None,
+) -> Float[Tensor, "K T U"]:
+    """Low-frequency noise: power 1 / f^exponent, variance 1 at every step (Vlahov et al., RA-L 2024).
+
+    Drawn in the frequency domain (Timmer & Koenig, 1995), so the spectrum over the period is exact; the mean, f = 0,
+    has the power of the lowest frequency.
+
+    Args:
+        exponent: 0 white, 1 pink, 2 like a random walk.
+        period: after how many steps the noise would repeat; by default 2 T, so that the end knows nothing of the start.
+
+    Raises:
+        ValueError: the period is shorter than the steps.
+    """
+    samples, steps, controls = shape
+    period = 2 * steps if period is None else period
+    if period < steps:
+        raise ValueError(f"noise of {steps} steps needs a period of at least as many, not {period}")
+    size = torch.sqrt(spectrum(period, exponent)).to(generator.device, dtype)
+    parts = torch.randn((2, samples, controls, len(size)), generator=generator, dtype=dtype, device=generator.device)
+    # What is its own conjugate has no imaginary part, and all of its power in the real one.
+    real = [0, -1] if period % 2 == 0 else [0]
+    parts[0, :, :, real] *= math.sqrt(2)
+    parts[1, :, :, real] = 0
+    series = torch.fft.irfft(torch.complex(parts[0], parts[1]) * (size / math.sqrt(2)), n=period)
+    return series[..., :steps].transpose(1, 2).contiguous()
+
+
+def spectrum(period: int, exponent: float) -> Float[Tensor, " frequencies"]:
+    """Mean square of each coefficient of `torch.fft.rfft` of one period of `coloured` (float64)."""
+    step = torch.arange(period // 2 + 1, dtype=torch.float64).clamp(min=1)
+    power = step**-exponent
+    twice = torch.full_like(power, 2.0)
+    twice[0] = 1
+    if period % 2 == 0:
+        twice[-1] = 1
+    return power * period**2 / (twice * power).sum()
+
+
+def lifted(
+    shape: Shape, generator: Generator, dtype: torch.dtype = torch.float32, *, noise: Noise = gaussian
+) -> Float[Tensor, "K T U"]:
+    """Smooth noise: the running sum of noise of the rates (Kim et al., smooth MPPI, 2022).
+
+    Scaled so that it ends with variance 1: with white rates the variance of step t is (t + 1) / T, and one step's
+    change is 1 / sqrt(T).
+    """
+    return noise(shape, generator, dtype).cumsum(dim=1) / math.sqrt(shape[1])

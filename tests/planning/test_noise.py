@@ -1,0 +1,89 @@
+"""Noise against its stated moments and spectra."""
+
+import math
+from functools import partial
+
+import pytest
+import torch
+
+from offpiste.planning.noise import coloured, gaussian, lifted, log_normal, spectrum
+
+NOISES = [gaussian, log_normal, coloured, lifted]
+
+
+def drawn(noise, shape, seed=0, **options):
+    return noise(shape, torch.Generator().manual_seed(seed), torch.float64, **options)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_seed_repeats_and_another_does_not(noise):
+    shape = (5, 12, 2)
+    assert drawn(noise, shape).shape == shape
+    assert torch.equal(drawn(noise, shape), drawn(noise, shape))
+    assert not torch.allclose(drawn(noise, shape), drawn(noise, shape, seed=1))
+
+
+@pytest.mark.parametrize("noise", [gaussian, log_normal, coloured])
+def test_every_step_has_mean_0_and_variance_1(noise):
+    values = drawn(noise, (40_000, 16, 1))[..., 0]
+    torch.testing.assert_close(values.mean(0), torch.zeros(16).double(), atol=0.03, rtol=0)
+    torch.testing.assert_close(values.var(0), torch.ones(16).double(), atol=0.08, rtol=0)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_controls_are_independent(noise):
+    a, b = drawn(noise, (20_000, 4, 2)).unbind(-1)
+    assert (a * b).mean(0).abs().max() < 0.05
+
+
+def test_gaussian_and_log_normal_steps_are_independent():
+    for noise in (gaussian, log_normal):
+        values = drawn(noise, (40_000, 3, 1))[..., 0]
+        assert (torch.corrcoef(values.T) - torch.eye(3)).abs().max() < 0.02
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3])
+def test_kurtosis_of_the_log_normal_mixture(spread):
+    values = drawn(log_normal, (1_000_000, 1, 1), spread=spread).flatten()
+    assert values.pow(4).mean().item() == pytest.approx(3 * math.exp(4 * spread**2), rel=0.05)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize("steps", [32, 33])
+def test_coloured_noise_has_the_stated_spectrum(exponent, steps):
+    values = drawn(coloured, (20_000, steps, 1), exponent=exponent, period=steps)[..., 0]
+    power = torch.fft.rfft(values, dim=1).abs().square().mean(0)
+    torch.testing.assert_close(power, spectrum(steps, exponent), rtol=0.05, atol=0)
+    step = torch.arange(1, steps // 2 + 1)
+    slope = torch.log(power[1:] / power[1]) / torch.log(step.double())
+    torch.testing.assert_close(slope[1:], torch.full((len(step) - 1,), -exponent).double(), atol=0.05, rtol=0)
+
+
+def test_covariance_of_coloured_noise_is_the_transform_of_its_spectrum():
+    values = drawn(coloured, (40_000, 10, 1), exponent=2.0)[..., 0]
+    wanted = torch.fft.irfft(spectrum(20, 2.0), n=20) / 20
+    lags = (torch.arange(10)[:, None] - torch.arange(10)).abs()
+    torch.testing.assert_close(torch.cov(values.T), wanted[lags], atol=0.03, rtol=0)
+    assert wanted[0].item() == pytest.approx(1)
+
+
+def test_exponent_0_is_white():
+    covariance = torch.cov(drawn(coloured, (40_000, 6, 1), exponent=0.0)[..., 0].T)
+    assert (covariance - torch.eye(6)).abs().max() < 0.03
+
+
+def test_a_period_shorter_than_the_steps_is_refused():
+    with pytest.raises(ValueError, match="at least as many"):
+        drawn(coloured, (1, 10, 1), period=9)
+
+
+def test_lifted_noise_grows_like_a_random_walk():
+    values = drawn(lifted, (40_000, 25, 1))[..., 0]
+    torch.testing.assert_close(values.var(0), torch.arange(1, 26).double() / 25, atol=0, rtol=0.05)
+    torch.testing.assert_close(values.diff(dim=1).std(0), torch.full((24,), 0.2).double(), atol=0, rtol=0.05)
+
+
+def test_lifted_noise_is_the_sum_of_the_noise_that_it_is_given():
+    noise = partial(coloured, exponent=1.0)
+    values = drawn(partial(lifted, noise=noise), (3, 4, 2))
+    torch.testing.assert_close(values.diff(dim=1) * 2, drawn(noise, (3, 4, 2))[:, 1:])
