@@ -1,0 +1,200 @@
+"""Model predictive path integral control: sample control sequences, weigh them by their costs, take their mean.
+
+After Williams, Drews, Goldfain, Rehg and Theodorou, "Information-theoretic model predictive control" (T-RO 2018,
+algorithm 2), with the low-frequency noise of Vlahov et al. (RA-L 2024). Nothing here knows what is planned for: costs
+of control sequences come from a function (`rollouts`, `fused`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from scipy.signal import savgol_coeffs
+from torch import Generator, Tensor
+
+from offpiste.conventions import DT
+from offpiste.errors import PlanningError
+from offpiste.planning.noise import Noise, coloured
+
+CostOf = Callable[[Tensor], Tensor]
+"""From control sequences [K, T, U] to their costs [K]; what is not finite counts as infinitely dear."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What controls may be; one number for each.
+
+    Attributes:
+        low, high: bounds.
+        rate: largest change per second; None for any.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    rate: tuple[float, ...] | None = None
+
+
+PEDALS_AND_WHEEL = Limits(low=(0.0, 0.0, -1.0), high=(1.0, 1.0, 1.0), rate=(4.0, 8.0, 4.0))
+"""Of `conventions.CONTROL`: throttle, brake, steer [1, 1/s]."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to plan.
+
+    Attributes:
+        limits: of the controls.
+        deviation: standard deviation of the noise of each control.
+        samples: K, the first of which is the plan itself.
+        temperature: lambda, in units of cost: samples dearer than the best by more hardly count.
+        iterations: how often to sample and average.
+        noise: unit noise (`noise`).
+        wide, width: share of samples whose noise is `width` times as large.
+        fresh: share of samples around `rest` instead of the plan; the first of them is `rest` without noise.
+        rest: the controls when nothing is done; zeros if None.
+        control_cost: gamma, weight of sum_t u_t Sigma^-1 (v_t - u_t); `temperature` for the likelihood ratio of white
+            noise about zero (Williams et al., eq. 18), 0 for costs alone.
+        smoothing: odd length of a Savitzky-Golay filter of third order over the plan [steps]; 0 for none.
+        dt: a step [s], for the rates.
+    """
+
+    limits: Limits
+    deviation: tuple[float, ...]
+    samples: int = 1024
+    temperature: float = 1.0
+    iterations: int = 1
+    noise: Noise = coloured
+    wide: float = 0.1
+    width: float = 3.0
+    fresh: float = 0.05
+    rest: tuple[float, ...] | None = None
+    control_cost: float = 0.0
+    smoothing: int = 0
+    dt: float = DT
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The outcome of planning.
+
+    Attributes:
+        controls: as commanded during each step.
+        costs: of the last iteration's samples; the first is that of the plan before it.
+        weights: of the same samples; they sum to 1.
+    """
+
+    controls: Float[Tensor, "T U"]
+    costs: Float[Tensor, " K"]
+    weights: Float[Tensor, " K"]
+
+    @property
+    def effective_samples(self) -> float:
+        """1 / sum of squared weights: 1 if one sample decides, K if costs tell nothing."""
+        return 1 / float(self.weights.square().sum())
+
+
+@torch.no_grad()
+def improve(
+    controls: Float[Tensor, "T U"],
+    cost_of: CostOf,
+    settings: Settings,
+    generator: Generator,
+    *,
+    previous: Float[Tensor, " U"] | None = None,
+) -> Plan:
+    """A better plan than `controls`; deterministic for a generator's state.
+
+    Args:
+        controls: the plan so far, e.g. the last one after `shift`; its device and type are used throughout.
+        generator: on the same device.
+        previous: the control commanded before the first step, which limits of rates start from.
+
+    Raises:
+        PlanningError: no sample has a finite cost.
+    """
+    for _ in range(settings.iterations):
+        samples = limited(sample(controls, settings, generator), settings, previous)
+        costs = cost_of(samples).double() + control_costs(samples, controls, settings)
+        weights = weigh(costs, settings.temperature)
+        controls = torch.einsum("k,ktu->tu", weights.to(samples.dtype), samples)
+    # A mean of sequences within limits is within them, up to rounding; smoothing may leave them.
+    controls = limited(smoothed(controls, settings.smoothing)[None], settings, previous)[0]
+    return Plan(controls, costs, weights)
+
+
+def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Generator) -> Float[Tensor, "K T U"]:
+    """The plan itself, sequences around rest, then widely and then narrowly around the plan."""
+    count = settings.samples
+    fresh, wide = round(settings.fresh * count), round(settings.wide * count)
+    deviation = controls.new_tensor(settings.deviation)
+    noise = settings.noise((count, *controls.shape), generator, controls.dtype) * deviation
+    noise[0] = 0
+    noise[1 : 1 + min(fresh, 1)] = 0
+    noise[1 + fresh : 1 + fresh + wide] *= settings.width
+    samples = controls + noise
+    rest = torch.zeros_like(deviation) if settings.rest is None else controls.new_tensor(settings.rest)
+    samples[1 : 1 + fresh] = rest + noise[1 : 1 + fresh]
+    return samples
+
+
+def limited(
+    controls: Float[Tensor, "K T U"], settings: Settings, previous: Float[Tensor, " U"] | None = None
+) -> Float[Tensor, "K T U"]:
+    """Each step as near to what was wanted as bounds and rates allow after the step before.
+
+    Args:
+        previous: the control before the first step; None leaves that one free.
+    """
+    limits = settings.limits
+    low, high = controls.new_tensor(limits.low), controls.new_tensor(limits.high)
+    controls = controls.clamp(low, high)
+    if limits.rate is None:
+        return controls
+    change = controls.new_tensor(limits.rate) * settings.dt
+    steps = list(controls.unbind(dim=1))
+    before = steps[0] if previous is None else previous.clamp(low, high)
+    for t, wanted in enumerate(steps):
+        before = steps[t] = torch.minimum(torch.maximum(wanted, before - change), before + change)
+    return torch.stack(steps, dim=1)
+
+
+def control_costs(
+    samples: Float[Tensor, "K T U"], controls: Float[Tensor, "T U"], settings: Settings
+) -> Float[Tensor, " K"]:
+    """The term gamma sum_t u_t Sigma^-1 (v_t - u_t), with what limits left of the noise."""
+    if settings.control_cost == 0:
+        return samples.new_zeros(len(samples), dtype=torch.float64)
+    scaled = controls / controls.new_tensor(settings.deviation).square()
+    return settings.control_cost * torch.einsum("ktu,tu->k", samples - controls, scaled).double()
+
+
+def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]:
+    """exp(-cost / temperature), scaled to sum to 1; 0 where the cost is not finite.
+
+    Raises:
+        PlanningError: no cost is finite.
+    """
+    finite = costs.isfinite()
+    if not finite.any():
+        how = "stop, or look for what is not finite in the start, the map or the cost"
+        raise PlanningError(f"none of {len(costs)} sampled trajectories has a finite cost", how=how)
+    # The least is taken away first: exp of all of a set of large costs would be 0.
+    above = torch.where(finite, costs, torch.inf) - costs[finite].min()
+    return torch.softmax(-above / temperature, dim=0)
+
+
+def smoothed(controls: Float[Tensor, "T U"], window: int) -> Float[Tensor, "T U"]:
+    """A Savitzky-Golay filter of third order, as Williams et al. use; the ends are held."""
+    if window <= 3:
+        return controls
+    kernel = torch.as_tensor(savgol_coeffs(window, 3).copy(), dtype=controls.dtype, device=controls.device)
+    half = window // 2
+    padded = torch.cat((controls[:1].expand(half, -1), controls, controls[-1:].expand(half, -1)))
+    return torch.nn.functional.conv1d(padded.T[:, None], kernel.flip(0)[None, None])[:, 0].T
+
+
+def shift(controls: Float[Tensor, "T U"], steps: int = 1) -> Float[Tensor, "T U"]:
+    """The plan after `steps` of it were driven: what is left, and the last control held (warm start)."""
+    steps = min(steps, len(controls))
+    return torch.cat((controls[steps:], controls[-1:].expand(steps, -1)))

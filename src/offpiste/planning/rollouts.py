@@ -1,0 +1,58 @@
+"""Costs of control sequences by rolling a model out: the eager reference, for any model and any cost."""
+
+from collections.abc import Callable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.dynamics.base import Dynamics, rollout
+from offpiste.planning.mppi import CostOf
+from offpiste.trajectory import Carry, TerrainSource, Trajectory
+
+
+def model_costs(
+    dynamics: Dynamics, carry: Carry, source: TerrainSource, cost: Callable[[Trajectory, Tensor], Tensor]
+) -> CostOf:
+    """Costs of the trajectories that a model predicts.
+
+    Args:
+        carry: the start, a batch of one.
+        source: of the ground for K rollouts.
+        cost: from predicted trajectories and their controls [K, T, 3] to costs [K], e.g. `costs.driving_cost`.
+    """
+
+    def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
+        return cost(rollout(dynamics, spread_carry(carry, len(controls)), controls, source), controls)
+
+    return cost_of
+
+
+def spread_carry(carry: Carry, samples: int) -> Carry:
+    """A carry of one, for as many samples."""
+    return Carry(*(part.expand(samples, -1) for part in (carry.state, carry.actuators, carry.hidden, carry.cell)))
+
+
+def callable_costs(
+    dynamics: Callable[[Tensor, Tensor], Tensor],
+    running_cost: Callable[[Tensor, Tensor], Tensor],
+    state: Float[Tensor, " S"],
+    *,
+    terminal_cost: Callable[[Tensor], Tensor] | None = None,
+) -> CostOf:
+    """Costs with plain functions, as pytorch_mppi and similar planners take them.
+
+    Args:
+        dynamics: from states [K, S] and controls [K, U] to the next states.
+        running_cost: of the states after a step and its controls [K].
+        state: the start.
+        terminal_cost: of the last states [K].
+    """
+
+    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
+        states, total = state.expand(len(controls), -1), controls.new_zeros(len(controls))
+        for control in controls.unbind(dim=1):
+            states = dynamics(states, control)
+            total = total + running_cost(states, control).reshape(-1)
+        return total if terminal_cost is None else total + terminal_cost(states).reshape(-1)
+
+    return cost_of
