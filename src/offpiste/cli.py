@@ -339,6 +339,49 @@ class Evaluate:
         return 0
 
 
+@dataclass(frozen=True)
+class Reproduce:
+    """The paper's figures: simulates or takes a dataset, trains and judges every model needed, draws; goes on where it
+    stopped."""
+
+    figure: tyro.conf.Positional[Literal["fig3", "fig4"]]
+    """fig3: what features are worth in hindsight; fig4: with the distance they were seen from."""
+    size: Literal["smoke", "laptop", "paper"] = "smoke"
+    """Ten minutes, two hours, or as much as in the paper."""
+    out: Path = Path("results")
+    """Folder for everything; both figures share it."""
+    dataset: Path | None = None
+    """With visual features: taken instead of simulating."""
+    backbone: str = "filterbank"
+    """As in `fit-pca`."""
+    split: Literal["drives", "blocks"] = "drives"
+    """Test on drives in worlds of their own, or on stretches of the same logs, as the paper does."""
+    grip_contrast: float = 1.0
+    """Of the simulated worlds: 0: all ground drives alike."""
+    device: str = "cpu"
+    processes: int = 0
+    """Drives simulated or extracted at a time; 0: one a core."""
+
+    def run(self) -> int:
+        """Drive, extract, train, judge, draw."""
+        from offpiste.experiments.reproduce.reproduce import reproduce
+        from offpiste.experiments.reproduce.settings import SIZES, Reproduction
+
+        asked = Reproduction(
+            self.figure,
+            SIZES[self.size],
+            self.out,
+            dataset=self.dataset,
+            backbone=self.backbone,
+            split=self.split,
+            contrast=self.grip_contrast,
+            device=self.device,
+            processes=self.processes,
+        )
+        reproduce(asked, tell=tell)
+        return 0
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "simulate": Simulate,
@@ -348,6 +391,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "extract": Extract,
     "train": Train,
     "evaluate": Evaluate,
+    "reproduce": Reproduce,
 }
 
 

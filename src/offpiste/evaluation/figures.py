@@ -36,7 +36,7 @@ def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Colour and line style by label: the colour follows the model's name, the line tells its variants apart."""
     found: dict[str, tuple[str, str]] = {}
     for label in labels:
-        colour = _colour(label)
+        colour = colour_of(label)
         used = sum(other == colour for other, _ in found.values())
         found[label] = (colour, _LINES[used % len(_LINES)])
     return found
@@ -54,8 +54,8 @@ def box_plot(
     Args:
         errors: by label; infinite where a prediction failed.
     """
-    figure, axes = _axes(1.3 + 1.25 * max(len(errors), 3), 4.4, title)
-    boxes = [_box(label, values) for label, values in errors.items()]
+    figure, axes = plain_axes(1.3 + 1.25 * max(len(errors), 3), 4.4, title)
+    boxes = [box_statistics(label, values) for label, values in errors.items()]
     drawn = axes.bxp(
         boxes,
         showfliers=False,
@@ -68,7 +68,7 @@ def box_plot(
         meanprops={"color": MEAN, "linewidth": 3.6, "linestyle": "-", "zorder": 3},
     )
     for patch, label in zip(drawn["boxes"], errors, strict=True):
-        patch.set(facecolor=_colour(label), alpha=0.35, edgecolor="none")
+        patch.set(facecolor=colour_of(label), alpha=0.35, edgecolor="none")
     top = max((box["whishi"] for box in boxes if np.isfinite(box["whishi"])), default=0.0) or 1.0
     for place, box in enumerate(boxes, start=1):
         if np.isnan(box["whishi"]):
@@ -96,7 +96,7 @@ def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> 
     Args:
         rows: by label, in ascending order of horizons.
     """
-    figure, axes = _axes(7.6, 4.2, title)
+    figure, axes = plain_axes(7.6, 4.2, title)
     ends = {}
     for label, (colour, line) in styles(list(rows)).items():
         seconds = [row.horizon_s for row in rows[label]]
@@ -114,7 +114,7 @@ def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> 
 
 def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> Figure:
     """Share of windows whose distance error after 5 s stays below a value."""
-    figure, axes = _axes(7.6, 4.2, title)
+    figure, axes = plain_axes(7.6, 4.2, title)
     shown = [values[np.isfinite(values)] for values in errors.values()]
     limit = max((float(np.quantile(values, 0.98)) for values in shown if len(values)), default=1.0)
     for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
@@ -131,7 +131,7 @@ def speed_plot(
     errors: Mapping[str, Float[np.ndarray, " n"]], speed: Float[np.ndarray, " n"], *, title: str = ""
 ) -> Figure:
     """Mean distance error after 5 s against the speed at the start, in bins of as many windows each."""
-    figure, axes = _axes(7.6, 4.2, title)
+    figure, axes = plain_axes(7.6, 4.2, title)
     edges = np.unique(np.quantile(speed, np.linspace(0, 1, SPEED_BINS + 1)))
     which = np.clip(np.searchsorted(edges, speed, side="right") - 1, 0, max(len(edges) - 2, 0))
     bins = np.unique(which)
@@ -145,7 +145,7 @@ def speed_plot(
     return figure
 
 
-def _box(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
+def box_statistics(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
     """What `bxp` draws. Failed predictions count as huge errors; what they make huge is not drawn."""
     failed = int((~np.isfinite(values)).sum())
     name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
@@ -157,7 +157,8 @@ def _box(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
     return {**box, "label": name}
 
 
-def _axes(width: float, height: float, title: str) -> tuple[Figure, Axes]:
+def plain_axes(width: float, height: float, title: str) -> tuple[Figure, Axes]:
+    """A figure of this size [inch], without frames on two sides and with a light grid."""
     figure = Figure(figsize=(width, height), dpi=150, layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
@@ -182,6 +183,7 @@ def _legend_beside(axes: Axes, ends: Mapping[str, float] | None = None) -> None:
     )
 
 
-def _colour(label: str) -> str:
+def colour_of(label: str) -> str:
+    """The colour of a model, whatever its variant."""
     name = label.split(" ")[0]
     return _COLOURS.get(name) or _SPARE[sum(name.encode()) % len(_SPARE)]

@@ -15,7 +15,8 @@ import tyro
 from offpiste.dataset.make import make_dataset
 from offpiste.experiments.judge_runs import judge_runs
 from offpiste.experiments.recorded import simulate_once
-from offpiste.files import write_bytes, write_text
+from offpiste.experiments.shared_stages import reuse_stages
+from offpiste.files import write_text
 from offpiste.progress import tell
 from offpiste.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings
@@ -68,19 +69,11 @@ class Gate:
                 folder = self.out / "runs" / f"{model}-{seed}"
                 if not (folder / "model.json").exists():
                     config = replace(self.train, model=model, seed=seed)
-                    self._reuse_stages(folder, seed)
+                    reuse_stages(self.out / "runs", folder, seed)
                     train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
                 runs.append(folder)
         judge_runs(runs, dataset.path, self.out / "report", starts=("causal",), tell=tell)
         tell(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
-
-    def _reuse_stages(self, folder: Path, seed: int) -> None:
-        """Actuators and bicycle of one seed are the same for every model: fit them once."""
-        for stage in ("actuators", "bicycle"):
-            name = f"{stage}.safetensors"
-            done = sorted(self.out.glob(f"runs/*-{seed}/{name}"))
-            if done and not (folder / name).exists():
-                write_bytes(folder / name, done[0].read_bytes())
 
     def simulate(self) -> list[tuple[Path, str]]:
         """The logs and their parts."""

@@ -31,20 +31,33 @@ def render_page(dataset: Dataset, found: Covered | None, pictures: Mapping[str, 
         found: None for a dataset without visual features.
         pictures: PNG files by name.
     """
-    page = Template(resources.files("offpiste.viewing").joinpath("report.html").read_text("utf-8"))
     none = "no visual features by distance: extract with --pca for a report on them"
     sections = [] if found is None else [_section(table, pictures) for table in tables(found)]
     paths = [name for name in pictures if name.startswith("paths")]
     about = "Left: parts of the split. Right: speed. Drives start at the white dot."
-    sections.append("<h2>Drives from above</h2>" + "".join(_picture(pictures[name], about) for name in paths))
+    sections.append("<h2>Drives from above</h2>" + "".join(picture_html(pictures[name], about) for name in paths))
     notes = [f"{drive.name}: {note}" for drive in dataset.drives for note in drive.notes]
     if notes:
-        sections.append(f"<h2>Notes</h2><ul>{''.join(f'<li>{_safe(note)}</li>' for note in notes)}</ul>")
+        sections.append(f"<h2>Notes</h2><ul>{''.join(f'<li>{safe(note)}</li>' for note in notes)}</ul>")
+    return page_html(
+        f"dataset {dataset.path.resolve().name}", [headline(found) if found else none], _facts(dataset), sections
+    )
+
+
+def page_html(title: str, headlines: Sequence[str], facts: Mapping[str, str], sections: Sequence[str]) -> str:
+    """A page in the house's style.
+
+    Args:
+        headlines: the first one is the largest.
+        facts: by name.
+        sections: HTML.
+    """
+    page = Template(resources.files("offpiste.viewing").joinpath("report.html").read_text("utf-8"))
     return page.substitute(
-        title=_safe(f"dataset {dataset.path.resolve().name}"),
+        title=safe(title),
         style=house_style(),
-        headline=f"<p>{_safe(headline(found) if found else none)}</p>",
-        facts=_facts(dataset),
+        headline="".join(f"<p>{safe(line)}</p>" for line in headlines),
+        facts=f"<dl>{''.join(f'<dt>{safe(key)}</dt><dd>{safe(value)}</dd>' for key, value in facts.items())}</dl>",
         sections="\n".join(sections),
     )
 
@@ -55,9 +68,9 @@ def house_style() -> str:
     return page.partition("<style>")[2].partition("</style>")[0]
 
 
-def _facts(dataset: Dataset) -> str:
+def _facts(dataset: Dataset) -> dict[str, str]:
     drives = dataset.drives
-    facts = {
+    return {
         "dataset": str(dataset.path),
         "rig": dataset.rig.name,
         "split": dataset.split.text,
@@ -65,19 +78,24 @@ def _facts(dataset: Dataset) -> str:
         f"{sum(drive.rows.distance for drive in drives) / 1000:.2f} km",
         "features": f"{len(dataset.features)}: {', '.join(dataset.features)}" if dataset.features else "none",
     }
-    return f"<dl>{''.join(f'<dt>{_safe(key)}</dt><dd>{_safe(value)}</dd>' for key, value in facts.items())}</dl>"
 
 
 def _section(table: TextTable, pictures: Mapping[str, bytes]) -> str:
     name = PICTURE_OF.get(table.title, "")
-    picture = _picture(pictures[name], _CAPTIONS[name]) if name in pictures else ""
-    return f'<h2>{_safe(table.title)}</h2><p class="about">{_safe(table.about)}</p>{_table(table)}{picture}'
+    return section_html(table) + (picture_html(pictures[name], _CAPTIONS[name]) if name in pictures else "")
 
 
-def _table(table: TextTable) -> str:
+def section_html(table: TextTable) -> str:
+    """A table under its title."""
+    return f'<h2>{safe(table.title)}</h2><p class="about">{safe(table.about)}</p>{table_html(table)}'
+
+
+def table_html(table: TextTable) -> str:
+    """A table of text."""
+
     def cells(tag: str, values: Sequence[str]) -> str:
         kinds = (' class="name"' if column == 0 else "" for column in range(len(values)))
-        return "".join(f"<{tag}{kind}>{_safe(v)}</{tag}>" for kind, v in zip(kinds, values, strict=True))
+        return "".join(f"<{tag}{kind}>{safe(v)}</{tag}>" for kind, v in zip(kinds, values, strict=True))
 
     body = "".join(f"<tr>{cells('td', line)}</tr>" for line in table.lines)
     return (
@@ -86,13 +104,15 @@ def _table(table: TextTable) -> str:
     )
 
 
-def _picture(content: bytes, caption: str) -> str:
+def picture_html(content: bytes, caption: str) -> str:
+    """A PNG file inside of the page."""
     data = base64.b64encode(content).decode("ascii")
     return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{_safe(caption)}">'
-        f"<figcaption>{_safe(caption)}</figcaption></figure>"
+        f'<figure><img src="data:image/png;base64,{data}" alt="{safe(caption)}">'
+        f"<figcaption>{safe(caption)}</figcaption></figure>"
     )
 
 
-def _safe(text: str) -> str:
+def safe(text: str) -> str:
+    """Text as HTML."""
     return html.escape(text, quote=True)

@@ -1,0 +1,84 @@
+"""`offpiste reproduce`: drives, features, models and judgement of a figure of the paper, in one resumable command."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from offpiste.errors import RunError
+from offpiste.experiments.reproduce.data import data_pieces, expected_features, open_checked
+from offpiste.experiments.reproduce.judged import mapped, ways
+from offpiste.experiments.reproduce.models import members
+from offpiste.experiments.reproduce.plan import Piece, carry_out
+from offpiste.experiments.reproduce.report import write_figure
+from offpiste.experiments.reproduce.results import gather
+from offpiste.experiments.reproduce.settings import Reproduction
+from offpiste.experiments.reproduce.work import Driven, Work, driven_in, model_pieces
+from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.run import check_device
+
+REPORT_COST = 30.0
+
+
+def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
+    """Make a figure in `asked.out`; whatever is there already from the same settings is used again.
+
+    Returns:
+        report.html.
+
+    Raises:
+        RunError: the folder was begun with other settings.
+        OffpisteError: as the stages do.
+    """
+    check_device(asked.device)
+    if asked.dataset is not None:
+        open_checked(asked)
+    data = data_pieces(asked, tell)
+    planned = _plan(asked, expected_features(asked), data)
+    _claim(asked)
+    carry_out(data, later=planned, tell=tell)
+    work = Work(asked, open_checked(asked))
+    chosen = members(asked.figure, len(work.dataset.features))
+    found_ways = ways(asked.figure, mapped=mapped(work.dataset))
+    pieces = model_pieces(asked, chosen, found_ways, driven_in(work.dataset), lambda: work)
+    said: list[object] = []
+
+    def report() -> None:
+        said.append(write_figure(asked, work, gather(asked, chosen, found_ways)).rich())
+
+    carry_out([*pieces, Piece("report", REPORT_COST, lambda: False, report)], before=len(data), tell=tell)
+    for line in said:
+        tell(line)
+    page = asked.out / asked.figure / "report.html"
+    tell(f"report: {page}")
+    return page
+
+
+def _plan(asked: Reproduction, stored: int, data: list[Piece]) -> list[Piece]:
+    """What comes after the dataset, as far as it can be told before."""
+    driven = Driven(*asked.size.seconds) if data else driven_in(open_checked(asked))
+    chosen = members(asked.figure, stored)
+    pieces = model_pieces(asked, chosen, ways(asked.figure, mapped=True), driven, _none_yet)
+    return [*pieces, Piece("report", REPORT_COST, lambda: False, lambda: None)]
+
+
+def _none_yet() -> Work:
+    raise AssertionError("nothing is trained before there is a dataset")
+
+
+def _claim(asked: Reproduction) -> None:
+    """Say what the folder is of, or check that it is of this."""
+    path, described = asked.out / "settings.json", json.loads(json.dumps(asked.described()))
+    if not path.exists():
+        save_json(path, described)
+        return
+    found = load_json(path)
+    other = [key for key in sorted({*found, *described}) if found.get(key) != described.get(key)]
+    if other == ["size"]:
+        size, mine = found["size"], described["size"]
+        other = [f"size.{key}" for key in mine if mine[key] != size.get(key)]
+    if other:
+        raise RunError(
+            f"was begun with other settings ({', '.join(other)})",
+            where=asked.out,
+            how="give the same again, or choose another --out",
+        )

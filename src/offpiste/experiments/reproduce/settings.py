@@ -1,0 +1,114 @@
+"""How large a reproduction of the paper's figures is, and what it is of."""
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from offpiste.training.config import TrainConfig
+
+Figure = Literal["fig3", "fig4"]
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is driven, trained and judged.
+
+    Attributes:
+        name: how a person asks for it.
+        seconds: of driving to train, validate and test on, over all worlds [s].
+        longest, shortest: of one drive [s]; a world whose share is less than `shortest` gets that much.
+        images: that the PCA is fitted on.
+        pca_drives: of each world that the PCA may look at.
+        snapshot_seconds: the map is kept for windows that validate and test, at most once in so long [s].
+        seeds: runs of `b`, `cf` and `dc`; other models have one.
+        stride: rows between the windows that are judged at recorded places; on the map, those with a snapshot are.
+        train: settings of all trainings.
+        world_size, world_resolution: [m].
+    """
+
+    name: str
+    seconds: tuple[float, float, float]
+    longest: float = 120.0
+    shortest: float = 12.0
+    images: int = 175
+    pca_drives: int = 1
+    snapshot_seconds: float = 0.5
+    seeds: int = 1
+    stride: int = 5
+    train: TrainConfig = field(default_factory=TrainConfig)
+    world_size: float = 320.0
+    world_resolution: float = 0.25
+
+
+SIZES = {
+    "smoke": Size(
+        "smoke",
+        (140.0, 40.0, 80.0),
+        images=40,
+        snapshot_seconds=1.0,
+        stride=25,
+        train=TrainConfig(epochs=6, bicycle_epochs=6, actuator_epochs=4),
+        world_size=200.0,
+        world_resolution=0.5,
+    ),
+    "laptop": Size(
+        "laptop",
+        (2400.0, 300.0, 900.0),
+        snapshot_seconds=1.0,
+        seeds=3,
+        train=TrainConfig(epochs=15, bicycle_epochs=8, batch=256),
+    ),
+    "paper": Size(
+        "paper",
+        (42_000.0, 2_600.0, 5_300.0),
+        pca_drives=4,
+        seeds=3,
+        stride=1,
+        train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
+    ),
+}
+"""`smoke` ends within minutes, `laptop` within two hours, `paper` has some 2M windows to train and 250k to test."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What is reproduced.
+
+    Attributes:
+        figure: of the paper; both share drives and runs in one folder.
+        size: how large.
+        out: folder for everything.
+        dataset: with visual features, to take instead of simulating.
+        backbone: of the visual features (`offpiste.perception.backbone.open_backbone`).
+        split: "drives": tests on drives of their own; "blocks": on stretches of the same logs, as the paper does.
+        contrast: of grip in the simulated worlds.
+        device: that backbone and models run on.
+        processes: drives that are simulated or extracted at a time; 0: one a core.
+    """
+
+    figure: Figure
+    size: Size
+    out: Path
+    dataset: Path | None = None
+    backbone: str = "filterbank"
+    split: Literal["drives", "blocks"] = "drives"
+    contrast: float = 1.0
+    device: str = "cpu"
+    processes: int = 0
+
+    @property
+    def runs(self) -> Path:
+        """Folder of the trained models."""
+        return self.out / "runs"
+
+    def described(self) -> dict[str, Any]:
+        """What must be the same for pieces in `out` to be used again."""
+        if self.dataset is not None:
+            return {"size": asdict(self.size), "dataset": str(self.dataset.resolve())}
+        return {
+            "size": asdict(self.size),
+            "dataset": "simulated",
+            "backbone": self.backbone,
+            "split": self.split,
+            "contrast": self.contrast,
+        }

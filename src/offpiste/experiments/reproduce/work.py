@@ -1,0 +1,120 @@
+"""Train and judge the models of a figure: a piece a run, done once, shared by both figures."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import torch
+
+from offpiste.conventions import DT
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
+from offpiste.evaluation.evaluate import Way
+from offpiste.experiments.reproduce.judged import PART, errors_path, judge
+from offpiste.experiments.reproduce.models import Member
+from offpiste.experiments.reproduce.plan import Piece
+from offpiste.experiments.reproduce.results import BASELINE
+from offpiste.experiments.reproduce.settings import Reproduction
+from offpiste.experiments.shared_stages import reuse_stages
+from offpiste.training.run import load_run
+from offpiste.training.train import train
+
+WINDOW_SECONDS, READING = 0.5e-3, 1.8
+"""What a window costs the kernels, about; and how much more it does with features."""
+
+MAP_SECONDS = 0.08
+"""What a window costs on a map of its own, about."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Seconds of driving to train, validate and test on; what pieces cost follows from them."""
+
+    train: float
+    validation: float
+    test: float
+
+
+def driven_in(dataset: Dataset) -> Driven:
+    """Of a dataset."""
+    return Driven(*(DT * sum(int((d.part == part).sum()) for d in dataset.drives) for part in range(len(PARTS))))
+
+
+@dataclass(frozen=True)
+class Work:
+    """Trains and judges runs on a dataset, and opens nothing before it is needed."""
+
+    asked: Reproduction
+    dataset: Dataset
+
+    @cached_property
+    def windows(self) -> Windows:
+        """That models are judged on."""
+        return Windows(self.dataset, PART, start="causal", device=self.asked.device)
+
+    @cached_property
+    def scale(self) -> torch.Tensor:
+        """Units of the loss: those of the first `b`, for all runs alike."""
+        return load_run(self.asked.runs / f"{BASELINE}-0").scale
+
+    def train(self, member: Member, seed: int) -> None:
+        """Train a run, or go on with it."""
+        folder = self.asked.runs / member.folder(seed)
+        reuse_stages(self.asked.runs, folder, seed)
+        config = member.config(self.asked.size, seed, self.asked.device)
+        train(self.dataset, config, folder, resume=(folder / "config.json").exists())
+
+    def judge(self, member: Member, seed: int, ways: Sequence[Way]) -> None:
+        """Judge a run in the ways that are missing."""
+        run = load_run(self.asked.runs / member.folder(seed), device=self.asked.device)
+        for way in ways:
+            if not errors_path(run.folder, way).exists():
+                judge(run, self.windows, way, self.asked.size, self.scale)
+
+
+def model_pieces(
+    asked: Reproduction,
+    members: Sequence[Member],
+    ways: Sequence[Way],
+    driven: Driven,
+    work: Callable[[], Work],
+) -> list[Piece]:
+    """Two pieces a run.
+
+    Args:
+        driven: how much, or how much there will be.
+        work: gives what does them, once there is a dataset.
+    """
+    pieces = []
+    for member in members:
+        for seed in member.seeds(asked.size):
+            folder = asked.runs / member.folder(seed)
+            name = f"{member.label}, seed {seed}"
+            pieces += [
+                Piece(
+                    f"train {name}",
+                    _cost_of_training(asked, member, driven),
+                    (folder / "model.json").exists,
+                    partial(lambda m, s: work().train(m, s), member, seed),
+                ),
+                Piece(
+                    f"judge {name}",
+                    _cost_of_judging(asked, ways, driven),
+                    partial(lambda f: all(errors_path(f, way).exists() for way in ways), folder),
+                    partial(lambda m, s: work().judge(m, s, ways), member, seed),
+                ),
+            ]
+    return pieces
+
+
+def _cost_of_training(asked: Reproduction, member: Member, driven: Driven) -> float:
+    train = asked.size.train
+    windows = driven.train / DT / train.stride + driven.validation / DT / train.stride / 3
+    return WINDOW_SECONDS * windows * train.epochs * (1.0 if member.model == BASELINE else READING) + 2
+
+
+def _cost_of_judging(asked: Reproduction, ways: Sequence[Way], driven: Driven) -> float:
+    recorded = 0.5 * WINDOW_SECONDS * driven.test / DT / asked.size.stride
+    on_map = MAP_SECONDS * driven.test / asked.size.snapshot_seconds
+    return sum(on_map if lookup == "map" else recorded for lookup, _ in ways) + 1

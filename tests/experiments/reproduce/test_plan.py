@@ -1,0 +1,61 @@
+"""Pieces in order, each once, also after a kill; and what a person is told of the time left."""
+
+import pytest
+
+from offpiste.experiments.reproduce.plan import Piece, carry_out, said
+
+
+class Killed(BaseException):
+    """Stands in for a kill."""
+
+
+class Bench:
+    """Pieces that take time on a clock of their own."""
+
+    def __init__(self, kill_at: str = "") -> None:
+        self.made: list[str] = []
+        self.now, self.kill_at, self.told = 0.0, kill_at, []
+
+    def piece(self, name: str, cost: float, takes: float) -> Piece:
+        def do() -> None:
+            if name == self.kill_at:
+                raise Killed
+            self.now += takes
+            self.made.append(name)
+
+        return Piece(name, cost, lambda: name in self.made, do)
+
+    def run(self, pieces: list[Piece], **options: object) -> None:
+        carry_out(pieces, tell=self.told.append, clock=lambda: self.now, **options)
+
+
+def test_pieces_are_done_in_order_and_a_killed_plan_goes_on():
+    bench = Bench(kill_at="third")
+    pieces = [bench.piece(name, 1.0, 1.0) for name in ("first", "second", "third", "fourth")]
+    with pytest.raises(Killed):
+        bench.run(pieces)
+    assert bench.made == ["first", "second"]
+    bench.kill_at = ""
+    bench.run(pieces)
+    assert bench.made == ["first", "second", "third", "fourth"]
+    assert sum("first: there" in line for line in bench.told) == 1
+
+
+def test_time_left_follows_the_pace_so_far_and_counts_what_comes_later():
+    bench = Bench()
+    bench.run([bench.piece("a", 10.0, 30.0), bench.piece("b", 20.0, 60.0)], later=[bench.piece("c", 40.0, 0.0)])
+    assert "[1/3] a; about 70 s left" in bench.told
+    assert "[2/3] b; about 3 min left" in bench.told  # 60 of cost at a third of the pace
+
+
+def test_what_is_there_takes_no_time():
+    bench = Bench()
+    bench.made = ["a"]
+    bench.run([bench.piece("a", 1000.0, 1.0), bench.piece("b", 5.0, 5.0)], before=2)
+    assert bench.told[0] == "[3/4] a: there"
+    assert bench.told[1] == "[4/4] b; about 5 s left"
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (89.0, "89 s"), (90.0, "2 min"), (7200.0, "2.0 h")])
+def test_times_are_said_as_people_do(seconds, text):
+    assert said(seconds) == text

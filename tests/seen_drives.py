@@ -1,0 +1,48 @@
+"""Datasets with random visual features by distance, made in a moment."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from factories import circle_rows, small_rig
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.extract import Rows
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
+from offpiste.mapping.terrain import TerrainMap
+
+FEATURES = 6
+PARTS = ("train", "train", "validation", "test")
+VALID = np.array([1.0, 0.99, 0.99, 0.99, 0.98, 0.9, 0.6, 0.2])
+
+
+def seen_rows(rows: int, rng: np.random.Generator, **circle: float) -> Rows:
+    """A circle whose cells, three rows long, look different from every distance."""
+    driven = circle_rows(rows, seed=int(rng.integers(1000)), **circle)
+    index = (4 * (np.arange(rows) // 3)[:, None] + np.arange(4)).astype(np.int32)
+    shape = (len(FEATURE_SETS), int(index.max()) + 1)
+    look = rng.normal(size=(1, shape[1], FEATURES)) + 0.3 * rng.normal(size=(*shape, FEATURES))
+    valid = rng.random(shape) < VALID[:, None]
+    away = rng.uniform(1, 40, shape).astype(np.float32)
+    look = np.where(valid[..., None], look, np.nan).astype(np.float16)
+    normal = np.repeat(driven.normal, len(FEATURE_SETS), axis=0)
+    return replace(driven, normal=normal, cells=Cells(index, look, valid, away, np.zeros_like(away)))
+
+
+def seen_dataset(path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0) -> Dataset:
+    """Some drives, each in one part, with a map of random looks."""
+    rng = np.random.default_rng(seed)
+    names = [f"circle-{number}" for number in range(len(parts))]
+    listed = path.with_suffix(".txt")
+    listed.write_text("".join(f"{name} {part}\n" for name, part in zip(names, parts, strict=True)))
+    split = parse_split(f"drives:{listed}")
+    create(path, small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
+    for name in names:
+        driven = seen_rows(rows, rng, speed=float(rng.uniform(3, 6)))
+        looks = rng.normal(size=(100, 100, FEATURES)).astype(np.float32)
+        terrain = TerrainMap(driven.origin - 20.0, 0.4, np.zeros((100, 100), np.float32), looks)
+        add_drive(path, name, driven, split, (), terrain)
+    return open_dataset(path)
