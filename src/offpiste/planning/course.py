@@ -1,0 +1,170 @@
+"""What the cost of driving reads at a place: hazards and speed limits of the ground, and the course, as one raster."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from offpiste.mapping.layers import TerrainLayers
+
+LAYERS: Final = ("hazard", "speed_limit", "distance", "direction_x", "direction_y", "target_speed")
+"""Cost of a wheel [1/s]; [m/s]; to the path [m]; along it, a unit vector; along it [m/s]."""
+
+
+@dataclass(frozen=True)
+class Hazards:
+    """How dear the ground is under a wheel.
+
+    Attributes:
+        obstacle: cost [1/s] of cells within `margin` of anything higher than `height`.
+        height: [m].
+        margin: of the wheels' centres; half the track covers what lies between the wheels [m].
+        unknown: cost of cells of which nothing is known, and off the map [1/s].
+        steep: cost per rise over run above `steepest` [1/s].
+        steepest: [m per m].
+        bump: vertical acceleration that is accepted [m/s^2].
+        bump_length: wavelength of the bumps that roughness is made of [m].
+    """
+
+    obstacle: float = 1000.0
+    height: float = 0.25
+    margin: float = 0.8
+    unknown: float = 5.0
+    steep: float = 200.0
+    steepest: float = 0.45
+    bump: float = 6.0
+    bump_length: float = 3.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where to go: along a path, or (with `toward`) to a goal.
+
+    Attributes:
+        path: x, y of points along it [m].
+        speed: wanted at each of them [m/s].
+    """
+
+    path: Float[np.ndarray, "P 2"]
+    speed: Float[np.ndarray, " P"]
+
+
+@dataclass(frozen=True)
+class CostMap:
+    """`LAYERS` at cell centres; row j lies at y = origin[1] + j resolution, column i alike in x.
+
+    Attributes:
+        origin: of cell [0, 0] in the world frame [m] (float64).
+        resolution: size of a cell [m].
+        layers: never NaN; speed limits may be infinite.
+        outside: the hazard off the map [1/s].
+    """
+
+    origin: Float[Tensor, " 2"]
+    resolution: float
+    layers: Float[Tensor, "ny nx 6"]
+    outside: float
+
+    def at(self, place: Float[Tensor, "*P 2"], offset: Float[Tensor, " 2"]) -> Float[Tensor, "*P 6"]:
+        """Layers of the nearest cell; off the map those of its border, but for the hazard and no speed limit.
+
+        The distance is NaN where the place is not finite.
+
+        Args:
+            place: x, y [m].
+            offset: of the frame of `place` in the world frame [m] (float64).
+        """
+        ny, nx, _ = self.layers.shape
+        cell = (place + (offset - self.origin).to(place.dtype)) * (1 / self.resolution)
+        limit = cell.new_tensor([nx - 1, ny - 1])
+        inside = ((cell > -0.5) & (cell < limit + 0.5)).all(dim=-1)
+        nearest = torch.minimum(cell.nan_to_num().clamp(min=0), limit).round().long()
+        found = self.layers[nearest[..., 1], nearest[..., 0]].to(place.dtype)
+        found[..., 0] = torch.where(inside, found[..., 0], self.outside)
+        found[..., 1] = torch.where(inside, found[..., 1], torch.inf)
+        found[..., 2] += (place - place).sum(dim=-1)
+        return found
+
+
+def cost_map(ground: TerrainLayers, course: Course, hazards: Hazards) -> CostMap:
+    """The raster of a map and a course, on the map's grid."""
+    layers = np.concatenate((hazard_layers(ground, hazards), course_layers(ground, course)), axis=-1)
+    return CostMap(
+        torch.as_tensor(ground.origin, dtype=torch.float64),
+        ground.resolution,
+        torch.from_numpy(layers.astype(np.float32)),
+        hazards.unknown,
+    )
+
+
+def hazard_layers(ground: TerrainLayers, hazards: Hazards) -> Float[np.ndarray, "ny nx 2"]:
+    """Hazard [1/s] and speed limit [m/s] of cells."""
+    tall = np.nan_to_num(ground.obstacle_height) > hazards.height
+    near = np.zeros_like(tall)
+    if tall.any():
+        near = distance_transform_edt(~tall, sampling=ground.resolution) <= hazards.margin
+    steep = hazards.steep * np.maximum(np.nan_to_num(ground.slope) - hazards.steepest, 0)
+    hazard = np.where(near, hazards.obstacle, 0) + steep + np.where(ground.known, 0, hazards.unknown)
+    limit = speed_limit(ground.roughness, hazards.bump, hazards.bump_length)
+    return np.stack((hazard, limit), axis=-1)
+
+
+def speed_limit(roughness: Float[np.ndarray, "*P"], acceleration: float, wavelength: float) -> Float[np.ndarray, "*P"]:
+    """The speed at which a wheel on a sine of this root mean square has this vertical acceleration at its peaks.
+
+    sqrt(2) roughness (2 pi v / wavelength)^2 = acceleration. Infinite on smooth ground and where roughness is unknown.
+
+    Args:
+        roughness: root mean square [m].
+        acceleration: [m/s^2].
+        wavelength: [m].
+    """
+    amplitude = np.sqrt(2) * np.nan_to_num(roughness)
+    with np.errstate(divide="ignore"):
+        return wavelength / (2 * np.pi) * np.sqrt(acceleration / amplitude)
+
+
+def course_layers(ground: TerrainLayers, course: Course) -> Float[np.ndarray, "ny nx 4"]:
+    """Distance to the path, its direction and its speed where it is nearest to each cell (to a quarter of a cell)."""
+    ny, nx = ground.known.shape
+    x = ground.origin[0] + ground.resolution * np.arange(nx)
+    y = ground.origin[1] + ground.resolution * np.arange(ny)
+    cells = np.stack(np.meshgrid(x, y), axis=-1)
+    dense = densified(course, spacing=ground.resolution / 2)
+    distance, nearest = cKDTree(dense.path).query(cells)
+    step = np.gradient(dense.path, axis=0)
+    direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
+    return np.concatenate((distance[..., None], direction[nearest], dense.speed[nearest][..., None]), axis=-1)
+
+
+def densified(course: Course, spacing: float) -> Course:
+    """The same course with a point every `spacing` [m], straight between those given."""
+    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(course.path, axis=0), axis=-1))))
+    at = np.linspace(0, length[-1], max(int(np.ceil(length[-1] / spacing)) + 1, 2))
+    x, y = (np.interp(at, length, column) for column in course.path.T)
+    return Course(np.stack((x, y), axis=-1), np.interp(at, length, course.speed))
+
+
+def toward(
+    ground: TerrainLayers, goal: Float[np.ndarray, " 2"], speed: float, *, braking: float = 2.0
+) -> Float[np.ndarray, "ny nx 4"]:
+    """Layers like those of a path, for a goal: everywhere straight to it, slowing down to stop there.
+
+    Args:
+        goal: x, y in the world frame [m].
+        speed: far from the goal [m/s].
+        braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
+    """
+    ny, nx = ground.known.shape
+    x = goal[0] - ground.origin[0] - ground.resolution * np.arange(nx)
+    y = goal[1] - ground.origin[1] - ground.resolution * np.arange(ny)
+    there = np.stack(np.meshgrid(x, y), axis=-1)
+    distance = np.linalg.norm(there, axis=-1)
+    direction = there / np.maximum(distance, 1e-9)[..., None]
+    wanted = np.minimum(speed, np.sqrt(2 * braking * distance))
+    return np.concatenate((np.zeros_like(distance)[..., None], direction, wanted[..., None]), axis=-1)
