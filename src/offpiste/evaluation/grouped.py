@@ -40,7 +40,7 @@ def grouped_boxes(
     top = top or whisker_top(groups)
     names = list(dict.fromkeys(name for models in groups.values() for name in models))
     wide = sum(len(models) for models in groups.values())
-    figure, axes = plain_axes(1.6 + 0.62 * wide + 0.35 * len(groups), 4.4, title)
+    figure, axes = plain_axes(1.6 + (0.62 if wide < 8 else 0.46) * wide + 0.3 * len(groups), 4.4, title)
     place, ticks = 0.0, []
     for models in groups.values():
         places = place + np.arange(len(models))

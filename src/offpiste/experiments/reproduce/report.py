@@ -50,7 +50,9 @@ def write_figure(asked: Reproduction, work: Work, found: Findings) -> TextTable:
     sections += [_shown(folder, name, figure, pictures.caption(name)) for name, figure in drawn.items()]
     wanted = [tables.error_table(metrics.results), tables.difference_table(found), tables.seed_table(found)]
     if asked.figure == "fig4":
-        wanted += [tables.distance_table(found, name) for name in tables.NAMES if name != "vy_error_mps"]
+        wanted += [
+            tables.distance_table(found, metrics.results, name) for name in tables.NAMES if name != "vy_error_mps"
+        ]
         wanted.append(tables.seen_table(found, dataset))
     sections += [section_html(table) for table in wanted if table.lines]
     if asked.figure == "fig4":

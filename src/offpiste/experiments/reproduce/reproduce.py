@@ -40,10 +40,11 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
     chosen = members(asked.figure, len(work.dataset.features))
     found_ways = ways(asked.figure, mapped=mapped(work.dataset))
     pieces = model_pieces(asked, chosen, found_ways, driven_in(work.dataset), lambda: work)
-    said: list[object] = []
+    said: list[str] = []
 
     def report() -> None:
-        said.append(write_figure(asked, work, gather(asked, chosen, found_ways)).rich())
+        claims = write_figure(asked, work, gather(asked, chosen, found_ways))
+        said.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
 
     carry_out([*pieces, Piece("report", REPORT_COST, lambda: False, report)], before=len(data), tell=tell)
     for line in said:

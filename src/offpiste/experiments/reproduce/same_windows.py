@@ -72,22 +72,23 @@ def turned(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> F
 def draw_same(found: SameWindows) -> Figure:
     """A line of panels a model, a column a window; heading up, a colour a distance."""
     labels, count = list(found.predicted), len(found.names)
-    figure = Figure(figsize=(1.6 + 1.35 * count, 0.8 + 2.5 * len(labels)), dpi=110, layout="constrained")
+    figure = Figure(figsize=(0.8 + 1.5 * count, 0.9 + 2.05 * len(labels)), dpi=110, layout="constrained")
     panels = figure.subplots(len(labels), count, squeeze=False)
     colours = _colours(list(next(iter(found.predicted.values()))))
     for line, label in zip(panels, labels, strict=True):
         for number, axes in enumerate(line):
             paths = {name: path[number] for name, path in found.predicted[label].items()}
-            for name, path in paths.items():
+            for name, path in reversed(paths.items()):  # hindsight lies on top
                 _path(axes, path, colours[name], 1.1, name if name == "hindsight" else f"{name} m")
             _path(axes, found.recorded[number], "black", 1.6, "recorded")
             axes.plot(0, 0, marker="^", color="black", markersize=5)
             _frame(axes, found, number)
-            if line is panels[0]:
-                axes.set_title(found.names[number], fontsize=7)
         line[0].set_ylabel(f"{label}\nahead [m]", fontsize=9)
+    for axes, name in zip(panels[0], found.names, strict=True):
+        axes.set_title(name, fontsize=7)
     handles, names = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False, fontsize=8)
+    columns = min(len(names), count + 1)
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=8)
     return figure
 
 

@@ -69,10 +69,10 @@ def seed_table(found: Findings) -> TextTable:
     return TextTable("Seeds", ("model", "distance error [%]", "loss [%]"), tuple(lines), about)
 
 
-def distance_table(found: Findings, quantity: str) -> TextTable:
+def distance_table(found: Findings, results: Sequence[ResultRow], quantity: str) -> TextTable:
     """A mean error by the distance that features were seen from, and relative to `b`'s with the normals seen then."""
     sets = [name for name in FEATURE_SETS if ("recorded", name) in found.ways]
-    rows = {row.way: row for row in last_rows(found.rows())}
+    rows = {row.way: row for row in last_rows(results)}
     lines = []
     for member in found.members:
         mine = [rows[_way(member.label, name)] for name in sets]
