@@ -14,7 +14,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.mapping.terrain import TerrainMap
 
-FEATURES = 6
+FEATURES = 5
 PARTS = ("train", "train", "validation", "test")
 VALID = np.array([1.0, 0.99, 0.99, 0.99, 0.98, 0.9, 0.6, 0.2])
 

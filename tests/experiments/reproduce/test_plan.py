@@ -2,7 +2,7 @@
 
 import pytest
 
-from offpiste.experiments.reproduce.plan import Piece, carry_out, said
+from offpiste.experiments.reproduce.plan import Piece, append_time, carry_out, said, times_by_kind
 
 
 class Killed(BaseException):
@@ -54,6 +54,15 @@ def test_what_is_there_takes_no_time():
     bench.run([bench.piece("a", 1000.0, 1.0), bench.piece("b", 5.0, 5.0)], before=2)
     assert bench.told[0] == "[3/4] a: there"
     assert bench.told[1] == "[4/4] b; about 5 s left"
+
+
+def test_what_pieces_took_is_kept_and_summed_by_kind(tmp_path):
+    file = tmp_path / "pieces.jsonl"
+    assert times_by_kind(file) == {}
+    bench = Bench()
+    pieces = [bench.piece(name, 1.0, takes) for name, takes in (("train a", 3.0), ("judge a", 1.0), ("train b", 4.0))]
+    bench.run(pieces, record=lambda name, seconds: append_time(file, name, seconds))
+    assert times_by_kind(file) == {"train": 7.0, "judge": 1.0}
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (89.0, "89 s"), (90.0, "2 min"), (7200.0, "2.0 h")])

@@ -1,8 +1,10 @@
 """A long experiment as pieces: each is done whole and once, and a person sees how much is left."""
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ def carry_out(
     before: int = 0,
     later: Sequence[Piece] = (),
     tell: Callable[[str], None],
+    record: Callable[[str, float], None] = lambda name, seconds: None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
     """Do what is not done yet, in order.
@@ -35,6 +38,7 @@ def carry_out(
     Args:
         before: pieces that came first.
         later: pieces that come afterwards; they count for the time left.
+        record: is told what each piece took [s].
     """
     total, began, spent = before + len(pieces) + len(later), clock(), 0.0
     for number, piece in enumerate(pieces):
@@ -48,7 +52,25 @@ def carry_out(
         started = clock()
         piece.do()
         spent += piece.cost
+        record(piece.name, clock() - started)
         tell(f"{' ' * len(place.partition(']')[0])}  done in {said(clock() - started)}")
+
+
+def append_time(path: Path, name: str, seconds: float) -> None:
+    """Note what a piece took; one that was interrupted is noted only from where it went on."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"piece": name, "seconds": round(seconds, 1)}) + "\n")
+
+
+def times_by_kind(path: Path) -> dict[str, float]:
+    """Seconds spent by the first word of pieces' names: simulate, train, ..."""
+    spent: dict[str, float] = {}
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    for line in lines:
+        piece = json.loads(line)
+        kind = piece["piece"].split()[0]
+        spent[kind] = spent.get(kind, 0.0) + piece["seconds"]
+    return spent
 
 
 def said(seconds: float) -> str:

@@ -16,6 +16,7 @@ from offpiste.evaluation.results import LossUnits
 from offpiste.experiments.reproduce import claims, pictures, tables
 from offpiste.experiments.reproduce.judged import PART
 from offpiste.experiments.reproduce.models import PCA_SWEPT, Member
+from offpiste.experiments.reproduce.plan import said, times_by_kind
 from offpiste.experiments.reproduce.results import FigureMetrics, Findings
 from offpiste.experiments.reproduce.same_windows import draw_same, predict_same
 from offpiste.experiments.reproduce.settings import Reproduction
@@ -44,9 +45,9 @@ def write_figure(asked: Reproduction, work: Work, found: Findings) -> TextTable:
     stored = len(dataset.features)
     seen = covered(dataset) if asked.figure == "fig4" else None
     metrics = _metrics(asked, work, found, seen)
-    said = claims.fig3_claims(found, stored) if asked.figure == "fig3" else claims.fig4_claims(found)
+    compared = claims.fig3_claims(found, stored) if asked.figure == "fig3" else claims.fig4_claims(found)
     drawn = pictures.fig3(found, stored) if asked.figure == "fig3" else pictures.fig4(found)
-    sections = [section_html(said)]
+    sections = [section_html(compared)]
     sections += [_shown(folder, name, figure, pictures.caption(name)) for name, figure in drawn.items()]
     wanted = [tables.error_table(metrics.results), tables.difference_table(found), tables.seed_table(found)]
     if asked.figure == "fig4":
@@ -66,7 +67,7 @@ def write_figure(asked: Reproduction, work: Work, found: Findings) -> TextTable:
     page = page_html(title, claims.sentences(found, main), _facts(asked, work, metrics), sections)
     write_text(folder / "report.html", page)
     write_text(folder / "metrics.json", msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
-    return said
+    return compared
 
 
 def _shown(folder: Path, name: str, figure: Figure, caption: str) -> str:
@@ -122,12 +123,19 @@ def _facts(asked: Reproduction, work: Work, metrics: FigureMetrics) -> dict[str,
         "split": f"{dataset.split.text}; {100 * share_driven_in_training(dataset, PART):.0f} % of the test path lies "
         "within 5 m of training's",
         "driven": f"{driven.train:.0f} s to train, {driven.validation:.0f} s to validate, {driven.test:.0f} s to test",
-        "judged": ", ".join(f"{number} windows {way}" for way, number in metrics.windows.items()),
+        "judged": ", ".join(f"{number} windows of 5 s {where}" for where, number in _judged(metrics).items()),
         "training": f"{train.epochs} epochs, batch {train.batch}, a window every {train.stride} rows; best epoch by "
         "validation",
         "seeds": ", ".join(f"{label}: {' '.join(map(str, seeds))}" for label, seeds in metrics.seeds.items()),
+        "spent": ", ".join(f"{kind} {said(time)}" for kind, time in times_by_kind(asked.times).items()),
         "date": metrics.made.date,
         "machine": metrics.made.machine,
         "command": metrics.made.command,
         "versions": ", ".join(f"{name} {version}" for name, version in metrics.made.versions.items()),
     }
+
+
+def _judged(metrics: FigureMetrics) -> dict[str, int]:
+    """Windows at recorded places, the same for all feature sets, and on the map."""
+    kinds = {"recorded": "at recorded places", "map": "on the map"}
+    return {kinds[way.split()[0]]: number for way, number in metrics.windows.items()}

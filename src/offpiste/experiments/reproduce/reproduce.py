@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from offpiste.errors import RunError
 from offpiste.experiments.reproduce.data import data_pieces, expected_features, open_checked
 from offpiste.experiments.reproduce.judged import mapped, ways
 from offpiste.experiments.reproduce.models import members
-from offpiste.experiments.reproduce.plan import Piece, carry_out
+from offpiste.experiments.reproduce.plan import Piece, append_time, carry_out
 from offpiste.experiments.reproduce.report import write_figure
 from offpiste.experiments.reproduce.results import gather
 from offpiste.experiments.reproduce.settings import Reproduction
@@ -35,7 +36,8 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
     data = data_pieces(asked, tell)
     planned = _plan(asked, expected_features(asked), data)
     _claim(asked)
-    carry_out(data, later=planned, tell=tell)
+    record = partial(append_time, asked.times)
+    carry_out(data, later=planned, tell=tell, record=record)
     work = Work(asked, open_checked(asked))
     chosen = members(asked.figure, len(work.dataset.features))
     found_ways = ways(asked.figure, mapped=mapped(work.dataset))
@@ -46,7 +48,8 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
         claims = write_figure(asked, work, gather(asked, chosen, found_ways))
         said.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
 
-    carry_out([*pieces, Piece("report", REPORT_COST, lambda: False, report)], before=len(data), tell=tell)
+    pieces.append(Piece("report", REPORT_COST, lambda: False, report))
+    carry_out(pieces, before=len(data), tell=tell, record=record)
     for line in said:
         tell(line)
     page = asked.out / asked.figure / "report.html"

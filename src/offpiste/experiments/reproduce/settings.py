@@ -101,6 +101,11 @@ class Reproduction:
         """Folder of the trained models."""
         return self.out / "runs"
 
+    @property
+    def times(self) -> Path:
+        """What each piece took, a line of JSON each."""
+        return self.out / "pieces.jsonl"
+
     def described(self) -> dict[str, Any]:
         """What must be the same for pieces in `out` to be used again."""
         if self.dataset is not None:

@@ -17,7 +17,7 @@ from offpiste.experiments.reproduce.plan import Piece
 from offpiste.experiments.reproduce.results import BASELINE
 from offpiste.experiments.reproduce.settings import Reproduction
 from offpiste.experiments.shared_stages import reuse_stages
-from offpiste.training.run import load_run
+from offpiste.training.run import load_run, refuse_seen
 from offpiste.training.train import train
 
 WINDOW_SECONDS, READING = 0.5e-3, 1.8
@@ -68,6 +68,7 @@ class Work:
     def judge(self, member: Member, seed: int, ways: Sequence[Way]) -> None:
         """Judge a run in the ways that are missing."""
         run = load_run(self.asked.runs / member.folder(seed), device=self.asked.device)
+        refuse_seen(run, self.dataset, PART)
         for way in ways:
             if not errors_path(run.folder, way).exists():
                 judge(run, self.windows, way, self.asked.size, self.scale)
