@@ -11,16 +11,16 @@ from offpiste.planning.course import Course, Hazards, cost_map
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
 
 
-def layers(cells=81, resolution=0.5, *, slope=(0.0, 0.0), channels=2, **changed):
+def layers(cells=81, resolution=0.5, *, plane=(0.0, 0.0), channels=2, **changed):
     """A plane around the world's origin, all of it known."""
     at = resolution * (np.arange(cells) - cells // 2)
     x, y = np.meshgrid(at, at)
-    normal = np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+    normal = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
     shape = (cells, cells)
     parts = {
-        "elevation": slope[0] * x + slope[1] * y,
+        "elevation": plane[0] * x + plane[1] * y,
         "normal": np.tile(normal.astype(np.float32), (*shape, 1)),
-        "slope": np.full(shape, np.hypot(*slope), np.float32),
+        "slope": np.full(shape, np.hypot(*plane), np.float32),
         "roughness": np.zeros(shape, np.float32),
         "obstacle_height": np.zeros(shape, np.float32),
         "features": np.zeros((*shape, channels), np.float32),

@@ -55,7 +55,7 @@ def test_a_bend_that_would_roll_the_vehicle_over():
 
 
 def test_a_side_slope_that_would_roll_the_vehicle_over_from_either_side():
-    at = situation(layers(slope=(0.0, 0.8)))
+    at = situation(layers(plane=(0.0, 0.8)))
     for yaw, rolls in ((0.0, True), (math.pi, True), (math.pi / 2, False)):
         found = terms_of(moving(yaw=yaw, vx=0.0), at, Weights(lateral_limit=0.7))
         assert bool((found.rollover > 0).all()) is rolls

@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
+from offpiste.mapping.lookup import Encode, MapTerrain
+from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
 from offpiste.trajectory import Carry, TerrainSource, Trajectory
 
@@ -23,6 +26,29 @@ def model_costs(
 
     def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
         return cost(rollout(dynamics, spread_carry(carry, len(controls)), controls, source), controls)
+
+    return cost_of
+
+
+def driving_costs(
+    dynamics: Dynamics, carry: Carry, situation: Situation, weights: Weights, encode: Encode | None = None
+) -> CostOf:
+    """Costs of driving on the situation's map.
+
+    Args:
+        carry: the start, a batch of one, in `situation.state`.
+        encode: of the map's features; None for models without features.
+    """
+
+    def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
+        number = torch.zeros(len(controls), dtype=torch.long, device=controls.device)
+        offset = situation.offset.expand(len(controls), 2)
+        source = MapTerrain(situation.ground, number, offset, situation.wheels, encode)
+
+        def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
+            return driving_cost(trajectory, controls, situation, weights)
+
+        return model_costs(dynamics, carry, source, cost)(controls)
 
     return cost_of
 

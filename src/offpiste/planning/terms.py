@@ -2,7 +2,8 @@
 
 Like the physics (`dynamics.bicycle`) they are written once. With torch's `maximum` and tensors they are the reference;
 Numba compiles the same functions into the fused kernel with its own. Hence arithmetic only, and no numbers: a literal
-would make float32 lanes float64. What is not finite makes the cost not finite, and the trajectory infinitely dear.
+would make float32 lanes float64; x - x is 0, or NaN. What is not finite makes the cost not finite, and the trajectory
+infinitely dear.
 """
 
 from collections.abc import Callable
@@ -12,11 +13,6 @@ Scalar = Any
 """A number or a tensor of any shape."""
 
 Maximum = Callable[[Scalar, Scalar], Scalar]
-
-
-def excess(value: Scalar, limit: Scalar, maximum: Maximum) -> Scalar:
-    """How far a value lies above a limit; 0 below."""
-    return maximum(value - limit, value - value)
 
 
 def path_term(distance: Scalar, weight: Scalar) -> Scalar:
@@ -59,7 +55,7 @@ def overspeed_term(vx: Scalar, limit: Scalar, weight: Scalar, maximum: Maximum) 
         vx, limit: [m/s]; the limit may be infinite.
         weight: [1/s per (m/s)^2].
     """
-    above = excess(maximum(vx, -vx), limit, maximum)
+    above = maximum(maximum(vx, -vx) - limit, vx - vx)
     return weight * above * above
 
 
@@ -92,7 +88,7 @@ def rollover_term(ratio: Scalar, limit: Scalar, weight: Scalar, maximum: Maximum
         limit: that is still safe, e.g. 0.7 of the static stability factor.
         weight: [1/s].
     """
-    return weight * (ratio > limit) + weight * excess(ratio, limit, maximum)
+    return weight * (ratio > limit) + weight * maximum(ratio - limit, ratio - ratio)
 
 
 def effort_term(control: Scalar, weight: Scalar) -> Scalar:
