@@ -1,0 +1,274 @@
+"""A training step of `dc`, against plain eager torch with the encoder on every row, side by side in one run.
+
+`python benchmarks/train.py DATASET [--threads 2] [--no-compile]` on a dataset with visual features. Two tables: the
+recurrent part alone (forward and backward) by kernels, by eager torch and by torch.compile of a step; and whole steps
+of the optimiser by part. From them, what training of the paper's size would take here. All ways take turns, so that
+what else the machine does touches them alike. Medians of wall clock and, in brackets, of processor time [ms].
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from torch import Tensor, nn
+
+from offpiste.dataset.store import open_dataset
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Hybrid, Kinematic, rollout
+from offpiste.dynamics.base import Step
+from offpiste.dynamics.kernels.function import rollout_recorded
+from offpiste.training.config import TrainConfig
+from offpiste.training.drawing import per_trajectory
+from offpiste.training.ground import encoded
+from offpiste.training.losses import summed_loss
+from offpiste.training.run import build, vehicle_of
+from offpiste.training.train import kinematic_scale, standardise
+from offpiste.trajectory import Carry, RecordedTerrain, Terrain, Trajectory
+
+Mark = Callable[[str], None]
+"""Says that the part of this name has just ended."""
+
+Rollout = Callable[[Carry, Batch], Trajectory]
+
+PAPER = {"windows": 2_000_000, "judged": 250_000, "epochs": 30}
+"""Section "Training" of the paper."""
+
+PARTS = ("gather", "encode", "rollout", "loss", "backward", "optimiser")
+
+
+@dataclass(frozen=True)
+class Timed:
+    """Median times of a part [ms]."""
+
+    wall: float
+    processor: float
+
+    def __str__(self) -> str:
+        return f"{self.wall:8.0f} ({self.processor:5.0f})"
+
+
+def in_turn(ways: dict[str, Callable[[Mark], None]], repeats: int) -> dict[str, dict[str, Timed]]:
+    """Times of every part of every way; a first turn is not counted."""
+    found: dict[str, dict[str, list[tuple[float, float]]]] = {name: {} for name in ways}
+    for turn in range(repeats + 1):
+        for name, way in ways.items():
+            before = [time.perf_counter(), time.process_time()]
+
+            def mark(part: str, name: str = name, before: list[float] = before, counted: bool = turn > 0) -> None:
+                now = [time.perf_counter(), time.process_time()]
+                if counted:
+                    found[name].setdefault(part, []).append((now[0] - before[0], now[1] - before[1]))
+                before[:] = now
+
+            way(mark)
+    return {
+        name: {
+            part: Timed(*(1e3 * statistics.median(t) for t in zip(*times, strict=True))) for part, times in of.items()
+        }
+        for name, of in found.items()
+    }
+
+
+def total(parts: Iterable[Timed]) -> Timed:
+    """Of all parts together."""
+    listed = list(parts)
+    return Timed(sum(t.wall for t in listed), sum(t.processor for t in listed))
+
+
+def by_kernel(model: Hybrid) -> Rollout:
+    """What training does."""
+    return lambda carry, batch: rollout_recorded(model, carry, batch.control, batch.terrain)
+
+
+def by_eager(model: Hybrid) -> Rollout:
+    """Plain torch."""
+    return lambda carry, batch: rollout(model, carry, batch.control, RecordedTerrain(batch.terrain))
+
+
+def by_compiled(model: Hybrid) -> Rollout:
+    """torch.compile of one step, called for each."""
+    compiled: list[Step] = []
+
+    def roll(carry: Carry, batch: Batch) -> Trajectory:
+        if not compiled:
+            torch._dynamo.config.cache_size_limit = 64
+            compiled.append(torch.compile(lambda *given: model.stepper()(*given), dynamic=False))
+        states, actuators = [], []
+        for t, control in enumerate(batch.control.unbind(dim=1)):
+            carry = compiled[0](carry, control, Terrain(batch.terrain.normal[:, t], batch.terrain.latent[:, t]))
+            states.append(carry.state)
+            actuators.append(carry.actuators)
+        return Trajectory(torch.stack(states, dim=1), torch.stack(actuators, dim=1))
+
+    return roll
+
+
+def recurrent(model: Hybrid, batch: Batch, roll: Rollout) -> Callable[[Mark], None]:
+    """Forward and backward of the rollout alone."""
+
+    def way(mark: Mark) -> None:
+        model.zero_grad()
+        latent = batch.terrain.latent.detach().requires_grad_()
+        read = replace(batch, terrain=Terrain(batch.terrain.normal, latent))
+        with torch.no_grad():
+            carry = model.start(batch.history, batch.state, batch.actuators)
+        carry = replace(carry, hidden=carry.hidden.requires_grad_(), cell=carry.cell.requires_grad_())
+        mark("start")
+        loss = roll(carry, read).state[..., 3:].square().mean()
+        mark("forward")
+        loss.backward()  # type: ignore[no-untyped-call]
+        mark("backward")
+
+    return way
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """Steps of the optimiser."""
+
+    model: Hybrid
+    windows: Windows
+    scale: Tensor
+    optimiser: torch.optim.Adam
+    batch: int
+    rng: np.random.Generator
+
+    def step(self, mark: Mark, encode: Callable[[Hybrid, Batch], Batch], roll: Rollout) -> None:
+        """One step, from the windows on disk to new weights."""
+        index = self.rng.choice(len(self.windows), self.batch, replace=len(self.windows) < self.batch)
+        views = per_trajectory(self.rng, self.batch, self.windows.horizon, self.windows.sets)
+        batch = self.windows.gather(index, views)
+        mark("gather")
+        batch = encode(self.model, batch)
+        mark("encode")
+        trajectory = roll(self.model.start(batch.history, batch.state, batch.actuators), batch)
+        mark("rollout")
+        loss = summed_loss(trajectory.state, batch.target, self.scale, torch.ones(5)).mean()
+        mark("loss")
+        self.optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        mark("backward")
+        nn.utils.clip_grad_norm_([p for g in self.optimiser.param_groups for p in g["params"]], 1.0)
+        self.optimiser.step()
+        mark("optimiser")
+
+    def judge(self, mark: Mark) -> None:
+        """What judging a batch of windows takes."""
+        with torch.no_grad():
+            index = self.rng.choice(len(self.windows), self.batch, replace=len(self.windows) < self.batch)
+            batch = encoded(self.model, self.windows.gather(index))
+            by_kernel(self.model)(self.model.start(batch.history, batch.state, batch.actuators), batch)
+        mark("judge")
+
+
+def encoded_by_row(model: Hybrid, batch: Batch) -> Batch:
+    """Every wheel at every row is encoded, as without cells."""
+    assert batch.ground is not None
+    assert model.encoder is not None
+    rows = torch.cat((batch.ground.past, batch.ground.ahead), dim=1)
+    codes = model.encoder(batch.ground.features[rows.flatten()], batch.ground.valid[rows.flatten()])
+    past, ahead = codes.unflatten(0, rows.shape).split((batch.ground.past.shape[1], batch.ground.ahead.shape[1]), dim=1)
+    before = Terrain(batch.history.terrain.normal, past)
+    return replace(batch, history=replace(batch.history, terrain=before), terrain=Terrain(batch.terrain.normal, ahead))
+
+
+def make_trainer(dataset_path: Path, batch: int) -> Trainer:
+    """A `dc` with weights that are not at rest, on the training windows of a dataset."""
+    dataset = open_dataset(dataset_path)
+    windows = Windows(dataset, "train")
+    vehicle = vehicle_of(dataset)
+    model = build("dc", vehicle, seed=0)
+    assert isinstance(model, Hybrid)
+    model.actuators.requires_grad_(False)
+    standardise(model, windows)
+    torch.manual_seed(0)
+    nn.init.normal_(model.compensator.output[-1].weight, std=0.02)
+    scale = kinematic_scale(Kinematic(vehicle), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
+    optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-4)
+    return Trainer(model, windows, scale, optimiser, batch, np.random.default_rng(0))
+
+
+def recurrent_table(trainer: Trainer, compiles: bool, repeats: int) -> str:
+    """The rollout alone."""
+    model = trainer.model
+    with torch.no_grad():
+        index = trainer.rng.choice(len(trainer.windows), trainer.batch)
+        batch = encoded(model, trainer.windows.gather(index))
+    ways = {"kernel": recurrent(model, batch, by_kernel(model)), "eager": recurrent(model, batch, by_eager(model))}
+    lines = []
+    if compiles:
+        compiled = recurrent(model, batch, by_compiled(model))
+        began = time.perf_counter()
+        try:
+            compiled(lambda part: None)
+            ways["torch.compile"] = compiled
+            lines.append(f"torch.compile of a step took {time.perf_counter() - began:.0f} s")
+        except Exception as error:  # noqa: BLE001  (whatever a compiler may say)
+            lines.append(f"torch.compile fails: {str(error).splitlines()[0]}")
+    found = in_turn(ways, repeats)
+    best = total(found["kernel"][part] for part in ("forward", "backward"))
+    lines.append(f"{'recurrent part':16}{'forward':>16}{'backward':>16}   to the kernel: wall, processor")
+    for name, parts in found.items():
+        both = total(parts[part] for part in ("forward", "backward"))
+        ratios = f"{both.wall / best.wall:8.1f} {both.processor / best.processor:8.1f}"
+        lines.append(f"{name:16}{parts['forward']!s:>16}{parts['backward']!s:>16}   {ratios}")
+    return "\n".join(lines)
+
+
+def step_table(trainer: Trainer, repeats: int) -> str:
+    """Whole steps by part, and the paper's size from them."""
+    kernel, eager = by_kernel(trainer.model), by_eager(trainer.model)
+    found = in_turn(
+        {
+            "step": lambda mark: trainer.step(mark, encoded, kernel),
+            "plain": lambda mark: trainer.step(mark, encoded_by_row, eager),
+            "judge": trainer.judge,
+        },
+        repeats,
+    )
+    lines = [f"{'step of dc':16}{'here':>16}{'plain':>16}   ratio: wall, processor"]
+    rows = {part: (found["step"][part], found["plain"][part]) for part in PARTS}
+    rows["all"] = (total(found["step"].values()), total(found["plain"].values()))
+    for part, (mine, plain) in rows.items():
+        ratios = f"{plain.wall / mine.wall:8.1f} {plain.processor / mine.processor:8.1f}"
+        lines.append(f"{part:16}{mine!s:>16}{plain!s:>16}   {ratios}")
+    steps = PAPER["windows"] / trainer.batch * PAPER["epochs"]
+    for way, all_of in zip(("here", "plain"), rows["all"], strict=True):
+        hours = f"{steps * all_of.wall / 3.6e6:.1f} h (processor {steps * all_of.processor / 3.6e6:.1f} h)"
+        lines.append(f"paper size, {way}: {hours} for {PAPER['epochs']} epochs of 2M windows")
+    judge, batches = found["judge"]["judge"], PAPER["judged"] / trainer.batch
+    minutes = f"{batches * judge.wall / 6e4:.1f} min (processor {batches * judge.processor / 6e4:.1f} min)"
+    lines.append(f"judging 250k windows once: {minutes}")
+    return "\n".join(lines)
+
+
+def main(
+    dataset: tyro.conf.Positional[Path],
+    batch: int = 1024,
+    threads: int = 2,
+    repeats: int = 7,
+    compile: bool = True,
+) -> None:
+    """Print both tables.
+
+    Args:
+        dataset: with visual features.
+        batch: windows a step.
+        threads: of torch and of the kernels.
+        repeats: of everything; medians are printed.
+        compile: try torch.compile, too.
+    """
+    torch.set_num_threads(threads)
+    trainer = make_trainer(dataset, batch)
+    print(f"{batch} windows of {trainer.windows.horizon} steps, {threads} threads; median wall (processor) [ms]")
+    print(recurrent_table(trainer, compile, repeats), flush=True)
+    print(step_table(trainer, repeats))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
