@@ -47,7 +47,7 @@ SIZES = {
         images=40,
         snapshot_seconds=1.0,
         stride=25,
-        train=TrainConfig(epochs=6, bicycle_epochs=6, actuator_epochs=4),
+        train=TrainConfig(epochs=8, bicycle_epochs=8, actuator_epochs=4, batch=64),
         world_size=200.0,
         world_resolution=0.5,
     ),
@@ -56,7 +56,7 @@ SIZES = {
         (2400.0, 300.0, 900.0),
         snapshot_seconds=1.0,
         seeds=3,
-        train=TrainConfig(epochs=15, bicycle_epochs=8, batch=256),
+        train=TrainConfig(epochs=12, bicycle_epochs=8, batch=128),
     ),
     "paper": Size(
         "paper",
