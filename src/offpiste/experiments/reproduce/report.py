@@ -120,8 +120,7 @@ def _facts(asked: Reproduction, work: Work, metrics: FigureMetrics) -> dict[str,
     train = size.train
     return {
         "dataset": f"{dataset.path}, {len(dataset.drives)} drives, {stored} features{capped}",
-        "split": f"{dataset.split.text}; {100 * share_driven_in_training(dataset, PART):.0f} % of the test path lies "
-        "within 5 m of training's",
+        "split": f"{dataset.split.text}; {_seen_before(asked, work)}",
         "driven": f"{driven.train:.0f} s to train, {driven.validation:.0f} s to validate, {driven.test:.0f} s to test",
         "judged": ", ".join(f"{number} windows of 5 s {where}" for where, number in _judged(metrics).items()),
         "training": f"{train.epochs} epochs, batch {train.batch}, a window every {train.stride} rows; best epoch by "
@@ -139,3 +138,10 @@ def _judged(metrics: FigureMetrics) -> dict[str, int]:
     """Windows at recorded places, the same for all feature sets, and on the map."""
     kinds = {"recorded": "at recorded places", "map": "on the map"}
     return {kinds[way.split()[0]]: number for way, number in metrics.windows.items()}
+
+
+def _seen_before(asked: Reproduction, work: Work) -> str:
+    if asked.dataset is None and asked.split == "drives":
+        return "every drive in a world of its own, test drives in worlds that never trained"
+    share = 100 * share_driven_in_training(work.dataset, PART)
+    return f"{share:.0f} % of the test path has coordinates within 5 m of training's"
