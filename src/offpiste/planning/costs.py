@@ -62,7 +62,7 @@ class Situation:
 
 
 class Terms(NamedTuple):
-    """Cost per second of each kind, after each step [K, T]."""
+    """Cost per second of each kind, after each step: [K, T], or as many as were asked for."""
 
     path: Tensor
     speed: Tensor
@@ -84,7 +84,28 @@ def driving_terms(
     trajectory: Trajectory, controls: Float[Tensor, "K T 3"], situation: Situation, weights: Weights
 ) -> Terms:
     """The terms, in cost per second."""
-    state = trajectory.state
+    vy = trajectory.state[..., 4]
+    vy_before = torch.cat((situation.state[4].expand(len(vy), 1), vy[:, :-1]), dim=1)
+    before = torch.cat((situation.control.expand(len(controls), 1, 3), controls[:, :-1]), dim=1)
+    return terms_after(trajectory.state, vy_before, controls, before, situation, weights)
+
+
+def terms_after(
+    state: Float[Tensor, "*B 6"],
+    vy_before: Float[Tensor, "*B"],
+    control: Float[Tensor, "*B 3"],
+    before: Float[Tensor, "*B 3"],
+    situation: Situation,
+    weights: Weights,
+) -> Terms:
+    """The terms after single steps, for planners that ask step by step.
+
+    Args:
+        state: after a step.
+        vy_before: lateral velocity before it [m/s].
+        control, before: commanded during it, and during the step before.
+        situation: its state and control are not read.
+    """
     _, _, yaw, vx, vy, yaw_rate = state.unbind(-1)
     places = _wheel_places(state, situation.wheels)
     zeros = torch.zeros(places.shape[:-1], dtype=torch.long, device=places.device)
@@ -92,11 +113,9 @@ def driving_terms(
     wheel = situation.costs.at(places, situation.offset)
     course = situation.costs.at(state[..., :2], situation.offset)
 
-    vy_before = torch.cat((situation.state[4].expand(len(vy), 1), vy[:, :-1]), dim=1)
     acceleration = (vy - vy_before) / DT + vx * yaw_rate
     normal = rotate_by_minus_yaw(normal, yaw)
     ratio = terms.lateral_ratio(acceleration, normal[..., 1], normal[..., 2], GRAVITY, weights.least_vertical, _maximum)
-    before = torch.cat((situation.control.expand(len(controls), 1, 3), controls[:, :-1]), dim=1)
     return Terms(
         path=terms.path_term(course[..., 2], weights.path),
         speed=terms.speed_term(
@@ -105,8 +124,8 @@ def driving_terms(
         overspeed=terms.overspeed_term(vx, wheel[..., 1].amin(dim=-1), weights.overspeed, _maximum),
         hazard=wheel[..., 0].mean(dim=-1),
         rollover=terms.rollover_term(ratio, weights.lateral_limit, weights.rollover, _maximum),
-        effort=terms.effort_term(controls, controls.new_tensor(weights.effort)).sum(dim=-1),
-        jerk=terms.jerk_term(controls, before, DT, controls.new_tensor(weights.jerk)).sum(dim=-1),
+        effort=terms.effort_term(control, control.new_tensor(weights.effort)).sum(dim=-1),
+        jerk=terms.jerk_term(control, before, DT, control.new_tensor(weights.jerk)).sum(dim=-1),
     )
 
 
