@@ -23,7 +23,7 @@ from offpiste.planning.rollouts import driving_costs, spread_carry
 from offpiste.trajectory import Carry
 from planning_grounds import layers, situation
 
-STEPS = 120
+STEPS = 60
 
 
 def ground(seed=0):
