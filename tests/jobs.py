@@ -16,3 +16,10 @@ def square(job: int, report: Callable[[float], None]) -> str:
         os._exit(1)
     time.sleep(0.01)
     return str(job * job)
+
+
+def wait(job: int, report: Callable[[float], None]) -> str:
+    """Prints its process, and goes on for a minute."""
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+    return ""

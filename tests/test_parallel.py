@@ -1,6 +1,11 @@
 """Jobs side by side: all done, whatever happens to some."""
 
+import os
 import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -34,3 +39,27 @@ def test_errors_come_back_from_other_processes_as_they_were():
     assert type(error) is LogError
     assert str(error) == "a.mcap: broken; mend it"
     assert str(pickle.loads(pickle.dumps(OffpisteError("x")))) == "x"  # noqa: S301
+
+
+def test_processes_end_when_their_parent_is_killed():
+    code = "from jobs import wait; from offpiste.parallel import run_all; run_all(wait, [1, 2], 2, 'waiting', print)"
+    script = f"if __name__ == '__main__':\n    {code}"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(["tests", *sys.path])}
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, env=environment)
+    workers = [int(parent.stdout.readline()) for _ in range(2)]
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while any(_runs(pid) for pid in workers) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(_runs(pid) for pid in workers)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    # Whoever inherits an orphan may be slow to bury it.
+    status = Path(f"/proc/{pid}/stat")
+    return not status.exists() or status.read_text().split()[2] != "Z"
