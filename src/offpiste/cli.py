@@ -341,8 +341,7 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Reproduce:
-    """The paper's figures: simulates or takes a dataset, trains and judges every model needed, draws; goes on where it
-    stopped."""
+    """The paper's figures: takes or simulates drives, trains, judges and draws; goes on where it stopped."""
 
     figure: tyro.conf.Positional[Literal["fig3", "fig4"]]
     """fig3: what features are worth in hindsight; fig4: with the distance they were seen from."""
