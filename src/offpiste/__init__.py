@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from offpiste.logs import Drive, open_log, read_drive
     from offpiste.rig import Rig, load_rig
     from offpiste.training.config import TrainConfig
+    from offpiste.training.ground import encoded
     from offpiste.training.run import Run, load_run
     from offpiste.training.train import train
     from offpiste.trajectory import RecordedTerrain
@@ -34,6 +35,7 @@ _HOME = {
     "Rig": "offpiste.rig",
     "load_rig": "offpiste.rig",
     "TrainConfig": "offpiste.training.config",
+    "encoded": "offpiste.training.ground",
     "Run": "offpiste.training.run",
     "load_run": "offpiste.training.run",
     "train": "offpiste.training.train",
@@ -60,6 +62,7 @@ __all__ = [  # noqa: RUF022  (the order of the stages)
     "rollout",
     "TrainConfig",
     "train",
+    "encoded",
     "Run",
     "load_run",
 ]

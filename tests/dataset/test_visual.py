@@ -188,3 +188,17 @@ def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path)
     assert said == ["one: already there", "two: already there"]
     assert len(again.drives) == 2
     assert not (tmp_path / "d.zarr" / ".one.x").exists()
+
+
+def test_a_pca_that_saw_the_test_part_is_told(dataset: Dataset) -> None:
+    assert any("the PCA may have seen" in note and "--split" in note for note in dataset.drives[0].notes)
+
+
+def test_a_dataset_without_drives_does_not_bar_the_next_try(tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"nonsense")
+    with pytest.raises(LogError):
+        make_dataset([tmp_path / "bad.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr")
+    world = WorldSettings("uniform", size=100.0, resolution=0.5)
+    simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "one.mcap")
+    made = make_dataset([tmp_path / "one.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr", split="blocks:1,0,0")
+    assert [drive.name for drive in made.drives] == ["one"]

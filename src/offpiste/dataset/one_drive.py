@@ -7,19 +7,20 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.conventions import FEATURE_SETS, MIN_JUDGED_SPEED
+from offpiste.conventions import DT, FEATURE_SETS, MIN_JUDGED_SPEED
 from offpiste.dataset.extract import Rows, extract_rows
 from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
-from offpiste.dataset.splits import PARTS, Split
+from offpiste.dataset.splits import PARTS, Split, parse_split
 from offpiste.dataset.starts import judged_starts
 from offpiste.dataset.store import StoredDrive, add_drive, scratch
 from offpiste.dataset.visual import SnapshotKeeper, with_visual_features
+from offpiste.errors import DatasetError
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.open import open_log
 from offpiste.logs.sensors import open_sensors
 from offpiste.mapping.replay import ReplaySettings
-from offpiste.perception.looking import load_looking
+from offpiste.perception.looking import Looking, load_looking
 from offpiste.rig import Rig
 
 Report = Callable[[float], None]
@@ -56,6 +57,7 @@ def extract_drive(job: Job, report: Report) -> str:
         sensors = open_sensors(log, job.rig)
         notes += sensors.coverage()
         looking = load_looking(job.pca, job.device)
+        notes += _seen_by_pca(looking, rows, job)
         replay = job.replay or ReplaySettings()
         with scratch(job.out, job.name) as folder:
             writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, looking.channels)
@@ -71,6 +73,22 @@ def extract_drive(job: Job, report: Report) -> str:
     if job.features != "none":
         rows, terrain = with_ground_truth(rows, truth_map(job.log, LAYERS[job.features]), job.rig)
     return described(add_drive(job.out, job.name, rows, job.split, notes, terrain), job.split)
+
+
+def _seen_by_pca(looking: Looking, rows: Rows, job: Job) -> tuple[str, ...]:
+    """A warning if the PCA was fitted on what shall validate or test."""
+    about = looking.pca.fitted_on
+    if job.name not in about.get("logs", ()) or about.get("split") == job.split.text:
+        return ()
+    position = rows.state[:, :2] + rows.origin
+    try:
+        fitted = parse_split(str(about.get("split"))).label(job.name, position) == 0
+    except DatasetError:
+        fitted = np.ones(len(position), bool)
+    seen = float((fitted & (job.split.label(job.name, position) > 0)).sum() * DT)
+    if not seen:
+        return ()
+    return (f"warning: the PCA may have seen {seen:.0f} s that validate or test here; give fit-pca the same --split",)
 
 
 def _judged(rows: Rows, job: Job) -> list[Bool[np.ndarray, " N"]]:

@@ -96,6 +96,8 @@ def create(
         "pca": pca,
         "min_hindsight": min_hindsight,
     }
+    if path.exists() and _attributes(path).get("schema") and not drive_names(path):
+        shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
         found = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
         for key in ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight"):

@@ -296,6 +296,13 @@ def _has_ground(dataset: Dataset) -> bool:
     )
 
 
+def _usual_step(windows: Errors, stride: int) -> float:
+    """Rows between judged windows: `stride`, or more where only windows with a snapshot of the map are judged."""
+    key = np.sort(np.unique(windows.key))
+    steps = np.diff(key & 0xFFFFFFFF)[np.diff(key >> 32) == 0]
+    return float(np.median(steps)) if len(steps) else float(stride)
+
+
 def _window_numbers(
     dataset: Dataset,
     splits: Sequence[Split],
@@ -309,7 +316,7 @@ def _window_numbers(
     return WindowNumbers(
         n=len(windows.row),
         drives=len(np.unique(windows.drive)),
-        stride_s=round(stride * DT, 6),
+        stride_s=round(_usual_step(windows, stride) * DT, 6),
         blocks=sampling.on(windows).blocks,
         block_s=sampling.block_seconds,
         median_distance_m=float(np.median(driven_distances(dataset, windows.drive, windows.row))),
