@@ -27,8 +27,13 @@ COMMANDED = replace(VEHICLE, actuators=())
 
 
 def coded(vehicle: Vehicle, codes: int) -> Hybrid:
-    """A hybrid that reads codes of this length, 0 for none."""
-    return Hybrid(vehicle, encoder=Identity(codes - 1) if codes else None)
+    """A hybrid that reads codes of this length, 0 for none, always with the same weights.
+
+    Its inputs are not standardised: other weights may saturate, and then nothing that it reads changes anything.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        return Hybrid(vehicle, encoder=Identity(codes - 1) if codes else None)
 
 
 def unsettled(module: nn.Module, *, scale: float = 0.2, seed: int = 0) -> nn.Module:
