@@ -36,7 +36,7 @@ def render_table(rows: Sequence[ResultRow]) -> Table:
     last_of = [group[-1] for group in by_way(pooled)]
     windows = ", ".join(str(n) for n in sorted({row.n for row in last_of}))
     table = Table(
-        title=f"Mean distance error [m] on {windows} windows of the {rows[0].part} part, 95 % intervals by blocks",
+        title=rf"Mean distance error \[m] on {windows} windows of the {rows[0].part} part, 95 % intervals by blocks",
         title_justify="left",
     )
     for name in ("model", "start", "lookup"):
