@@ -1,13 +1,14 @@
 """A drive's sensors played back in the order of time: images to features, scans to the map, as on the vehicle."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from offpiste.logs.measurements import Cloud, Image
+from offpiste.logs.measurements import Cloud, Image, Lidar
+from offpiste.logs.poses import Poses
 from offpiste.logs.sensors import SensorLog
 from offpiste.mapping.layers import TerrainLayers
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
@@ -66,6 +67,78 @@ class _Seen(NamedTuple):
     pixels: UInt8[np.ndarray, "h w 3"]
 
 
+class Scanned(NamedTuple):
+    """A scan as it went into the map, and the images that were projected onto it (see `Moment`)."""
+
+    points_world: Float[np.ndarray, "n 3"]
+    projection: Projection | None
+    seen: tuple[_Seen, ...]
+
+
+class Mapper:
+    """Images and scans in, in the order of their times; the map out: the same on the vehicle and on a log.
+
+    Args:
+        cameras: those that are looked through.
+        lidars: of the scans.
+        look: backbone and PCA; on the vehicle, the encoder too.
+        channels: of what `look` gives; 0 maps the scans alone.
+    """
+
+    def __init__(
+        self,
+        cameras: Mapping[str, PinholeCamera],
+        lidars: Mapping[str, Lidar],
+        look: Look,
+        channels: int,
+        settings: ReplaySettings | None = None,
+    ) -> None:
+        self._settings = settings or ReplaySettings()
+        self._cameras, self._lidars, self._look, self._channels = cameras, lidars, look, channels
+        self._latest: dict[str, _Seen] = {}
+        self.pipeline = MapPipeline(channels, self._settings.map)
+
+    def is_due(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
+        """Whether the vehicle has gone far enough since the camera's last image.
+
+        Args:
+            pose: `world_from_body` at the image's time.
+        """
+        if image.camera not in self._latest:
+            return True
+        before = self._latest[image.camera].view
+        here = (pose @ before.camera.body_from_camera)[:3, 3]
+        moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
+        return bool(moved >= self._settings.frame_metres or image.time - before.time > self._settings.memory)
+
+    def look(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> None:
+        """Look at an image; scans that follow get its features."""
+        camera = self._cameras[image.camera]
+        view = View(camera, image.time, pose @ camera.body_from_camera)
+        pixels = camera.rectifier(image.pixels)
+        self._latest[image.camera] = _Seen(view, self._look(pixels), pixels)
+
+    def scan(self, scan: Cloud, poses: Poses, pose: Float[np.ndarray, "4 4"]) -> Scanned:
+        """Put a scan into the map.
+
+        Args:
+            poses: over the whole scan; points at unknown ones are left out.
+            pose: `world_from_body` at its time.
+        """
+        seen = tuple(s for s in self._latest.values() if scan.time - s.view.time <= self._settings.memory)
+        lidar = self._lidars[scan.lidar]
+        points = points_in_world(scan, lidar, poses)
+        points = points[np.isfinite(points).all(axis=1)]
+        cloud, projection = FeatureCloud(points, (pose @ lidar.body_from_lidar)[:3, 3]), None
+        if seen:
+            projection = project(points, [s.view for s in seen], self._settings.projection)
+        if projection is not None and self._channels:
+            features = projection.gather([s.features for s in seen]).astype(np.float32)
+            cloud = replace(cloud, features=features, has_feature=projection.seen)
+        self.pipeline.add(cloud, pose[:3, 3])
+        return Scanned(points, projection, seen)
+
+
 def pinhole_cameras(log: SensorLog, patch: int) -> dict[str, PinholeCamera]:
     """The cameras of a log, rectified, in patches of `patch` pixels."""
     return {name: make_pinhole_camera(camera, patch) for name, camera in log.cameras.items()}
@@ -91,29 +164,22 @@ def replay(
         wanted: images that are looked at, instead of one every `frame_metres`.
         start, end: of the stretch that is played [s].
     """
-    settings = settings or ReplaySettings()
-    pipeline, layers, stretch = MapPipeline(channels, settings.map), None, 0
-    latest: dict[str, _Seen] = {}
+    mapper, layers, stretch = Mapper(cameras, log.lidars, look, channels, settings), None, 0
     for measured in log.stream([*cameras, *log.lidars], start=start, end=end):
         pose = log.poses.at(np.array([measured.time]))[0]
         if np.isnan(pose).any():
             continue
         if log.poses.stretch(measured.time) != stretch:
             stretch = log.poses.stretch(measured.time)
-            pipeline, layers, latest = MapPipeline(channels, settings.map), None, {}
+            mapper, layers = Mapper(cameras, log.lidars, look, channels, settings), None
         if isinstance(measured, Image):
-            if _is_due(measured, pose, latest, settings) if wanted is None else wanted(measured):
-                camera = cameras[measured.camera]
-                view = View(camera, measured.time, pose @ camera.body_from_camera)
-                pixels = camera.rectifier(measured.pixels)
-                latest[measured.camera] = _Seen(view, look(pixels), pixels)
+            if mapper.is_due(measured, pose) if wanted is None else wanted(measured):
+                mapper.look(measured, pose)
             continue
-        seen = [entry for entry in latest.values() if measured.time - entry.view.time <= settings.memory]
-        views, looks = tuple(entry.view for entry in seen), tuple(entry.features for entry in seen)
-        points, cloud, projection = _feature_cloud(log, measured, views, looks if channels else (), settings)
-        pipeline.add(cloud, pose[:3, 3])
-        layers = pipeline.layers(layers)
-        images = tuple(entry.pixels for entry in seen)
+        points, projection, seen = mapper.scan(measured, log.poses, pose)
+        layers = mapper.pipeline.layers(layers)
+        views, looks = tuple(s.view for s in seen), tuple(s.features for s in seen)
+        images = tuple(s.pixels for s in seen)
         yield Moment(measured.time, pose[:3, 3], layers, points, projection, views, looks, images)
 
 
@@ -131,28 +197,3 @@ def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " 
     with np.errstate(invalid="ignore"):
         near = np.abs(moment.points_world[:, 2] - layers.elevation[row, column]) <= height
     return np.asarray(inside & near)
-
-
-def _is_due(image: Image, pose: Float[np.ndarray, "4 4"], latest: dict[str, _Seen], settings: ReplaySettings) -> bool:
-    if image.camera not in latest:
-        return True
-    before = latest[image.camera].view
-    here = (pose @ before.camera.body_from_camera)[:3, 3]
-    moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
-    return bool(moved >= settings.frame_metres or image.time - before.time > settings.memory)
-
-
-def _feature_cloud(
-    log: SensorLog, scan: Cloud, views: tuple[View, ...], looks: tuple[np.ndarray, ...], settings: ReplaySettings
-) -> tuple[Float[np.ndarray, "n 3"], FeatureCloud, Projection | None]:
-    lidar = log.lidars[scan.lidar]
-    points = points_in_world(scan, lidar, log.poses)
-    points = points[np.isfinite(points).all(axis=1)]
-    sensor = (log.poses.at(np.array([scan.time]))[0] @ lidar.body_from_lidar)[:3, 3]
-    if not views:
-        return points, FeatureCloud(points, sensor), None
-    projection = project(points, views, settings.projection)
-    if not looks:
-        return points, FeatureCloud(points, sensor), projection
-    features = projection.gather(looks).astype(np.float32)
-    return points, FeatureCloud(points, sensor, features, projection.seen), projection
