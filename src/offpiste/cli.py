@@ -359,7 +359,7 @@ class Reproduce:
     """Of the simulated worlds: 0: all ground drives alike."""
     device: str = "cpu"
     processes: int = 0
-    """Drives simulated or extracted at a time; 0: one a core."""
+    """Drives simulated or extracted, and runs trained or judged, at a time; 0: one a core."""
 
     def run(self) -> int:
         """Drive, extract, train, judge, draw."""

@@ -1,8 +1,13 @@
 """Pieces in order, each once, also after a kill; and what a person is told of the time left."""
 
+import shutil
+from functools import partial
+
 import pytest
 
+from offpiste.errors import RunError
 from offpiste.experiments.reproduce.plan import Piece, append_time, carry_out, said, times_by_kind
+from offpiste.training.checkpoint import load_json, save_json
 
 
 class Killed(BaseException):
@@ -26,7 +31,7 @@ class Bench:
         return Piece(name, cost, lambda: name in self.made, do)
 
     def run(self, pieces: list[Piece], **options: object) -> None:
-        carry_out(pieces, tell=self.told.append, clock=lambda: self.now, **options)
+        carry_out([pieces], tell=self.told.append, clock=lambda: self.now, **options)
 
 
 def test_pieces_are_done_in_order_and_a_killed_plan_goes_on():
@@ -63,6 +68,29 @@ def test_what_pieces_took_is_kept_and_summed_by_kind(tmp_path):
     pieces = [bench.piece(name, 1.0, takes) for name, takes in (("train a", 3.0), ("judge a", 1.0), ("train b", 4.0))]
     bench.run(pieces, record=lambda name, seconds: append_time(file, name, seconds))
     assert times_by_kind(file) == {"train": 7.0, "judge": 1.0}
+
+
+def test_side_by_side_a_failure_stops_no_other_piece_and_no_later_stage_begins(tmp_path):
+    save_json(tmp_path / "source", {})
+
+    def piece(name, do=None):
+        do = do or partial(shutil.copy, tmp_path / "source", tmp_path / name)
+        return Piece(f"make {name}", 1.0, (tmp_path / name).exists, do)
+
+    failing = partial(load_json, tmp_path / "missing")
+    stages = [[piece("a"), piece("b", failing), piece("c")], [piece("d")]]
+    record, told = partial(append_time, tmp_path / "pieces.jsonl"), []
+    with pytest.raises(RunError, match="missing"):
+        carry_out(stages, processes=2, tell=told.append, record=record)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "c", "pieces.jsonl", "source"]
+    assert set(times_by_kind(tmp_path / "pieces.jsonl")) == {"make"}
+    assert any("[3/4] make c: done" in line for line in told)
+    assert any("missing" in line for line in told)
+    stages[0][1] = piece("b")
+    carry_out(stages, processes=2, tell=told.append)
+    assert (tmp_path / "b").exists()
+    assert (tmp_path / "d").exists()
+    assert "[1/4] make a: there" in told
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (89.0, "89 s"), (90.0, "2 min"), (7200.0, "2.0 h")])

@@ -51,7 +51,7 @@ def out(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reproduced(folder: Path, dataset: Path) -> Path:
-    asked = Reproduction("fig3", TINY, folder, dataset=dataset)
+    asked = Reproduction("fig3", TINY, folder, dataset=dataset, processes=1)
     real, trained = work_module.train, []
 
     def killed_later(*arguments: object, **options: object) -> object:
@@ -70,9 +70,10 @@ def reproduced(folder: Path, dataset: Path) -> Path:
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
     said: list[str] = []
-    reproduce(replace(asked, figure="fig4"), tell=lambda line: said.append(str(line)))
+    reproduce(replace(asked, figure="fig4", processes=2), tell=lambda line: said.append(str(line)))
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     assert "[1/13] train b, seed 0: there" in said
+    assert sum(bool(re.fullmatch(r"\[\d+/13\] train dc, seed [01]: done; about .* left", line)) for line in said) == 2
     assert {path.parent.name for path in folder.glob("runs/*/model.json")} - {p.parent.name for p in kept} == {
         "dc-0",
         "dc-1",

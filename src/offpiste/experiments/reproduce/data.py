@@ -73,7 +73,7 @@ def open_checked(asked: Reproduction) -> Dataset:
     Raises:
         DatasetError: none there, or one without visual features by distance, with one drive, or too short.
     """
-    dataset = open_dataset(asked.dataset or asked.out / "dataset.zarr")
+    dataset = open_dataset(asked.data)
     cells = [drive.rows.cells for drive in dataset.drives]
     if not dataset.features or any(c is None or len(c.valid) < len(FEATURE_SETS) for c in cells):
         raise DatasetError(
@@ -132,19 +132,18 @@ def _extract(
     make_dataset(
         _logs(asked, drives),
         load_rig(RIG),
-        asked.out / "dataset.zarr",
+        asked.data,
         split=_split(asked, drives),
         pca=pca,
         device=asked.device,
         snapshots=SnapshotSettings(asked.size.snapshot_seconds),
-        processes=processes if asked.device == "cpu" else 1,
+        processes=min(processes, asked.at_a_time),
         tell=tell,
     )
 
 
 def _extracted(asked: Reproduction, drives: list[PlannedDrive]) -> bool:
-    path = asked.out / "dataset.zarr"
-    return path.exists() and {drive.name for drive in drives} <= set(drive_names(path))
+    return asked.data.exists() and {drive.name for drive in drives} <= set(drive_names(asked.data))
 
 
 def _logs(asked: Reproduction, drives: list[PlannedDrive]) -> list[Path]:

@@ -1,10 +1,17 @@
 """A long experiment as pieces: each is done whole and once, and a person sees how much is left."""
 
+import io
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
+
+from offpiste.parallel import run_all
+
+Record = Callable[[str, float], None]
+"""Is told what a piece took [s]."""
 
 
 @dataclass(frozen=True)
@@ -24,36 +31,106 @@ class Piece:
     do: Callable[[], None]
 
 
+def nothing(name: str, seconds: float) -> None:
+    """Record nothing."""
+
+
 def carry_out(
-    pieces: Sequence[Piece],
+    stages: Sequence[Sequence[Piece]],
     *,
     before: int = 0,
     later: Sequence[Piece] = (),
+    processes: int = 1,
     tell: Callable[[str], None],
-    record: Callable[[str, float], None] = lambda name, seconds: None,
+    record: Record = nothing,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
-    """Do what is not done yet, in order.
+    """Do what is not done yet, stage after stage.
 
     Args:
+        stages: pieces of one stage need nothing of each other.
         before: pieces that came first.
         later: pieces that come afterwards; they count for the time left.
+        processes: with more than one, so many pieces of a stage are done side by side; then `do` and `record` must
+            be what another process can be sent.
         record: is told what each piece took [s].
+
+    Raises:
+        OffpisteError: of a piece; others of its stage may have been done nevertheless.
     """
-    total, began, spent = before + len(pieces) + len(later), clock(), 0.0
-    for number, piece in enumerate(pieces):
-        place = f"[{before + number + 1}/{total}] {piece.name}"
-        if piece.done():
-            tell(f"{place}: there")
+    pieces = [piece for stage in stages for piece in stage]
+    pace = _Pace([*pieces, *later], clock)
+    total = before + len(pieces) + len(later)
+    numbers = {piece.name: f"[{number}/{total}]" for number, piece in enumerate(pieces, start=before + 1)}
+    for stage in stages:
+        missing = [piece for piece in stage if not piece.done()]
+        for piece in stage:
+            if piece not in missing:
+                tell(f"{numbers[piece.name]} {piece.name}: there")
+        if processes > 1 and len(missing) > 1:
+            _side_by_side(missing, numbers, processes, pace, tell, record)
             continue
-        left = sum(p.cost for p in (*pieces[number:], *later) if not p.done())
-        pace = (clock() - began) / spent if spent else 1.0
-        tell(f"{place}; about {said(left * pace)} left")
-        started = clock()
-        piece.do()
-        spent += piece.cost
-        record(piece.name, clock() - started)
-        tell(f"{' ' * len(place.partition(']')[0])}  done in {said(clock() - started)}")
+        for piece in missing:
+            number = numbers[piece.name]
+            tell(f"{number} {piece.name}; about {pace.left()} left")
+            seconds = _timed(piece.do, clock)
+            record(piece.name, seconds)
+            pace.spent += piece.cost
+            tell(f"{' ' * len(number)} done in {said(seconds)}")
+
+
+class _Pace:
+    """How long what is left will take, from how long was needed for what is done."""
+
+    def __init__(self, pieces: Sequence[Piece], clock: Callable[[], float]) -> None:
+        self._pieces, self._clock, self._began = pieces, clock, clock()
+        self.spent = 0.0
+
+    def left(self) -> str:
+        seconds = sum(piece.cost for piece in self._pieces if not piece.done())
+        return said(seconds * ((self._clock() - self._began) / self.spent if self.spent else 1.0))
+
+
+def _side_by_side(
+    pieces: Sequence[Piece],
+    numbers: Mapping[str, str],
+    processes: int,
+    pace: _Pace,
+    tell: Callable[[str], None],
+    record: Record,
+) -> None:
+    named = {piece.name: piece for piece in pieces}
+    tell(f"{len(pieces)} pieces, {min(processes, len(pieces))} at a time: {', '.join(named)}")
+
+    def done(name: str) -> None:
+        if name not in named:  # a failure, which has its own words
+            tell(name)
+            return
+        pace.spent += named[name].cost
+        tell(f"{numbers[name]} {name}: done; about {pace.left()} left")
+
+    failed = run_all(_alone, [_Job(piece.name, piece.do, record) for piece in pieces], processes, "pieces", done)
+    if failed:
+        raise failed[0]
+
+
+@dataclass(frozen=True)
+class _Job:
+    name: str
+    do: Callable[[], None]
+    record: Record
+
+
+def _alone(job: _Job, report: Callable[[float], None]) -> str:
+    with redirect_stderr(io.StringIO()):  # bars of several processes would run into each other
+        job.record(job.name, _timed(job.do, time.perf_counter))
+    return job.name
+
+
+def _timed(do: Callable[[], None], clock: Callable[[], float]) -> float:
+    started = clock()
+    do()
+    return clock() - started
 
 
 def append_time(path: Path, name: str, seconds: float) -> None:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from offpiste.errors import RunError
@@ -13,7 +14,7 @@ from offpiste.experiments.reproduce.plan import Piece, append_time, carry_out
 from offpiste.experiments.reproduce.report import write_figure
 from offpiste.experiments.reproduce.results import gather
 from offpiste.experiments.reproduce.settings import Reproduction
-from offpiste.experiments.reproduce.work import Driven, Work, driven_in, model_pieces
+from offpiste.experiments.reproduce.work import Driven, Work, driven_in, model_stages
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.run import check_device
 
@@ -37,19 +38,19 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
     planned = _plan(asked, expected_features(asked), data)
     _claim(asked)
     record = partial(append_time, asked.times)
-    carry_out(data, later=planned, tell=tell, record=record)
+    carry_out([[piece] for piece in data], later=planned, tell=tell, record=record)
     work = Work(asked, open_checked(asked))
     chosen = members(asked.figure, len(work.dataset.features))
     found_ways = ways(asked.figure, mapped=mapped(work.dataset))
-    pieces = model_pieces(asked, chosen, found_ways, driven_in(work.dataset), lambda: work)
+    stages = model_stages(asked, chosen, found_ways, driven_in(work.dataset))
     said: list[str] = []
 
     def report() -> None:
         claims = write_figure(asked, work, gather(asked, chosen, found_ways))
         said.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
 
-    pieces.append(Piece("report", REPORT_COST, lambda: False, report))
-    carry_out(pieces, before=len(data), tell=tell, record=record)
+    stages.append([Piece("report", REPORT_COST, lambda: False, report)])
+    carry_out(stages, before=len(data), processes=asked.at_a_time, tell=tell, record=record)
     for line in said:
         tell(line)
     page = asked.out / asked.figure / "report.html"
@@ -61,12 +62,8 @@ def _plan(asked: Reproduction, stored: int, data: list[Piece]) -> list[Piece]:
     """What comes after the dataset, as far as it can be told before."""
     driven = Driven(*asked.size.seconds) if data else driven_in(open_checked(asked))
     chosen = members(asked.figure, stored)
-    pieces = model_pieces(asked, chosen, ways(asked.figure, mapped=True), driven, _none_yet)
-    return [*pieces, Piece("report", REPORT_COST, lambda: False, lambda: None)]
-
-
-def _none_yet() -> Work:
-    raise AssertionError("nothing is trained before there is a dataset")
+    stages = model_stages(asked, chosen, ways(asked.figure, mapped=True), driven)
+    return [*chain.from_iterable(stages), Piece("report", REPORT_COST, lambda: False, lambda: None)]
 
 
 def _claim(asked: Reproduction) -> None:

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from offpiste.parallel import usable_cores
 from offpiste.training.config import TrainConfig
 
 Figure = Literal["fig3", "fig4"]
@@ -83,7 +84,7 @@ class Reproduction:
         split: "drives": tests on drives of their own; "blocks": on stretches of the same logs, as the paper does.
         contrast: of grip in the simulated worlds.
         device: that backbone and models run on.
-        processes: drives that are simulated or extracted at a time; 0: one a core.
+        processes: drives simulated or extracted, and runs trained or judged, at a time; 0: one a core.
     """
 
     figure: Figure
@@ -97,6 +98,11 @@ class Reproduction:
     processes: int = 0
 
     @property
+    def data(self) -> Path:
+        """The dataset."""
+        return self.dataset or self.out / "dataset.zarr"
+
+    @property
     def runs(self) -> Path:
         """Folder of the trained models."""
         return self.out / "runs"
@@ -105,6 +111,11 @@ class Reproduction:
     def times(self) -> Path:
         """What each piece took, a line of JSON each."""
         return self.out / "pieces.jsonl"
+
+    @property
+    def at_a_time(self) -> int:
+        """Processes; one where an accelerator is shared."""
+        return (self.processes or usable_cores()) if self.device == "cpu" else 1
 
     def described(self) -> dict[str, Any]:
         """What must be the same for pieces in `out` to be used again."""

@@ -1,14 +1,15 @@
 """Train and judge the models of a figure: a piece a run, done once, shared by both figures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 
 import torch
 
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
-from offpiste.dataset.store import Dataset
+from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluate import Way
 from offpiste.experiments.reproduce.judged import PART, errors_path, judge
@@ -58,55 +59,60 @@ class Work:
         """Units of the loss: those of the first `b`, for all runs alike."""
         return load_run(self.asked.runs / f"{BASELINE}-0").scale
 
-    def train(self, member: Member, seed: int) -> None:
-        """Train a run, or go on with it."""
-        folder = self.asked.runs / member.folder(seed)
-        reuse_stages(self.asked.runs, folder, seed)
-        config = member.config(self.asked.size, seed, self.asked.device)
-        train(self.dataset, config, folder, resume=(folder / "config.json").exists())
 
-    def judge(self, member: Member, seed: int, ways: Sequence[Way]) -> None:
-        """Judge a run in the ways that are missing."""
-        run = load_run(self.asked.runs / member.folder(seed), device=self.asked.device)
-        refuse_seen(run, self.dataset, PART)
-        for way in ways:
-            if not errors_path(run.folder, way).exists():
-                judge(run, self.windows, way, self.asked.size, self.scale)
+def train_run(asked: Reproduction, member: Member, seed: int) -> None:
+    """Train a run, or go on with it."""
+    folder = asked.runs / member.folder(seed)
+    reuse_stages(asked.runs, folder, seed)
+    config = member.config(asked.size, seed, asked.device)
+    train(open_dataset(asked.data), config, folder, resume=(folder / "config.json").exists())
 
 
-def model_pieces(
-    asked: Reproduction,
-    members: Sequence[Member],
-    ways: Sequence[Way],
-    driven: Driven,
-    work: Callable[[], Work],
-) -> list[Piece]:
-    """Two pieces a run.
+def judge_run(asked: Reproduction, member: Member, seed: int, ways: Sequence[Way]) -> None:
+    """Judge a run in the ways that are missing."""
+    work = Work(asked, open_dataset(asked.data))
+    run = load_run(asked.runs / member.folder(seed), device=asked.device)
+    refuse_seen(run, work.dataset, PART)
+    for way in ways:
+        if not errors_path(run.folder, way).exists():
+            judge(run, work.windows, way, asked.size, work.scale)
+
+
+def model_stages(
+    asked: Reproduction, members: Sequence[Member], ways: Sequence[Way], driven: Driven
+) -> list[list[Piece]]:
+    """Training of the baseline, which fits what others reuse; training of these; judging of all.
 
     Args:
         driven: how much, or how much there will be.
-        work: gives what does them, once there is a dataset.
     """
-    pieces = []
+    first: list[Piece] = []
+    others: list[Piece] = []
+    judged: list[Piece] = []
     for member in members:
         for seed in member.seeds(asked.size):
             folder = asked.runs / member.folder(seed)
             name = f"{member.label}, seed {seed}"
-            pieces += [
-                Piece(
-                    f"train {name}",
-                    _cost_of_training(asked, member, driven),
-                    (folder / "model.json").exists,
-                    partial(lambda m, s: work().train(m, s), member, seed),
-                ),
+            training = Piece(
+                f"train {name}",
+                _cost_of_training(asked, member, driven),
+                (folder / "model.json").exists,
+                partial(train_run, asked, member, seed),
+            )
+            (first if member.model == BASELINE else others).append(training)
+            judged.append(
                 Piece(
                     f"judge {name}",
                     _cost_of_judging(asked, ways, driven),
-                    partial(lambda f: all(errors_path(f, way).exists() for way in ways), folder),
-                    partial(lambda m, s: work().judge(m, s, ways), member, seed),
-                ),
-            ]
-    return pieces
+                    partial(_judged, folder, ways),
+                    partial(judge_run, asked, member, seed, ways),
+                )
+            )
+    return [first, others, judged]
+
+
+def _judged(folder: Path, ways: Sequence[Way]) -> bool:
+    return all(errors_path(folder, way).exists() for way in ways)
 
 
 def _cost_of_training(asked: Reproduction, member: Member, driven: Driven) -> float:
