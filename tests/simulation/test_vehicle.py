@@ -295,3 +295,16 @@ def test_tells_once_that_it_left_the_world():
     samples = drive(vehicle_on(flat_world(size=(60, 60)), x=20, speed=10.0), 3, (0.5, 0, 0))
     assert [e for s in samples for e in s.events] == ["left the world"]
     assert np.isfinite(samples[-1].position).all()
+
+
+def test_a_branch_goes_the_same_way_on_the_same_ground_and_another_on_other():
+    # Sand and gravel: grip and resistance differ, so does the way.
+    sand, gravel = (flat_world(properties=DRY[GROUND_KINDS.index(kind)]) for kind in ("loose_sand", "gravel"))
+    vehicle = vehicle_on(sand, x=-50, speed=6.0)
+    drive(vehicle, 1, (0.6, 0, 0.3))
+    before = vehicle.sample().position
+    same, other = vehicle.branch(sand), vehicle.branch(gravel)
+    assert (vehicle.sample().position == before).all()
+    ends = [drive(v, 2, (0.7, 0, -0.5))[-1].position for v in (same, other, vehicle)]
+    assert (ends[0] == ends[2]).all()
+    assert np.hypot(*(ends[1] - ends[2])[:2]) > 0.3

@@ -14,12 +14,14 @@ MODELS: dict[str, Callable[[Vehicle], Dynamics]] = {
     "parametric": Parametric,
     "b": Hybrid,
     "b-history": lambda vehicle: Hybrid(vehicle, history=64),
+    "b-wide": lambda vehicle: Hybrid(vehicle, history=34, width=96),
     "df": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.read)),
     "cf": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes)),
     "dc": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes)),
     "dc-step": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes)),
     "cf-masked": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes)),
     "hold": lambda vehicle: Hybrid(vehicle, encoder=Identity(vehicle.read), holds=True),
+    "dc-hold": lambda vehicle: Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes), holds=True),
 }
 """Models by the names of DESIGN.md and the paper; each is built from a `Vehicle`."""
 

@@ -52,10 +52,17 @@ class Hybrid(Dynamics):
         encoder: of the terrain features; None for `b`.
         holds: the codes of the start stay for the whole horizon (`hold`): what looking ahead is worth shows beside it.
         history: units of the networks that read the last 0.2 s.
+        width: units of the layer that turns the LSTM's state and inputs into the compensation.
     """
 
     def __init__(
-        self, vehicle: Vehicle, *, encoder: FeatureEncoder | None = None, holds: bool = False, history: int = 20
+        self,
+        vehicle: Vehicle,
+        *,
+        encoder: FeatureEncoder | None = None,
+        holds: bool = False,
+        history: int = 20,
+        width: int = 20,
     ) -> None:
         super().__init__()
         self.vehicle, self.encoder, self.holds = vehicle, encoder, holds
@@ -63,7 +70,7 @@ class Hybrid(Dynamics):
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
         inputs = 3 + len(vehicle.actuators) + len(vehicle.control) + 3 + 4 + 4 * codes
-        self.compensator = Compensator(inputs, 4, init_hidden=history, init_width=history)
+        self.compensator = Compensator(inputs, 4, width=width, init_hidden=history, init_width=history)
         self.force_scale: Tensor
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
         self.register_buffer("force_scale", torch.tensor([vehicle.mass / 2, vehicle.mass, vehicle.mass, 1.0]))

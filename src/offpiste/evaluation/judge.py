@@ -1,6 +1,6 @@
 """Roll models out over windows and keep how far each prediction is off after every whole second."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -16,6 +16,7 @@ from offpiste.geometry import wrap_angle
 from offpiste.training.ground import encoded, on_map
 from offpiste.training.losses import summed_loss
 from offpiste.training.train import predict as predict_recorded
+from offpiste.trajectory import TerrainSource
 
 HORIZONS = (1, 2, 3, 4, 5)
 """When errors are kept [s after the start]."""
@@ -31,6 +32,9 @@ CHUNK = 1024
 
 SNAPSHOT_CHUNK = 32
 """The same where each has a map of its own: some 10 MB each."""
+
+Ground = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
+"""From a model, windows, their indices and their encoded batch to the batch and the ground that is read on the way."""
 
 Item = TypeVar("Item")
 
@@ -93,6 +97,7 @@ def predict(
     lookup: str | None,
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
+    ground: Ground = on_map,
     chunk: int | None = None,
     track: Track = untracked,
     description: str = "judging",
@@ -103,6 +108,7 @@ def predict(
         index: of the windows.
         lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the ground.
         scale, weights: of the loss (`offpiste.training.losses.summed_loss`).
+        ground: what "map" reads, where it is not the windows' own.
         chunk: windows rolled out side by side, when not `CHUNK` or `SNAPSHOT_CHUNK`.
         track: shows progress over the chunks.
     """
@@ -110,7 +116,7 @@ def predict(
     scale, weights = scale.to(windows.device), weights.to(windows.device)
     values, losses = [], []
     for part in track(_chunks(index, chunk or _chunk(windows, lookup)), description):
-        batch, state = _rolled_out(dynamics, windows, part, lookup)
+        batch, state = _rolled_out(dynamics, windows, part, lookup, ground)
         values.append(_absolute_errors(state[:, steps], batch.target[:, steps]))
         losses.append(summed_loss(state, batch.target, scale, weights))
     return Errors(
@@ -141,13 +147,13 @@ def _chunks(index: Int[np.ndarray, " n"], size: int) -> list[np.ndarray]:
 
 @torch.no_grad()
 def _rolled_out(
-    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: str | None
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: str | None, ground: Ground = on_map
 ) -> tuple[Batch, Float[Tensor, "B T 6"]]:
     batch = windows.gather(index)
     if lookup != "map":
         return batch, predict_recorded(dynamics, batch).state
     batch = encoded(dynamics, batch)
-    batch, source = on_map(dynamics, windows, index, batch)
+    batch, source = ground(dynamics, windows, index, batch)
     carry = dynamics.start(batch.history, batch.state, batch.actuators)
     return batch, rollout(dynamics, carry, batch.control, source).state
 

@@ -117,22 +117,24 @@ def record(
     *,
     steps: int,
     commands: list[np.ndarray] | None = None,
+    seen: World | None = None,
 ) -> Driven:
     """Drive and write every message; an interruption leaves a readable file.
 
     Args:
         commands: what was commanded is appended here.
+        seen: what sensors see and the true map shows, where it is not the ground driven on.
     """
-    suite = sensor_suite(settings.sensors)
+    suite, seen = sensor_suite(settings.sensors), seen or world
     noise, light = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2))
-    sensing = Sensing(world, suite, light) if suite.cameras or suite.lidars else None
+    sensing = Sensing(seen, suite, light) if suite.cameras or suite.lidars else None
     events: list[tuple[float, str]] = []
     path, speed = array("d"), array("d")  # small, however long the drive
     with McapWriter(out) as writer:
         recorder = Recorder(
             writer, wheel_radius=parameters.rolling_radius, rng=noise, imperfections=settings.imperfections
         )
-        recorder.start(world, suite.mountings())
+        recorder.start(seen, suite.mountings())
         samples = drive(world, parameters, start, commander, steps=steps)
         for sample in _shown(samples, steps, out.name):
             recorder.vehicle(sample)

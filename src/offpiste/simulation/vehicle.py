@@ -1,6 +1,7 @@
 """A side-by-side that drives in a `World`: MuJoCo's rigid bodies under our own tyres, drive train and ground."""
 
 from collections import deque
+from copy import deepcopy
 
 import mujoco
 import numpy as np
@@ -43,18 +44,9 @@ class VehicleSimulation:
     ) -> None:
         self._world, self._parameters = world, parameters
         self._record = parameters.as_record()
-        self._grid = (
-            np.ascontiguousarray(world.elevation, dtype=np.float64),
-            np.ascontiguousarray(world.properties, dtype=np.float64),
-            float(world.origin[0]),
-            float(world.origin[1]),
-            float(world.resolution),
-        )
+        self._grid = _grid_of(world)
         self._model = build_bodies(parameters, DT / SUBSTEPS)
-        self._data = mujoco.MjData(self._model)
-        # Views into MuJoCo's memory: they move with it.
-        self._qpos, self._qvel = self._data.qpos, self._data.qvel
-        self._body_forces, self._joint_forces = self._data.xfrc_applied, self._data.qfrc_applied
+        self._look_into(mujoco.MjData(self._model))
         self._actuators, self._speeds = np.zeros(4), np.zeros(5)
         self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
         self._touched, self._scratch = np.zeros(2), np.zeros((6, 6))
@@ -65,6 +57,15 @@ class VehicleSimulation:
         self._events: list[str] = []
         self._put(x, y, yaw)
         self._start(speed)
+
+    def branch(self, world: World) -> "VehicleSimulation":
+        """A second vehicle in the same state, in a world of the same shape whose ground may differ; this one stays."""
+        other = deepcopy(
+            self, {id(shared): shared for shared in (self._world, self._grid, self._model, self._parameters)}
+        )
+        other._world, other._grid = world, _grid_of(world)
+        other._look_into(other._data)
+        return other
 
     @property
     def time(self) -> float:
@@ -108,6 +109,12 @@ class VehicleSimulation:
             truth=self._wheel_truth(),
             events=events,
         )
+
+    def _look_into(self, data: mujoco.MjData) -> None:
+        # Views into MuJoCo's memory: they move with it.
+        self._data = data
+        self._qpos, self._qvel = data.qpos, data.qvel
+        self._body_forces, self._joint_forces = data.xfrc_applied, data.qfrc_applied
 
     def _apply(self, command: np.ndarray, around: np.ndarray) -> None:
         substep(
@@ -194,3 +201,14 @@ class VehicleSimulation:
             slip_ratio=truth[:, 8],
             slip_angle=truth[:, 9],
         )
+
+
+def _grid_of(world: World) -> tuple[np.ndarray, np.ndarray, float, float, float]:
+    """What `substep` reads of a world."""
+    return (
+        np.ascontiguousarray(world.elevation, dtype=np.float64),
+        np.ascontiguousarray(world.properties, dtype=np.float64),
+        float(world.origin[0]),
+        float(world.origin[1]),
+        float(world.resolution),
+    )

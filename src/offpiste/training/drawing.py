@@ -26,5 +26,5 @@ def masked(rng: np.random.Generator, count: int, horizon: int, stored: int) -> V
     return Views(rng.integers(0, stored, (count, 1)), flags_only=True)
 
 
-DRAWS: dict[str, Draw] = {"dc": per_trajectory, "dc-step": per_step, "cf-masked": masked}
+DRAWS: dict[str, Draw] = {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}
 """Models that are not trained on hindsight alone."""

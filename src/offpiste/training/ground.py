@@ -62,22 +62,36 @@ def on_map(
     """
     if not windows.maps.any:
         return batch, path_terrain(windows, index)
+    source = map_terrain(dynamics, windows, index)
+    batch = with_past_on(source, batch)
+    held = isinstance(dynamics, Hybrid) and dynamics.holds
+    return batch, _Held(source, source.at(0, batch.state).latent) if held else source
+
+
+def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:
+    """The maps of windows, read under wheels and encoded by a model.
+
+    Raises:
+        DatasetError: a drive has no map.
+    """
     maps, number = windows.maps.of(index)
     if (number < 0).any():
         name = windows.drive_names[windows.drive[index][number < 0][0]]
         raise DatasetError(f"drive '{name}' has no map", how="extract it again")
-    source = MapTerrain(
+    return MapTerrain(
         maps,
         torch.as_tensor(number, device=windows.device),
         windows.places(index),
         windows.wheels,
         encoder_of(dynamics),
     )
+
+
+def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
+    """The batch, with what lay under the wheels before its start as a source has it."""
     past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
     known = Terrain(torch.stack([t.normal for t in past], dim=1), torch.stack([t.latent for t in past], dim=1))
-    batch = replace(batch, history=replace(batch.history, terrain=known))
-    held = isinstance(dynamics, Hybrid) and dynamics.holds
-    return batch, _Held(source, source.at(0, batch.state).latent) if held else source
+    return replace(batch, history=replace(batch.history, terrain=known))
 
 
 @dataclass(frozen=True)

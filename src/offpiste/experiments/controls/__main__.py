@@ -1,0 +1,55 @@
+"""`python -m offpiste.experiments.controls WHAT --reproduction results/ --out controls/`; docs/controls.md."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from offpiste.errors import OffpisteError
+from offpiste.experiments.controls.models import models_control
+from offpiste.experiments.controls.oracle import oracle_control
+from offpiste.experiments.controls.reproduced import open_reproduction
+from offpiste.experiments.controls.shift import shift_control
+from offpiste.experiments.controls.uniform import UniformDrives, uniform_control
+from offpiste.progress import tell
+
+What = Literal["models", "shift", "oracle", "uniform"]
+
+
+@dataclass(frozen=True)
+class Controls:
+    """Run a control; whatever is in --out already is used again."""
+
+    what: Annotated[What, tyro.conf.Positional]
+    """Which one."""
+    reproduction: Path = Path("results")
+    """Folder of a finished `offpiste reproduce fig4`."""
+    out: Path = Path("controls")
+    """Folder for everything."""
+    models: tuple[str, ...] = ()
+    """For `models`: only these."""
+    uniform: UniformDrives = field(default_factory=UniformDrives)
+    """For `uniform`: how much is driven."""
+
+    def run(self) -> None:
+        """Do it, and show the tables."""
+        of = open_reproduction(self.reproduction)
+        controls: dict[What, Callable[[], Path]] = {
+            "models": lambda: models_control(of, self.out, list(self.models), tell=tell),
+            "shift": lambda: shift_control(of, self.out, tell=tell),
+            "oracle": lambda: oracle_control(of, self.out, tell=tell),
+            "uniform": lambda: uniform_control(of, self.out, self.uniform, tell=tell),
+        }
+        page = controls[self.what]()
+        tell(page.read_text("utf-8"))
+        tell(f"written: {page}")
+
+
+if __name__ == "__main__":
+    try:
+        tyro.cli(Controls).run()
+    except OffpisteError as error:
+        sys.exit(str(error))
