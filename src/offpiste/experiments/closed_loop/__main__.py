@@ -1,0 +1,57 @@
+"""Command line of the closed loop's table, and of its faults."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from offpiste.experiments.closed_loop.courses import CourseSettings
+from offpiste.experiments.closed_loop.drive_course import CourseDrive
+from offpiste.experiments.closed_loop.faults import KINDS, Kind
+from offpiste.experiments.closed_loop.planner import load_planner
+from offpiste.experiments.closed_loop.table import DEVELOPMENT, TEST, drive_all, entries, write_table
+from offpiste.progress import tell
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Drive seeded courses with every run given; a result per course and planner, then table.md. Resumes."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")]
+    """Run folders: parametric, b, dc, and a `df` trained on ground-truth features (the ceiling)."""
+    pca: Path | None = None
+    """What runs with visual features were trained with."""
+    courses: int = 20
+    test: bool = False
+    """Courses of the test seeds (from 101) instead of those for development (from 1)."""
+    out: Path = Path("closed-loop")
+    seconds: float = 40.0
+    speed: float = 8.0
+    """Wanted along the courses [m/s]."""
+    latencies: tuple[float, ...] = (0.0, 0.3)
+    """Of dc and the ceiling, beside 0.1 [s]."""
+    faults: bool = False
+    """Instead: each fault once, with every run given, into OUT/faults."""
+
+    def run(self) -> None:
+        """Drive, write, print."""
+        first = TEST if self.test else DEVELOPMENT
+        planners = [load_planner(run, self.pca) for run in self.runs]
+        asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed))
+        seeds = range(first, first + self.courses)
+        if not self.faults:
+            results = drive_all(entries(planners, self.latencies), seeds, self.out, asked, tell=tell)
+            tell(write_table(results, self.out, self.seconds))
+            return
+        kinds: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "none")
+        for kind in kinds:
+            told = replace(asked, fault=kind)
+            results = drive_all(entries(planners, ()), seeds, self.out / "faults" / kind, told, tell=tell)
+            for result in results:
+                ending = ", ".join(f"{t} s {mode}: {why}" for t, mode, why in result["modes"])
+                tell(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
+
+
+if __name__ == "__main__":
+    tyro.cli(ClosedLoop).run()

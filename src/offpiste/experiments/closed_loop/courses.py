@@ -1,0 +1,107 @@
+"""Courses through a world: along its trails, over ground that changes, faster than most of it allows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
+
+from offpiste.conventions import GROUND_PROPERTIES
+from offpiste.errors import OffpisteError
+from offpiste.planning.course import Course
+from offpiste.simulation.arcs import Country
+from offpiste.simulation.drive import Start
+from offpiste.simulation.surface import read_grid
+from offpiste.simulation.world import World
+
+STEP = 1.0
+"""Of the points of a course [m]."""
+
+APART = 20.0
+"""A course ends at least so far before it would meet its beginning [m]."""
+
+
+@dataclass(frozen=True)
+class CourseSettings:
+    """What a course is like.
+
+    Attributes:
+        speed: wanted all along [m/s]: the sharpest bends allow it only on the ground that holds best.
+        length: [m].
+        clearance: from the nearest trunk [m].
+        steepest: slope along or across (rise over run).
+        radius: of the sharpest bend [m].
+        candidates: stretches that are compared; the one on which friction changes most is taken.
+    """
+
+    speed: float = 8.0
+    length: float = 240.0
+    clearance: float = 1.7
+    steepest: float = 0.3
+    radius: float = 5.0
+    candidates: int = 24
+
+
+@dataclass(frozen=True)
+class Laid:
+    """A course and where it begins.
+
+    Attributes:
+        changes: sum of the changes of friction along it, smoothed over 3 m.
+    """
+
+    course: Course
+    start: Start
+    changes: float
+
+
+def lay_course(world: World, seed: int, settings: CourseSettings | None = None) -> Laid:
+    """The best of some stretches of the world's trails; the same seed lays the same course.
+
+    Raises:
+        OffpisteError: none of them can be driven.
+    """
+    settings, country = settings or CourseSettings(), Country.of(world)
+    found: list[Laid] = []
+    for number in range(settings.candidates):
+        path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length)
+        if _drivable(world, country, path, settings):
+            changes = float(np.abs(np.diff(friction_along(world, path))).sum())
+            heading = np.arctan2(*(path[2] - path[0])[::-1])
+            start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
+            found.append(Laid(Course(path, np.full(len(path), settings.speed)), start, changes))
+    if not found:
+        place = f"world '{world.settings.preset}', seed {world.settings.seed}"
+        raise OffpisteError("no course can be laid along its trails", where=place, how="take another seed")
+    return max(found, key=lambda laid: laid.changes)
+
+
+def friction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """Friction under a path, smoothed over 3 m."""
+    column = GROUND_PROPERTIES.index("friction")
+    friction = read_grid(world.properties[..., column], world.origin, world.resolution, path)
+    return np.asarray(gaussian_filter1d(friction, 1.5 / STEP, mode="nearest"))
+
+
+def _stretch(
+    trails: tuple[Float[np.ndarray, "_ 2"], ...], rng: np.random.Generator, length: float
+) -> Float[np.ndarray, "P 2"]:
+    """Some of a closed trail, either way round; a shorter trail is driven but for its last metres."""
+    trail = trails[int(rng.integers(len(trails)))]
+    turned = np.roll(trail, -int(rng.integers(len(trail))), axis=0)[:: int(rng.choice((-1, 1)))]
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(turned, axis=0), axis=1))))
+    at = np.arange(0.0, min(arc[-1] - APART, length), STEP)
+    return np.stack([np.interp(at, arc, axis) for axis in turned.T], axis=1)
+
+
+def _drivable(world: World, country: Country, path: Float[np.ndarray, "P 2"], settings: CourseSettings) -> bool:
+    if len(country.trees):
+        away, nearest = cKDTree(country.trees[:, :2]).query(path)
+        if (away - country.trees[nearest, 2]).min() < settings.clearance:
+            return False
+    if max(country.steepest(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
+        return False
+    way = np.diff(path, axis=0)
+    turn = np.diff(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
+    return bool(np.abs(turn).max() / STEP < 1 / settings.radius)

@@ -1,0 +1,46 @@
+"""A drive along a course, seen from above."""
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from offpiste.experiments.closed_loop.judged import Trace
+from offpiste.planning.course import Course
+from offpiste.planning.runtime import Prediction
+from offpiste.simulation.top_view import draw_top_view
+from offpiste.simulation.world import World
+
+MARGIN = 15.0
+"""Around course and drive [m]."""
+
+
+def course_picture(
+    world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, every: int = 30
+) -> Figure:
+    """The course, what was driven, coloured by slip, and where every so many plans led.
+
+    Args:
+        every: one of so many plans is drawn.
+    """
+    figure = Figure(figsize=(9, 8), dpi=130, layout="constrained")
+    axes = figure.subplots()
+    draw_top_view(world, axes)
+    axes.plot(*course.path.T, color="black", linewidth=3.0, alpha=0.55)
+    axes.plot(*course.path.T, color="white", linewidth=1.2, label="course")
+    for number, prediction in enumerate(predictions[::every]):
+        label = "plans, 5 s" if not number else None
+        axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
+    pieces = LineCollection(
+        list(np.stack((trace.place[:-1], trace.place[1:]), axis=1)), cmap="inferno", linewidths=2.4, zorder=4
+    )
+    pieces.set_array((trace.slip[:-1] + trace.slip[1:]) / 2)
+    pieces.set_clim(0.0, 0.4)
+    axes.add_collection(pieces)
+    figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
+    axes.plot(*trace.place[0], marker="o", color="white", markeredgecolor="black", zorder=5)
+    shown = np.concatenate((course.path, trace.place))
+    (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
+    axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.legend(loc="upper left", fontsize=8)
+    axes.set_title(title, fontsize=10, loc="left")
+    return figure

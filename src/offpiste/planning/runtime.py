@@ -1,0 +1,276 @@
+"""The paper's on-line pipeline as one object: messages of sensors in, controls out.
+
+Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time comes from stamps only: the same messages
+give the same controls, however long they take to compute. A plan made from data at t acts from t + latency on; it starts
+from the state that the model predicts through the controls committed until then.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.hybrid import Hybrid
+from offpiste.dynamics.kernels.function import supports
+from offpiste.errors import PlanningError
+from offpiste.logs.measurements import Cloud, Image
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.planning import mppi
+from offpiste.planning.area import Area, KnownGround, coded_area, cropped
+from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.course import Course, Hazards, cost_map
+from offpiste.planning.fused import fused_costs, fused_rollout
+from offpiste.planning.guide import Guide
+from offpiste.planning.modes import Ages, Controls, Event, Judgement, Patience, judge
+from offpiste.planning.rollouts import driving_costs
+from offpiste.planning.schedule import Schedule, TimedPlan
+from offpiste.planning.seeing import Seeing, Sight
+from offpiste.planning.stopwatch import Stopwatch
+from offpiste.planning.vehicle_track import TrackRows, VehicleReading, VehicleTrack
+from offpiste.trajectory import Carry, History, Terrain
+
+
+@dataclass(frozen=True)
+class RuntimeSettings:
+    """How the vehicle is driven.
+
+    Attributes:
+        plan_rate: plans made a second [Hz].
+        latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
+        sampling, weights, hazards: of the planner.
+        replay: of images and scans, as the dataset was extracted with.
+        patience: with late inputs.
+        slow: speed while scans are late [m/s].
+        stop: brake of a controlled stop [0..1].
+        forget: plans that ended their latency so long ago are not gone on from [s].
+        standstill: slower than this the vehicle stands [m/s].
+        arrived: so far before its end the course counts as driven [m].
+        margin: the map is read so far beyond what the plan can reach [m].
+    """
+
+    plan_rate: float = 10.0
+    latency: float = 0.1
+    sampling: mppi.Settings = field(
+        default_factory=lambda: mppi.Settings(
+            mppi.PEDALS_AND_WHEEL, (0.3, 0.15, 0.3), samples=512, rest=(0.2, 0.0, 0.0)
+        )
+    )
+    weights: Weights = field(default_factory=Weights)
+    hazards: Hazards = field(default_factory=Hazards)
+    replay: ReplaySettings = field(default_factory=ReplaySettings)
+    patience: Patience = field(default_factory=Patience)
+    slow: float = 3.0
+    stop: float = 0.5
+    forget: float = 1.0
+    standstill: float = 0.3
+    arrived: float = 2.0
+    margin: float = 8.0
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where a plan would lead.
+
+    Attributes:
+        time: of its start [s].
+        state: after each step, in the world frame; empty where no kernel predicts it.
+    """
+
+    time: float
+    state: Float[np.ndarray, "T 6"]
+
+
+class Runtime:
+    """Drives a vehicle along a course.
+
+    Args:
+        dynamics: that plans are made with.
+        wheels: in the body frame, from the pose point [m].
+        ground: known features of the ground, instead of what cameras see.
+        seed: of the sampled controls.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        sight: Sight,
+        wheels: Float[np.ndarray, "4 2"],
+        course: Course,
+        settings: RuntimeSettings | None = None,
+        *,
+        ground: KnownGround | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._settings = settings or RuntimeSettings()
+        self._dynamics = dynamics.eval().requires_grad_(False)
+        self._encoder = dynamics.encoder if isinstance(dynamics, Hybrid) else None
+        self._ground = ground
+        self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
+        self._generator = torch.Generator().manual_seed(seed)
+        self.watch = Stopwatch()
+        self.guide = Guide(course)
+        self._track, self._schedule = VehicleTrack(), Schedule()
+        encoder = None if ground is not None else self._encoder
+        self._seeing = Seeing(sight, encoder, self._track, self._settings.replay, self.watch)
+        self._plan_due, self._map_empty, self._stopping = -np.inf, False, False
+        self.events: list[Event] = []
+        self.predictions: list[Prediction] = []
+        self.failures: list[str] = []
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Messages that were no use, by why."""
+        return dict(self._seeing.dropped)
+
+    def vehicle(self, reading: VehicleReading) -> None:
+        """Take in what the vehicle says of itself; readings that are not finite or go back in time count as none."""
+        latest = self._track.latest
+        if not reading.finite:
+            self._seeing.dropped["readings of the vehicle that are not finite"] += 1
+        elif latest is not None and reading.time <= latest.time:
+            self._seeing.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
+        else:
+            if self._track.add(reading):
+                self._seeing.begin_anew()
+            self.guide.move(reading.position[:2])
+
+    def image(self, image: Image) -> None:
+        """Take in an image."""
+        self._seeing.image(image)
+
+    def scan(self, scan: Cloud) -> None:
+        """Take in a scan."""
+        self._seeing.scan(scan)
+
+    def forget_map(self) -> None:
+        """Begin the map anew."""
+        self._seeing.begin_anew()
+
+    @torch.no_grad()
+    def command(self, now: float) -> Controls:
+        """What to do for the next `conventions.DT`; to be asked that often, with time that rises [s]."""
+        judgement = self._judge(now)
+        if now >= self._plan_due - 1e-6:
+            self._plan_due = now + 1 / self._settings.plan_rate
+            if judgement.mode != "stopping" or judgement.why in ("no plan", "empty map"):
+                self._plan(now, judgement)
+                judgement = self._judge(now)
+        controls = self._follow(now, judgement)
+        self._track.commanded(now, controls.command)
+        if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
+            self.events.append(Event(now, controls.mode, controls.why))
+        return controls
+
+    def _judge(self, now: float) -> Judgement:
+        seen, latest, followed = self._seeing, self._track.latest, self._schedule.acting(now)
+        ages = Ages(
+            state=now - (latest.time if latest else -np.inf),
+            scan=now - seen.scan_time,
+            image=now - seen.image_time if seen.looks else -np.inf,
+            plan=now - followed.start if followed else np.inf,
+        )
+        finished = self.guide.progress > self.guide.length - self._settings.arrived
+        return judge(ages, self._settings.patience, map_empty=self._map_empty, finished=finished)
+
+    def _follow(self, now: float, judgement: Judgement) -> Controls:
+        """The plan, or a controlled stop; a stop that has begun is ended, unless it was over before it began."""
+        planned = self._schedule.control(now)
+        latest = self._track.latest
+        stands = latest is not None and float(np.hypot(*latest.velocity[:2])) < self._settings.standstill
+        bad = judgement.mode == "stopping" or planned is None
+        if not bad and not (self._stopping and not stands):
+            self._stopping = False
+            assert planned is not None
+            return Controls(now, planned, judgement.mode, judgement.why)
+        self._stopping = True
+        # The wheels stay as they were planned: straight ahead may lead off the course.
+        steer = 0.0 if planned is None else float(planned[2])
+        command = np.array((0.0, self._settings.stop, steer))
+        why = judgement.why or (self.events[-1].why if self.events else "no plan")
+        return Controls(now, command, "stopped" if stands else "stopping", why)
+
+    def _plan(self, now: float, judgement: Judgement) -> None:
+        """Plan from the map as it is; a plan that fails leaves the last one."""
+        settings, latest = self._settings, self._track.latest
+        assert latest is not None
+        layers = self._seeing.layers()
+        rows = self._track.rows(latest.time)
+        state = rows.state[-1]
+        speed = max(float(np.hypot(*state[3:5])), self.guide.target)
+        half = 0.5 * speed * DT * HORIZON_STEPS
+        heading = np.array((np.cos(state[2]), np.sin(state[2])))
+        near = cropped(layers, state[:2] + half * heading, half + settings.margin)
+        self._map_empty = not near.known.any()
+        if self._map_empty:
+            return
+        with self.watch.of("encode map"):
+            area = coded_area(near, self._encoder, self._ground)
+        with self.watch.of("start"):
+            offset = torch.from_numpy(state[:2].copy())
+            committed = self._committed(latest.time, now + settings.latency, rows)
+            carry = self._start(area, offset, rows, committed)
+        with self.watch.of("cost map"):
+            stretch = self.guide.stretch(at_most=settings.slow if judgement.slow else np.inf)
+            costs = cost_map(near, stretch, settings.hazards)
+        last = torch.as_tensor(committed[-1] if len(committed) else rows.control[-2], dtype=torch.float32)
+        at = Situation(area.stack, costs, self._wheels, offset, carry.state[0], last)
+        with self.watch.of("plan"):
+            self._improve(now, area, carry, at)
+
+    def _committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
+        """What is commanded from the last reading until a new plan acts."""
+        latest = self._schedule.latest
+        if latest is not None and first - latest.start > self._settings.forget:
+            self._schedule.clear()
+        stop = np.array((0.0, self._settings.stop, 0.0))
+        steps = max(round((start - first) / DT), 0)
+        return self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
+
+    def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
+        settings, model = self._settings, self._dynamics
+        fused = supports(model, carry.state.device, carry.state.dtype) and not getattr(model, "holds", False)
+        rest = np.array(settings.sampling.rest or (0.0, 0.0, 0.0))
+        start = now + settings.latency
+        before = self._schedule.continued(start, HORIZON_STEPS, rest)
+        if fused:
+            cost_of = fused_costs(model, carry, at, settings.weights, area.codes)  # type: ignore[arg-type]
+        else:
+            encode = area.terrain(at.offset, self._wheels, 1).encode
+            cost_of = driving_costs(model, carry, at, settings.weights, encode)
+        try:
+            plan = mppi.improve(before, cost_of, settings.sampling, self._generator, previous=at.control)
+        except PlanningError as error:
+            self.failures.append(str(error))
+            return
+        if not plan.controls.isfinite().all():
+            self.failures.append("a plan that is not finite")
+            return
+        self._schedule.add(TimedPlan(start, now, plan.controls))
+        states = np.zeros((0, 6))
+        if fused:
+            predicted = fused_rollout(model, carry, plan.controls[None], at, settings.weights, area.codes)[1][0]  # type: ignore[arg-type]
+            states = predicted.double().numpy()
+            states[:, :2] += at.offset.numpy()
+        self.predictions.append(Prediction(start, states))
+
+    def _start(
+        self, area: Area, offset: Float[Tensor, " 2"], rows: TrackRows, committed: Float[np.ndarray, "L 3"]
+    ) -> Carry:
+        """The state when a plan begins to act, in the frame at `offset`, and what the model remembers of the past."""
+        shift = np.concatenate((offset.numpy(), np.zeros(4)))
+        state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
+        actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
+        control = torch.as_tensor(rows.control, dtype=torch.float32)
+        past = len(state) - 1
+        under = area.terrain(offset, self._wheels, past).at(0, state[:past])
+        terrain = Terrain(under.normal[None], under.latent[None])
+        history = History(state[None, :past], actuators[None, :past], control[None, :past], terrain)
+        carry = self._dynamics.start(history, state[past:], actuators[past:])
+        source, step = area.terrain(offset, self._wheels, 1), self._dynamics.stepper()
+        for t, given in enumerate(torch.as_tensor(committed, dtype=torch.float32)):
+            carry = step(carry, given[None], source.at(t, carry.state))
+        return carry
