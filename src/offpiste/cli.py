@@ -20,18 +20,18 @@ Log = Annotated[str, tyro.conf.arg(metavar="LOG")]
 
 @dataclass(frozen=True)
 class Demo:
-    """The whole path on simulated drives; ends with a table and report.html."""
+    """The whole path on simulated drives with camera and LiDAR; ends with a table of `b` against `dc` and a picture."""
 
     out: Path = Path("demo")
     """Folder for everything that it makes."""
-    seconds: float = 120.0
+    seconds: float = 60.0
     """Length of each of seven drives."""
-    epochs: int = 8
+    epochs: int = 12
     """Passes over the training windows."""
     seed: int = 0
 
     def run(self) -> int:
-        """Simulate, inspect, extract, train, evaluate."""
+        """Simulate, inspect, look, extract, train, judge."""
         from offpiste.experiments.demo import DemoSettings, run_demo
 
         run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=tell)
@@ -102,7 +102,7 @@ class Inspect:
 
         from offpiste.files import write_text
         from offpiste.logs import open_log
-        from offpiste.logs.checks import draft_rig, inspect_log, render
+        from offpiste.logs.checks import draft_rig, inspect_log, missing, render
         from offpiste.rig import Clock, load_rig
 
         rig = load_rig(self.rig) if self.rig else None
@@ -111,8 +111,10 @@ class Inspect:
         if self.write_rig and self.write_rig.exists():
             raise RigError("is there already", where=self.write_rig, how="give --write-rig a new name")
         if self.write_rig:
-            write_text(self.write_rig, draft_rig(log))
-            print(f"wrote {self.write_rig}", file=sys.stderr)  # noqa: T201
+            drafted = draft_rig(log)
+            write_text(self.write_rig, drafted)
+            for line in (f"wrote {self.write_rig}", *(f"  missing: {what}" for what in missing(drafted))):
+                print(line, file=sys.stderr)  # noqa: T201
         inspection = inspect_log(log, rig)
         if rig is not None and inspection.usable:
             from offpiste.perception.checks import check_sensors

@@ -1,25 +1,42 @@
 import json
 from pathlib import Path
 
+import pytest
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.errors import RunError
 from offpiste.experiments.demo import DemoSettings, run_demo
 
-SMALL = DemoSettings(seconds=30.0, epochs=1, size=120.0, resolution=0.5)
+SMALL = DemoSettings(
+    seconds=8.0,
+    epochs=1,
+    size=80.0,
+    resolution=0.5,
+    images=4,
+    snapshot_seconds=1.0,
+    parts=("train", "validation", "test"),
+)
 
 
 def test_the_demo_walks_the_whole_path_and_can_be_repeated(tmp_path: Path) -> None:
     said: list[object] = []
-    run_demo(tmp_path, SMALL, tell=said.append)
-    report = tmp_path / "report" / "report.html"
-    written = report.stat().st_mtime_ns
-    rows = json.loads((tmp_path / "report" / "metrics.json").read_text())["results"]
-    assert {row["model"] for row in rows} == {"df", "b", "parametric", "ctrv", "kinematic"}
-    assert {row["lookup"] for row in rows if row["model"] == "df"} == {"recorded", "map"}
+    run_demo(tmp_path, SMALL, processes=1, tell=said.append)
+    report = tmp_path / "report"
+    rows = json.loads((report / "metrics.json").read_text())["results"]
+    assert {row["model"] for row in rows} == {"b", "dc", "ctrv", "kinematic"}
+    ways = {("recorded", name) for name in FEATURE_SETS} | {("map", None)}
+    assert {(row["lookup"], row["feature_set"]) for row in rows if row["model"] == "dc"} == ways
+    assert (report / "distance.png").read_bytes().startswith(b"\x89PNG")
+    assert f"picture: {report / 'distance.png'}" in said
     assert any("no real vehicle" in str(line) for line in said)
-    assert any("oracle" in str(line) for line in said)
+    assert any("too little for an interval" in str(line) for line in said), "one drive of 8 s says nothing"
 
-    trained = (tmp_path / "b" / "model.safetensors").read_bytes()
-    logs = {log: log.stat().st_mtime_ns for log in (tmp_path / "logs").iterdir()}
-    run_demo(tmp_path, SMALL, tell=said.append)
-    assert report.stat().st_mtime_ns > written
-    assert (tmp_path / "b" / "model.safetensors").read_bytes() == trained
-    assert {log: log.stat().st_mtime_ns for log in (tmp_path / "logs").iterdir()} == logs
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
+    kept |= {log: log.stat().st_mtime_ns for log in (tmp_path / "logs").iterdir()}
+    again: list[object] = []
+    run_demo(tmp_path, SMALL, processes=1, tell=again.append)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert str(again[-1]) == str(said[-1])
+
+    with pytest.raises(RunError, match=r"demo\.seconds"):
+        run_demo(tmp_path, DemoSettings(), tell=said.append)

@@ -1,78 +1,139 @@
-"""The whole path on the proving ground: simulate, inspect, extract, train, evaluate."""
+"""The whole path on the proving ground: simulate, inspect, look, extract, train, judge by distance and on the map."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.fit_pca import fit_pca
+from offpiste.dataset.image_list import write_image_list
 from offpiste.dataset.make import make_dataset
+from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset
+from offpiste.experiments.claimed import claim_folder
+from offpiste.experiments.demo_result import tell_result
 from offpiste.experiments.judge_runs import judge_runs
-from offpiste.experiments.recorded import simulate_once
+from offpiste.experiments.recorded import Recording, simulate_all
+from offpiste.experiments.shared_stages import reuse_stages
 from offpiste.files import write_text
 from offpiste.logs import open_log
 from offpiste.logs.checks import inspect_log, render
-from offpiste.rig import load_rig
+from offpiste.parallel import usable_cores
+from offpiste.perception.backbone import open_backbone
+from offpiste.perception.pca_file import save_pca
+from offpiste.rig import Rig, load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
 
-PARTS = ("train", "train", "train", "train", "validation", "test", "test")
-"""Of the drives, each in a world of its own."""
+MODELS = ("b", "dc")
+WORLD = "mojave"
+BACKBONE = "filterbank"
 
-MODELS = ("df", "b", "parametric")
+PCA_DRIVES = 2
+"""So many drives that train are enough for the PCA."""
+
+STEPS = 7
+
+Tell = Callable[[object], None]
 
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """How much is simulated and trained.
+    """How much is simulated and trained: so little that it ends within ten minutes on two cores.
 
     Attributes:
         seconds: of each drive.
         epochs: passes over the training windows.
         seed: of everything.
         size, resolution: of the worlds [m].
+        images: that the PCA is fitted on.
+        batch: windows a step; small, so that there are some steps.
+        snapshot_seconds: a window is judged at most once in so long [s].
+        parts: of the drives, each in a world of its own.
     """
 
-    seconds: float = 120.0
-    epochs: int = 8
+    seconds: float = 60.0
+    epochs: int = 12
     seed: int = 0
-    size: float = 320.0
+    size: float = 200.0
     resolution: float = 0.25
+    images: int = 60
+    batch: int = 64
+    snapshot_seconds: float = 0.5
+    parts: tuple[str, ...] = ("train", "train", "train", "train", "validation", "test", "test")
 
 
-def run_demo(out: Path, settings: DemoSettings, *, tell: Callable[[object], None]) -> None:
+def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tell) -> None:
     """Make everything in `out`; what is there already from an earlier demo with the same settings is used again.
 
+    Args:
+        processes: drives that are simulated or extracted at a time; 0: one a core.
+
     Raises:
-        OffpisteError: as the stages do; e.g. `out` holds runs of other settings.
+        OffpisteError: as the stages do; e.g. `out` holds a demo of other settings.
     """
-    rig = load_rig("proving_ground")
-    logs = [out / "logs" / f"mojave-{settings.seed + number}.mcap" for number in range(len(PARTS))]
-    tell(f"1/5  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s (no real vehicle), without cameras")
-    for number, log in enumerate(logs):
-        world = WorldSettings(seed=settings.seed + number, size=settings.size, resolution=settings.resolution)
-        simulate_once(DriveSettings(world, settings.seconds, seed=number, sensors="none"), log, tell=tell)
-    tell(f"2/5  offpiste inspect {logs[0]} --rig proving_ground")
-    tell(render(inspect_log(open_log(logs[0]), rig)))
-    parts, dataset_path = out / "parts.txt", out / "dataset.zarr"
-    tell(f"3/5  offpiste extract … --rig proving_ground --features ground-truth --split drives:{parts}")
-    write_text(parts, "".join(f"{log.stem} {part}\n" for log, part in zip(logs, PARTS, strict=True)))
-    dataset = make_dataset(logs, rig, dataset_path, split=f"drives:{parts}", features="ground-truth", tell=tell)
-    runs = []
-    for model in MODELS:
-        tell(f"4/5  offpiste train {dataset_path} --model {model} --out {out / model}")
-        config = TrainConfig(
-            model=model,
-            epochs=settings.epochs,
-            bicycle_epochs=settings.epochs,
-            actuator_epochs=max(1, settings.epochs // 2),
-            seed=settings.seed,
-        )
-        train(dataset, config, out / model, resume=(out / model / "config.json").exists(), tell=tell)
-        runs.append(out / model)
-    tell(f"5/5  offpiste evaluate {' '.join(map(str, runs))} --dataset {dataset_path} --out {out / 'report'}")
-    judge_runs(runs, dataset_path, out / "report", tell=tell)
+    claim_folder(out, {"demo": asdict(settings)})
+    rig, processes = load_rig("proving_ground"), processes or usable_cores()
+    recordings = _recordings(out, settings)
+    logs = [recording.log for recording in recordings]
     tell(
-        "`df` is an oracle here: it is told the true friction and resistance under each wheel, where cameras will have"
-        " to guess. `map` is what a planner can do: the ground is read where the prediction goes, not the drive."
+        f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s (no real vehicle),"
+        " each in a world of its own, with one camera and one LiDAR"
     )
+    simulate_all(recordings, processes, tell=tell)
+    tell(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
+    tell(render(inspect_log(open_log(logs[0]), rig)))
+    dataset = _extracted(logs, rig, out, settings, processes, tell)
+    runs = [_trained(name, dataset, out, settings, tell) for name in MODELS]
+    report, named = out / "report", " ".join(map(str, runs))
+    tell(f"6/{STEPS}  offpiste evaluate {named} --dataset {dataset.path} --feature-set all --out {report}")
+    evaluation = judge_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
+    tell(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
+    tell_result(evaluation, dataset, report, tell=tell)
+
+
+def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
+    """The drives; no two have the same seed."""
+    found = []
+    for seed in range(settings.seed, settings.seed + len(settings.parts)):
+        world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
+        drive = DriveSettings(world, settings.seconds, seed, sensors="light")
+        found.append(Recording(drive, out / "logs" / f"{WORLD}-{seed}.mcap"))
+    return found
+
+
+def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int, tell: Tell) -> Dataset:
+    """The dataset; the PCA looks at drives that train only."""
+    parts, pca, path = out / "parts.txt", out / "pca.safetensors", out / "dataset.zarr"
+    write_text(parts, "".join(f"{log.stem} {part}\n" for log, part in zip(logs, settings.parts, strict=True)))
+    split = f"drives:{parts}"
+    looked_at = [log for log, part in zip(logs, settings.parts, strict=True) if part == "train"][:PCA_DRIVES]
+    names = " ".join(map(str, looked_at))
+    tell(f"3/{STEPS}  offpiste fit-pca {names} --rig proving_ground --backbone {BACKBONE} --split {split} --out {pca}")
+    if not pca.exists():
+        fitted = fit_pca(looked_at, rig, parse_split(split), open_backbone(BACKBONE), images=settings.images, tell=tell)
+        write_image_list(pca.with_suffix(".images.txt"), fitted.images)
+        save_pca(pca, fitted.pca)
+    tell(f"4/{STEPS}  offpiste extract {out}/logs/*.mcap --rig proving_ground --pca {pca} --split {split} --out {path}")
+    kept = SnapshotSettings(settings.snapshot_seconds)
+    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes, tell=tell)
+
+
+def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings, tell: Tell) -> Path:
+    """The folder of a run. What is the same for all models is fitted with the first."""
+    folder = out / "runs" / f"{model}-{settings.seed}"
+    tell(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
+    reuse_stages(folder.parent, folder, settings.seed)
+    config = TrainConfig(
+        model=model,
+        epochs=settings.epochs,
+        bicycle_epochs=settings.epochs,
+        actuator_epochs=max(1, settings.epochs // 2),
+        batch=settings.batch,
+        seed=settings.seed,
+    )
+    train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
+    return folder

@@ -196,7 +196,7 @@ def test_datasets_that_cannot_carry_a_figure_are_refused_in_one_line(
 
 
 def test_every_size_can_be_started(tmp_path: Path) -> None:
-    from offpiste.experiments.reproduce import data
+    from offpiste.experiments import recorded
 
     class Begun(BaseException):
         pass
@@ -207,7 +207,7 @@ def test_every_size_can_be_started(tmp_path: Path) -> None:
     for name, size in SIZES.items():
         told: list[object] = []
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(data, "run_all", begin)
+            patch.setattr(recorded, "run_all", begin)
             with pytest.raises(Begun):
                 reproduce(Reproduction("fig3", size, tmp_path / name), tell=told.append)
         assert re.match(r"\[1/\d+\] simulate \d+ drives", str(told[0]))

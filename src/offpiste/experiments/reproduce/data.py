@@ -1,9 +1,6 @@
 """The dataset of a reproduction: simulated, or an existing one that can carry it."""
 
-import io
 from collections.abc import Callable
-from contextlib import redirect_stderr
-from dataclasses import dataclass
 from pathlib import Path
 
 from offpiste.conventions import FEATURE_SETS
@@ -14,17 +11,16 @@ from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.store import Dataset, drive_names, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.experiments.recorded import simulate_once
+from offpiste.experiments.recorded import Recording, simulate_all
 from offpiste.experiments.reproduce.drives import BLOCKS, PlannedDrive, planned_drives, seconds_of
 from offpiste.experiments.reproduce.models import PCA_SWEPT
 from offpiste.experiments.reproduce.plan import Piece
 from offpiste.experiments.reproduce.settings import Reproduction
 from offpiste.files import write_text
-from offpiste.parallel import run_all, usable_cores
+from offpiste.parallel import usable_cores
 from offpiste.perception.backbone import open_backbone
 from offpiste.perception.pca_file import save_pca
 from offpiste.rig import load_rig
-from offpiste.simulation.simulate import DriveSettings
 
 RIG = "proving_ground"
 
@@ -95,25 +91,9 @@ def open_checked(asked: Reproduction) -> Dataset:
     return dataset
 
 
-@dataclass(frozen=True)
-class _Recording:
-    settings: DriveSettings
-    log: Path
-
-
-def _record(job: _Recording, report: Callable[[float], None]) -> str:
-    said: list[str] = []
-    with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        simulate_once(job.settings, job.log, tell=said.append)
-    return "; ".join(said) or f"{job.log}: there"
-
-
 def _simulate(asked: Reproduction, drives: list[PlannedDrive], processes: int, tell: Callable[[str], None]) -> None:
-    jobs = [_Recording(d.settings, log) for d, log in zip(drives, _logs(asked, drives), strict=True)]
-    missing = [job for job in jobs if not job.log.exists()]
-    failed = run_all(_record, missing, processes, "simulate", tell)
-    if failed:
-        raise failed[0]
+    recordings = [Recording(d.settings, log) for d, log in zip(drives, _logs(asked, drives), strict=True)]
+    simulate_all(recordings, processes, tell=tell)
 
 
 def _fit(

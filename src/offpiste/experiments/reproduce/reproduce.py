@@ -1,12 +1,11 @@
 """`offpiste reproduce`: drives, features, models and judgement of a figure of the paper, in one resumable command."""
 
-import json
 from collections.abc import Callable
 from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from offpiste.errors import RunError
+from offpiste.experiments.claimed import claim_folder
 from offpiste.experiments.reproduce.data import data_pieces, expected_features, open_checked
 from offpiste.experiments.reproduce.judged import mapped, ways
 from offpiste.experiments.reproduce.models import members
@@ -15,7 +14,6 @@ from offpiste.experiments.reproduce.report import write_figure
 from offpiste.experiments.reproduce.results import gather
 from offpiste.experiments.reproduce.settings import Reproduction
 from offpiste.experiments.reproduce.work import Driven, Work, driven_in, model_stages
-from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.run import check_device
 
 REPORT_COST = 30.0
@@ -36,7 +34,7 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
         open_checked(asked)
     data = data_pieces(asked, tell)
     planned = _plan(asked, expected_features(asked), data)
-    _claim(asked)
+    claim_folder(asked.out, asked.described())
     record = partial(append_time, asked.times)
     carry_out([[piece] for piece in data], later=planned, tell=tell, record=record)
     work = Work(asked, open_checked(asked))
@@ -64,22 +62,3 @@ def _plan(asked: Reproduction, stored: int, data: list[Piece]) -> list[Piece]:
     chosen = members(asked.figure, stored)
     stages = model_stages(asked, chosen, ways(asked.figure, mapped=True), driven)
     return [*chain.from_iterable(stages), Piece("report", REPORT_COST, lambda: False, lambda: None)]
-
-
-def _claim(asked: Reproduction) -> None:
-    """Say what the folder is of, or check that it is of this."""
-    path, described = asked.out / "settings.json", json.loads(json.dumps(asked.described()))
-    if not path.exists():
-        save_json(path, described)
-        return
-    found = load_json(path)
-    other = [key for key in sorted({*found, *described}) if found.get(key) != described.get(key)]
-    if other == ["size"]:
-        size, mine = found["size"], described["size"]
-        other = [f"size.{key}" for key in mine if mine[key] != size.get(key)]
-    if other:
-        raise RunError(
-            f"was begun with other settings ({', '.join(other)})",
-            where=asked.out,
-            how="give the same again, or choose another --out",
-        )

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError, OffpisteError
+from offpiste.logs.checks.draft_sensors import draft_sensors
 from offpiste.logs.checks.finding import number
 from offpiste.logs.checks.guess import Guess, by_topic, guesses
 from offpiste.logs.checks.path import driven_path
@@ -16,6 +17,7 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig import ACTUATOR_CHANNELS, CONTROL_CHANNELS, Rig, Wrap, parse_rig
 
+_NO_STEERING = "# MISSING: steering: no topic looks like it; no model can do without. Add [channels.steer]\n"
 _HEADER = """\
 # A first rig for {name}, guessed by `offpiste inspect`. Every line is a guess: read it, mend it, and inspect again
 # with --rig until nothing is left to mend.
@@ -62,6 +64,7 @@ def _text(log: Log, frame: str) -> str:
     absent = [name for name in (*CONTROL_CHANNELS, *ACTUATOR_CHANNELS) if name not in entries]
     name = log.path.resolve().name.split(".")[0]
     parts = [_HEADER.format(name=name, quoted=_toml(name), absent=_toml(absent))]
+    parts += [_NO_STEERING] if "steer" in absent else []
     for channel, entry in entries.items():
         parts += [
             f"[channels.{channel}]  # {entry.comment}",
@@ -70,7 +73,7 @@ def _text(log: Log, frame: str) -> str:
             *entry.lines,
             "",
         ]
-    return "\n".join(parts)
+    return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
 
 
 def _toml(value: object) -> str:

@@ -187,6 +187,11 @@ def _check_channels(drive: Drive, path: Path, recorded: dict[str, Recorded], *, 
     steering, steers = check_steering(drive, path, measured=given) if heading_fits(path) else ([], True)
     pedals, drives = check_pedals(drive, path)
     findings += clocks + steering + pedals + copies
+    if "steer" not in drive.channels and drives:
+        what, said = "there is no steering", "pedals alone do not tell where the vehicle goes"
+        mend = "add [channels.steer] with the topic that holds it: commanded, or else measured"
+        # Without a rig only names were guessed, and the topic may have another.
+        findings.append(Finding("fatal" if given else "warning", "controls", what, said, mend, 1.0))
     if not steers and not drives:
         present = [name for name in CONTROL_CHANNELS if name in drive.channels]
         what = "no control has any effect" if present else "there is no control channel"
