@@ -13,13 +13,13 @@ import torch
 from factories import COMMANDED, VEHICLE, coded, unsettled
 from offpiste.conventions import ACTUATORS
 from offpiste.dynamics import Hybrid, Parametric, rollout
-from offpiste.mapping.lookup import MapTerrain
+from offpiste.dynamics.encoder import Compressor, Identity
 from offpiste.planning.costs import Weights, driving_terms
 from offpiste.planning.course import Hazards
-from offpiste.planning.fused import encode_map, fused_costs, fused_rollout
+from offpiste.planning.fused import coded_map, encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
-from offpiste.planning.rollouts import driving_costs, spread_carry
+from offpiste.planning.rollouts import as_codes, driving_costs, ground_ahead, spread_carry
 from offpiste.trajectory import Carry
 from planning_grounds import layers, situation
 
@@ -49,7 +49,12 @@ def ground(seed=0):
 
 def model(kind, vehicle=COMMANDED):
     torch.manual_seed(0)
-    made = {"parametric": Parametric(vehicle), "b": Hybrid(vehicle), "dc": coded(vehicle, 3)}[kind]
+    made = {
+        "parametric": Parametric(vehicle),
+        "b": Hybrid(vehicle),
+        "dc": coded(vehicle, 3),
+        "hold": Hybrid(vehicle, encoder=Identity(2), holds=True),
+    }[kind]
     if isinstance(made, Hybrid):
         torch.nn.init.normal_(made.compensator.output[-1].weight, std=0.1)
     return unsettled(made, scale=0.05).requires_grad_(False)
@@ -72,9 +77,7 @@ def both(dynamics, at, controls, weights):
     """Costs, states: eager, fused; and the eager terms."""
     encoder = getattr(dynamics, "encoder", None)
     carry = start(dynamics, at)
-    source = MapTerrain(
-        at.ground, torch.zeros(len(controls), dtype=torch.long), at.offset.expand(len(controls), 2), at.wheels, encoder
-    )
+    source = ground_ahead(dynamics, at, len(controls), encoder)
     trajectory = rollout(dynamics, spread_carry(carry, len(controls)), controls, source)
     eager = driving_costs(dynamics, carry, at, weights, encoder)(controls), trajectory.state
     fused = fused_rollout(dynamics, carry, controls, at, weights, encode_map(at.ground, encoder))
@@ -82,7 +85,7 @@ def both(dynamics, at, controls, weights):
 
 
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-@pytest.mark.parametrize("kind", ["parametric", "b", "dc"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
 def test_costs_and_states_equal_the_eager_ones(kind, vehicle):
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     weights = Weights(lateral_limit=0.25, rollover=20.0)
@@ -121,6 +124,53 @@ def test_backwards_most_samples_agree(kind):
     difference = (fused[1] - eager[1]).abs().amax(dim=(1, 2))
     assert difference.median() < 1e-4
     assert (difference < 1e-3).float().mean() > 0.9
+
+
+def test_a_model_that_holds_is_another_than_one_that_looks_ahead():
+    at, controls, holding, looking = situation(ground()), commands(8), model("hold"), model("dc")
+    looking.load_state_dict(holding.state_dict())
+    codes = encode_map(at.ground, holding.encoder)
+    held, seen = (fused_rollout(m, start(m, at), controls, at, Weights(), codes)[1] for m in (holding, looking))
+    torch.testing.assert_close(held[:, 0], seen[:, 0])
+    assert (held[:, -1] - seen[:, -1]).abs().max() > 1e-3
+
+
+def test_a_map_that_holds_codes_needs_no_encoder():
+    at, dynamics, controls = situation(ground()), model("dc"), commands(8)
+    encoder, carry = dynamics.encoder, start(dynamics, at)
+    codes, missing = encode_map(at.ground, encoder)
+    # As a map gives them: NaN where nothing was seen.
+    seen = at.ground.features[0].isfinite().all(-1, keepdim=True)
+    coded_at = replace(at, ground=replace(at.ground, features=codes.where(seen, torch.nan)[None]))
+    again = coded_map(coded_at.ground, encoder)
+    torch.testing.assert_close(again, (codes, missing), rtol=0, atol=0)
+    eager = driving_costs(dynamics, carry, coded_at, Weights(), as_codes(missing))(controls)
+    torch.testing.assert_close(eager, driving_costs(dynamics, carry, at, Weights(), encoder)(controls))
+    with pytest.raises(ValueError, match="holds 2 numbers a cell; codes are 3"):
+        coded_map(at.ground, encoder)
+
+
+def test_cells_are_encoded_as_one_by_one_and_only_those_in_reach():
+    torch.manual_seed(0)
+    at, encoder = situation(ground()), Compressor(2).requires_grad_(False)
+    codes, missing = encode_map(at.ground, encoder)
+    features = at.ground.features[0]
+    for row, column in ((0, 0), (30, 31), (60, 60), *features.isnan().any(-1).nonzero()[:2].tolist()):
+        cell = features[row, column][None]
+        torch.testing.assert_close(codes[row, column], encoder(cell, cell.isfinite().all(-1))[0])
+    near, _ = encode_map(at.ground, encoder, centre=torch.tensor([5.0, -3.0]), reach=2.0)
+    # Cells lie every 0.5 m from -15 m on: columns 36 ... 44 and rows 20 ... 28 are within 2 m.
+    assert torch.equal(near[20:29, 36:45], codes[20:29, 36:45])
+    near[20:29, 36:45] = missing
+    assert torch.equal(near, missing.expand_as(near))
+
+
+@pytest.mark.parametrize("cells", [1, 2])
+def test_a_map_of_hardly_any_cells(cells):
+    at, dynamics = situation(layers(cells, 20.0, plane=(0.1, 0.05))), model("b")
+    eager, fused, _ = both(dynamics, at, commands(5), Weights(lateral_limit=2.0))
+    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
 
 
 def test_nothing_known_of_the_map():

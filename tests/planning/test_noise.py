@@ -72,6 +72,14 @@ def test_exponent_0_is_white():
     assert (covariance - torch.eye(6)).abs().max() < 0.03
 
 
+def test_nothing_above_the_highest_frequency():
+    values = drawn(coloured, (20_000, 32, 1), exponent=1.0, period=32, highest=6)[..., 0]
+    power = torch.fft.rfft(values, dim=1).abs().square().mean(0)
+    torch.testing.assert_close(power[:7], spectrum(32, 1.0, 6), rtol=0.05, atol=0)
+    assert power[7:].max() < 1e-20
+    torch.testing.assert_close(values.var(0), torch.ones(32).double(), atol=0.08, rtol=0)
+
+
 def test_a_period_shorter_than_the_steps_is_refused():
     with pytest.raises(ValueError, match="at least as many"):
         drawn(coloured, (1, 10, 1), period=9)

@@ -4,7 +4,9 @@ The first call compiles for some 20 seconds; the machine code is kept beside the
 written.
 """
 
+import math
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 import torch
@@ -21,23 +23,63 @@ from offpiste.dynamics.kernels.network import weights as matrices
 from offpiste.dynamics.kernels.threads import spread
 from offpiste.mapping.lookup import MapStack
 from offpiste.planning.costs import Situation, Weights
-from offpiste.planning.fused_kernel import Grid, Ground, Prices, Raster, roll_out
+from offpiste.planning.fused_kernel import Prices, roll_out
+from offpiste.planning.fused_survey import Grid, Ground, Raster
 from offpiste.planning.mppi import CostOf
 from offpiste.trajectory import Carry
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Of the cells of a map, and of a cell without features."""
 
+PART: Final = 4096
+"""How many cells are encoded at a time."""
+
 
 @torch.no_grad()
-def encode_map(maps: MapStack, encoder: FeatureEncoder | None) -> Codes:
-    """Codes of all cells of the first map of a stack: choosing a cell and encoding it commute."""
-    features = maps.features[0].float()
+def encode_map(
+    maps: MapStack,
+    encoder: FeatureEncoder | None,
+    *,
+    centre: Float[Tensor, " 2"] | None = None,
+    reach: float = math.inf,
+) -> Codes:
+    """Codes of the cells of the first map of a stack: choosing a cell and encoding it commute.
+
+    Worth doing once a map, not once a plan. A map that holds codes already is `coded_map`'s.
+
+    Args:
+        centre: x, y in the world frame [m].
+        reach: cells further than this from it, along x or y, count as missing [m].
+    """
+    features = maps.features[0]
     if encoder is None:
-        return features[..., :0], features.new_zeros(0)
-    flat = features.flatten(0, 1)
-    codes = encoder(flat, flat.isfinite().all(dim=-1))
-    return codes.unflatten(0, features.shape[:2]), encoder.missing()
+        return features[..., :0].float(), torch.zeros(0, device=features.device)
+    wanted = features.isfinite().all(dim=-1)
+    if centre is not None:
+        rows, columns = (torch.arange(n, dtype=torch.float64, device=features.device) for n in wanted.shape)
+        x, y = (centre.double() - maps.origin[0]) / maps.resolution
+        cells = reach / maps.resolution
+        wanted &= ((rows - y).abs() <= cells)[:, None] & ((columns - x).abs() <= cells)
+    missing = encoder.missing()
+    codes = missing.repeat(*wanted.shape, 1)
+    # Few at a time stay in the cache; the others need no network.
+    for row, column in zip(*(index.split(PART) for index in wanted.nonzero(as_tuple=True)), strict=True):
+        there = torch.ones(len(row), dtype=torch.bool, device=features.device)
+        codes[row, column] = encoder(features[row, column].to(missing.dtype), there)
+    return codes, missing
+
+
+@torch.no_grad()
+def coded_map(maps: MapStack, encoder: FeatureEncoder) -> Codes:
+    """`encode_map` of a map whose features are codes already, as the paper's map holds them.
+
+    Raises:
+        ValueError: they are not as long as the encoder's.
+    """
+    codes, missing = maps.features[0], encoder.missing()
+    if codes.shape[-1] != encoder.size:
+        raise ValueError(f"the map holds {codes.shape[-1]} numbers a cell; codes are {encoder.size}")
+    return codes.to(missing.dtype).where(codes.isfinite().all(dim=-1, keepdim=True), missing), missing
 
 
 def fused_costs(
@@ -91,6 +133,7 @@ def _bind(
         _ground(situation, codes),
         _raster(situation),
         _prices(weights),
+        isinstance(dynamics, Hybrid) and dynamics.holds,
     )
     start = carry.pack()[0].contiguous().numpy()
 
@@ -107,21 +150,27 @@ def _bind(
 
 def _ground(situation: Situation, codes: Codes) -> Ground:
     maps = situation.ground
+    cells, missing = codes
     return Ground(
-        _grid(situation.offset - maps.origin[0], maps.resolution),
-        maps.slope[0].float().contiguous().numpy(),
-        *(part.float().contiguous().numpy() for part in (*codes, situation.wheels)),
+        _grid(situation.offset - maps.origin[0], maps.resolution, cells),
+        _rows(maps.slope[0]),
+        _rows(cells),
+        *(part.float().contiguous().numpy() for part in (missing, situation.wheels)),
     )
 
 
 def _raster(situation: Situation) -> Raster:
     costs = situation.costs
-    grid = _grid(situation.offset - costs.origin, costs.resolution)
-    return Raster(grid, costs.layers.float().contiguous().numpy(), np.float32(costs.outside))
+    grid = _grid(situation.offset - costs.origin, costs.resolution, costs.layers)
+    return Raster(grid, _rows(costs.layers), np.float32(costs.outside))
 
 
-def _grid(shift: Float[Tensor, " 2"], resolution: float) -> Grid:
-    return Grid(shift.numpy().astype(np.float32), np.float32(1 / resolution))
+def _rows(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, "cells C"]:
+    return cells.float().flatten(0, 1).contiguous().numpy()
+
+
+def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "ny nx _"]) -> Grid:
+    return Grid(shift.numpy().astype(np.float32), np.float32(1 / resolution), cells.shape[0], cells.shape[1])
 
 
 def _prices(w: Weights) -> Prices:
@@ -141,7 +190,7 @@ def _prices(w: Weights) -> Prices:
 
 def _check(dynamics: Parametric | Hybrid, carry: Carry, codes: Codes) -> None:
     """Refuse what the kernel would read out of bounds, or wrongly."""
-    if not supports(dynamics, carry.state.device, carry.state.dtype) or getattr(dynamics, "holds", False):
+    if not supports(dynamics, carry.state.device, carry.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
     wanted = dynamics.codes if isinstance(dynamics, Hybrid) else 0
     units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)

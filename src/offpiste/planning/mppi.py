@@ -15,28 +15,13 @@ from torch import Generator, Tensor
 
 from offpiste.conventions import DT
 from offpiste.errors import PlanningError
+from offpiste.planning.limits import PEDALS_AND_WHEEL, Limits, keep_within
 from offpiste.planning.noise import Noise, coloured
+
+__all__ = ["PEDALS_AND_WHEEL", "CostOf", "Limits", "Plan", "Settings", "improve", "limited", "sample", "shift"]
 
 CostOf = Callable[[Tensor], Tensor]
 """From control sequences [K, T, U] to their costs [K]; what is not finite counts as infinitely dear."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What controls may be; one number for each.
-
-    Attributes:
-        low, high: bounds.
-        rate: largest change per second; None for any.
-    """
-
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    rate: tuple[float, ...] | None = None
-
-
-PEDALS_AND_WHEEL = Limits(low=(0.0, 0.0, -1.0), high=(1.0, 1.0, 1.0), rate=(4.0, 8.0, 4.0))
-"""Of `conventions.CONTROL`: throttle, brake, steer [1, 1/s]."""
 
 
 @dataclass(frozen=True)
@@ -128,13 +113,13 @@ def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Genera
     count = settings.samples
     fresh, wide = round(settings.fresh * count), round(settings.wide * count)
     deviation = controls.new_tensor(settings.deviation)
-    noise = settings.noise((count, *controls.shape), generator, controls.dtype) * deviation
-    noise[0] = 0
-    noise[1 : 1 + min(fresh, 1)] = 0
-    noise[1 + fresh : 1 + fresh + wide] *= settings.width
-    samples = controls + noise
     rest = torch.zeros_like(deviation) if settings.rest is None else controls.new_tensor(settings.rest)
-    samples[1 : 1 + fresh] = rest + noise[1 : 1 + fresh]
+    samples = settings.noise((count, *controls.shape), generator, controls.dtype) * deviation
+    samples[: 1 + min(fresh, 1)] = 0
+    samples[1 + fresh : 1 + fresh + wide] *= settings.width
+    samples[0] += controls
+    samples[1 : 1 + fresh] += rest
+    samples[1 + fresh :] += controls
     return samples
 
 
@@ -146,17 +131,7 @@ def limited(
     Args:
         previous: the control before the first step; None leaves that one free.
     """
-    limits = settings.limits
-    low, high = controls.new_tensor(limits.low), controls.new_tensor(limits.high)
-    controls = controls.clamp(low, high)
-    if limits.rate is None:
-        return controls
-    change = controls.new_tensor(limits.rate) * settings.dt
-    steps = list(controls.unbind(dim=1))
-    before = steps[0] if previous is None else previous.clamp(low, high)
-    for t, wanted in enumerate(steps):
-        before = steps[t] = torch.minimum(torch.maximum(wanted, before - change), before + change)
-    return torch.stack(steps, dim=1)
+    return keep_within(settings.limits, settings.dt, controls, previous)
 
 
 def control_costs(

@@ -42,6 +42,7 @@ def coloured(
     *,
     exponent: float = 2.0,
     period: int | None = None,
+    highest: int | None = None,
 ) -> Float[Tensor, "K T U"]:
     """Low-frequency noise: power 1 / f^exponent, variance 1 at every step (Vlahov et al., RA-L 2024).
 
@@ -51,6 +52,7 @@ def coloured(
     Args:
         exponent: 0 white, 1 pink, 2 like a random walk.
         period: after how many steps the noise would repeat; by default 2 T, so that the end knows nothing of the start.
+        highest: frequency above which there is none [1 / period]; None for all. Drawing few takes less time.
 
     Raises:
         ValueError: the period is shorter than the steps.
@@ -59,24 +61,26 @@ def coloured(
     period = 2 * steps if period is None else period
     if period < steps:
         raise ValueError(f"noise of {steps} steps needs a period of at least as many, not {period}")
-    size = torch.sqrt(spectrum(period, exponent)).to(generator.device, dtype)
-    parts = torch.randn((2, samples, controls, len(size)), generator=generator, dtype=dtype, device=generator.device)
-    # What is its own conjugate has no imaginary part, and all of its power in the real one.
-    real = [0, -1] if period % 2 == 0 else [0]
-    parts[0, :, :, real] *= math.sqrt(2)
-    parts[1, :, :, real] = 0
-    series = torch.fft.irfft(torch.complex(parts[0], parts[1]) * (size / math.sqrt(2)), n=period)
-    return series[..., :steps].transpose(1, 2).contiguous()
+    power = spectrum(period, exponent, highest)
+    # `irfft` reads only the real part of what is its own conjugate: it must have all of the power.
+    power[0] *= 2
+    if period % 2 == 0 and len(power) > period // 2:
+        power[-1] *= 2
+    size = torch.sqrt(power).to(generator.device, dtype)
+    shape = (samples, controls, len(size))
+    parts = torch.randn(shape, generator=generator, dtype=dtype.to_complex(), device=generator.device)
+    return torch.fft.irfft(parts.mul_(size), n=period)[..., :steps].transpose(1, 2)
 
 
-def spectrum(period: int, exponent: float) -> Float[Tensor, " frequencies"]:
-    """Mean square of each coefficient of `torch.fft.rfft` of one period of `coloured` (float64)."""
+def spectrum(period: int, exponent: float, highest: int | None = None) -> Float[Tensor, " frequencies"]:
+    """Mean square of each coefficient of `torch.fft.rfft` of one period of `coloured`, up to the highest (float64)."""
     step = torch.arange(period // 2 + 1, dtype=torch.float64).clamp(min=1)
     power = step**-exponent
     twice = torch.full_like(power, 2.0)
     twice[0] = 1
     if period % 2 == 0:
         twice[-1] = 1
+    power, twice = (part[: None if highest is None else highest + 1] for part in (power, twice))
     return power * period**2 / (twice * power).sum()
 
 

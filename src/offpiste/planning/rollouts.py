@@ -1,16 +1,18 @@
 """Costs of control sequences by rolling a model out: the eager reference, for any model and any cost."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
+from offpiste.dynamics.hybrid import Hybrid
 from offpiste.mapping.lookup import Encode, MapTerrain
 from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
-from offpiste.trajectory import Carry, TerrainSource, Trajectory
+from offpiste.trajectory import Carry, Terrain, TerrainSource, Trajectory
 
 
 def model_costs(
@@ -37,13 +39,11 @@ def driving_costs(
 
     Args:
         carry: the start, a batch of one, in `situation.state`.
-        encode: of the map's features; None for models without features.
+        encode: of the map's features; None for models without features. `as_codes` where it holds codes.
     """
 
     def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
-        number = torch.zeros(len(controls), dtype=torch.long, device=controls.device)
-        offset = situation.offset.expand(len(controls), 2)
-        source = MapTerrain(situation.ground, number, offset, situation.wheels, encode)
+        source = ground_ahead(dynamics, situation, len(controls), encode)
 
         def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
             return driving_cost(trajectory, controls, situation, weights)
@@ -51,6 +51,41 @@ def driving_costs(
         return model_costs(dynamics, carry, source, cost)(controls)
 
     return cost_of
+
+
+def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode: Encode | None = None) -> TerrainSource:
+    """The situation's map for as many rollouts, as the model reads it: one that holds codes keeps those of the start.
+
+    Args:
+        encode: as in `driving_costs`.
+    """
+    number = torch.zeros(samples, dtype=torch.long, device=situation.state.device)
+    offset = situation.offset.expand(samples, 2)
+    source = MapTerrain(situation.ground, number, offset, situation.wheels, encode)
+    if not (isinstance(dynamics, Hybrid) and dynamics.holds):
+        return source
+    return HeldCodes(source, source.at(0, situation.state.expand(samples, 6)).latent)
+
+
+@dataclass(frozen=True)
+class HeldCodes:
+    """Normals from a source, codes from the start (`hold`)."""
+
+    source: MapTerrain
+    latent: Float[Tensor, "K 4 E"]
+
+    def at(self, t: int, state: Float[Tensor, "K 6"]) -> Terrain:
+        """The ground under the wheels in `state`, as it looked at the start."""
+        return Terrain(self.source.at(t, state).normal, self.latent)
+
+
+def as_codes(missing: Float[Tensor, " E"]) -> Encode:
+    """Reads features that are codes already.
+
+    Args:
+        missing: `FeatureEncoder.missing()`.
+    """
+    return lambda codes, valid: torch.where(valid[:, None], codes, missing)
 
 
 def spread_carry(carry: Carry, samples: int) -> Carry:
