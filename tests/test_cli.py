@@ -53,7 +53,9 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     assert {row["model"] for row in metrics["results"]} == {"b", "ctrv", "kinematic"}
     assert {row["start"] for row in metrics["results"]} == {"causal", "smoothed"}
     assert (report / "report.html").stat().st_size > 10_000
-    assert "kinematic" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "kinematic" in said
+    assert ("–: no interval" in said) == (metrics["windows"]["blocks"] < 3)
 
 
 def test_inspect_judges_for_machines(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.splits import GAP, PARTS, _place_labels, parse_split, window_starts
+from offpiste.dataset.splits import GAP, PARTS, _place_labels, empty_parts, parse_split, window_starts
 from offpiste.errors import DatasetError
 
 REACH = HISTORY_STEPS + HORIZON_STEPS
@@ -105,8 +105,9 @@ def test_drives_go_where_their_file_says(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "blocks", "blocks:1", "blocks:0.5,0.5,0.5", "blocks:-0.1,0.6,0.5", "blocks:0,0.5,0.5", "blocks:a,b,c",
-     "blocks:nan,0.5,0.5", "fold:5/5", "fold:0/2", "fold:1", "places:0", "places:x", "places:inf", "random:0.8"],
+    ["", "blocks", "drives", "blocks:1", "blocks:0.5,0.5,0.5", "blocks:-0.1,0.6,0.5", "blocks:0,0.5,0.5",
+     "blocks:a,b,c", "blocks:nan,0.5,0.5", "fold:5/5", "fold:0/2", "fold:1", "places:0", "places:x", "places:inf",
+     "random:0.8"],
 )  # fmt: skip
 def test_what_is_no_split_is_an_error_that_shows_one(text):
     with pytest.raises(DatasetError, match=r"not a split.*blocks:0\.7,0\.1,0\.2"):
@@ -119,6 +120,13 @@ def test_a_wrong_line_of_a_split_file_is_named(tmp_path, content):
     path.write_text("sunday train\n" + content)
     with pytest.raises(DatasetError, match=r"split\.txt: line 2 is not 'NAME PART'"):
         parse_split(f"drives:{path}")
+
+
+def test_parts_that_nothing_can_be_in_are_known(tmp_path):
+    (tmp_path / "split.txt").write_text("monday train\ntuesday validation\n")
+    assert empty_parts(parse_split(f"drives:{tmp_path / 'split.txt'}")) == ("test",)
+    assert empty_parts(parse_split("blocks:1,0,0")) == ("validation", "test")
+    assert empty_parts(parse_split("blocks:0.7,0.1,0.2")) == empty_parts(parse_split("places:50")) == ()
 
 
 def test_a_split_file_that_is_missing_is_an_error(tmp_path):

@@ -1,6 +1,7 @@
 """The PCA of patch features, from the training stretches of logs only (paper, "Dimensionality Reduction")."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, repl
 from offpiste.perception.backbone import Backbone
 from offpiste.perception.frames import frames_by_travel, image_statistics, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
-from offpiste.progress import track
+from offpiste.progress import shares
 from offpiste.rig import Rig
 
 SPACING = 2.0
@@ -29,6 +30,9 @@ SPACING = 2.0
 
 NEAR = 0.01
 """A listed image is the one whose stamp is this near [s]."""
+
+Report = Callable[[float], None]
+"""Is told the share that is done, from 0 to 1."""
 
 
 class FittedPca(NamedTuple):
@@ -68,9 +72,11 @@ def fit_pca(
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
     found: list[Candidate] = []
-    for number, log in enumerate(track(list(logs), "looking for images")):
-        # Listed images need not lie apart.
-        found += _candidates(number, log, rig, split, SPACING if isinstance(images, int) else 0.0)
+    with shares(len(logs), "looking for images") as show:
+        for number, log in enumerate(logs):
+            # Listed images need not lie apart.
+            spacing = SPACING if isinstance(images, int) else 0.0
+            found += _candidates(number, log, rig, split, spacing, partial(show, number))
     if not found:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
     names = [drive_name(log) for log in logs]
@@ -79,10 +85,12 @@ def fit_pca(
     else:
         chosen = [_listed(image, found, names) for image in images]
     moments = Moments.none(backbone.channels)
-    for number, log in enumerate(track(list(logs), "features of the chosen images")):
-        times = {(found[i].camera, found[i].time) for i in chosen if found[i].log == number}
-        if times:
-            moments = _add_log(moments, _sensors(log, rig), backbone, times)
+    with shares(len(logs), "features of the chosen images") as show:
+        for number, log in enumerate(logs):
+            times = {(found[i].camera, found[i].time) for i in chosen if found[i].log == number}
+            if times:
+                moments = _add_log(moments, _sensors(log, rig), backbone, times, partial(show, number))
+            show(number, 1.0)
     pca = fit(moments, backbone, components=components, logs=names, split=split.text)
     tell(f"{len(chosen)} of {len(found)} images, {moments.count:.0f} patches of ground")
     return FittedPca(pca, [ListedImage(names[found[i].log], found[i].camera, found[i].time) for i in chosen])
@@ -103,22 +111,30 @@ def _sensors(log: str | Path, rig: Rig) -> SensorLog:
     return open_sensors(open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit), rig)
 
 
-def _candidates(number: int, log: str | Path, rig: Rig, split: Split, spacing: float) -> list[Candidate]:
+def _candidates(
+    number: int, log: str | Path, rig: Rig, split: Split, spacing: float, report: Report
+) -> list[Candidate]:
     opened = open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit)
     sensors = open_sensors(opened, rig)
     sensors.coverage()  # refuses clocks that are not the poses'
     rows = extract_rows(drive_from_log(opened, rig))
     part = split.label(drive_name(log), rows.state[:, :2] + rows.origin)
     found = []
-    for camera in sensors.cameras:
+    for done, camera in enumerate(sensors.cameras):
         stamps = np.sort(sensors.stamps(camera))
         stamps = stamps[_in_training(stamps, rows, part == 0)]
         kept = frames_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
         times = set(np.round(stamps[kept], 6))
         for image in sensors.stream([camera]):
+            report((done + _share(image.time, sensors)) / len(sensors.cameras))
             if isinstance(image, Image) and round(image.time, 6) in times:
                 found.append(Candidate(number, camera, round(image.time, 6), image_statistics(image.pixels)))
     return found
+
+
+def _share(time: float, log: SensorLog) -> float:
+    first, last = log.poses.span
+    return float(np.clip((time - first) / (last - first), 0, 1))
 
 
 def _in_training(stamps: Float[np.ndarray, " n"], rows: Rows, training: Bool[np.ndarray, " N"]) -> np.ndarray:
@@ -127,7 +143,9 @@ def _in_training(stamps: Float[np.ndarray, " n"], rows: Rows, training: Bool[np.
     return np.asarray(inside & training[row] & rows.valid[row])
 
 
-def _add_log(moments: Moments, log: SensorLog, backbone: Backbone, times: set[tuple[str, float]]) -> Moments:
+def _add_log(
+    moments: Moments, log: SensorLog, backbone: Backbone, times: set[tuple[str, float]], report: Report
+) -> Moments:
     cameras = pinhole_cameras(log, backbone.patch)
     hit: dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]] = {}
 
@@ -139,6 +157,7 @@ def _add_log(moments: Moments, log: SensorLog, backbone: Backbone, times: set[tu
         return (image.camera, round(image.time, 6)) in times
 
     for moment in replay(log, cameras, look, 0, wanted=wanted):
+        report(_share(moment.time, log))
         current = _ground_hits(moment)
         for key in [key for key in hit if key not in current]:
             moments = _added(moments, *hit.pop(key))

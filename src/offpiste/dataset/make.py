@@ -7,7 +7,7 @@ from offpiste.dataset.ground_truth import LAYERS, FeatureSource
 from offpiste.dataset.hindsight import MIN_HINDSIGHT
 from offpiste.dataset.one_drive import Job, extract_drive
 from offpiste.dataset.snapshots import SnapshotSettings
-from offpiste.dataset.splits import parse_split
+from offpiste.dataset.splits import empty_parts, parse_split
 from offpiste.dataset.store import Dataset, create, drive_names, open_dataset
 from offpiste.errors import DatasetError, OffpisteError
 from offpiste.logs.drive import drive_name
@@ -53,6 +53,8 @@ def make_dataset(
         if names.count(name) > 1:
             raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
     parts = parse_split(split)
+    if empty := empty_parts(parts):
+        tell(f"warning: the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
     if pca is not None and features != "none":
         raise DatasetError(f"both a PCA and '{features}' features are asked for", how="leave out one of them")
     if not 0 <= min_hindsight <= 1:
@@ -73,6 +75,12 @@ def make_dataset(
     processes = processes or (usable_cores() if device == "cpu" else 1)
     _refuse_failed(run_all(extract_drive, jobs, processes, "extract", tell), out)
     return open_dataset(out)
+
+
+def _useless(empty: Sequence[str]) -> str:
+    return "models cannot be " + " or ".join(
+        [*(["trained"] if {"train", "validation"} & set(empty) else []), *(["judged"] if "test" in empty else [])]
+    )
 
 
 def _refuse_failed(failed: Sequence[OffpisteError], out: Path) -> None:

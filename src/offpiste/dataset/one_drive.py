@@ -11,7 +11,7 @@ from offpiste.conventions import DT, FEATURE_SETS, MIN_JUDGED_SPEED
 from offpiste.dataset.extract import Rows, extract_rows
 from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
-from offpiste.dataset.splits import PARTS, Split, parse_split
+from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.starts import judged_starts
 from offpiste.dataset.store import StoredDrive, add_drive, scratch
 from offpiste.dataset.visual import SnapshotKeeper, with_visual_features
@@ -112,7 +112,8 @@ def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> s
         f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
         f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_JUDGED_SPEED} m/s: {share}"
     ]
-    if split.kind in ("blocks", "fold") and min(windows) == 0:
+    wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
+    if split.kind in ("blocks", "fold") and min(wanted) == 0:
         lines.append(
             f"  warning: too short or slow for {split.text}: a part has no window; split by drives (drives:FILE)"
         )

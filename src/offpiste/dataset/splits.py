@@ -76,6 +76,9 @@ def parse_split(text: str) -> Split:
     """
     kind, _, rest = text.partition(":")
     usage = "write blocks:0.7,0.1,0.2, fold:0/5, places:50 or drives:FILE"
+    if text == kind and kind in ("blocks", "fold", "places", "drives"):
+        more = ", a file with a line 'NAME PART' a drive" if kind == "drives" else ""
+        raise DatasetError(f"not a split: '{text}' says no more than its kind", how=f"{usage}{more}")
     try:
         if kind == "blocks":
             fractions = tuple(float(f) for f in rest.split(","))
@@ -93,6 +96,15 @@ def parse_split(text: str) -> Split:
     except ValueError:
         pass
     raise DatasetError(f"not a split: '{text}'", how=usage)
+
+
+def empty_parts(split: Split) -> tuple[str, ...]:
+    """Parts that no row can be in, whatever is driven."""
+    if split.kind == "blocks":
+        return tuple(part for part, share in zip(PARTS, split.fractions, strict=True) if share == 0)
+    if split.kind == "drives":
+        return tuple(part for part in PARTS if part not in {given for _, given in split.drives})
+    return ()
 
 
 def window_starts(

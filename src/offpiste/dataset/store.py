@@ -18,6 +18,7 @@ from jaxtyping import Int
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import Rows, present_actuators, present_control
 from offpiste.dataset.snapshots import Snapshots, open_snapshots
+from offpiste.dataset.soundness import refuse_unlike, refuse_unsound
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain import TerrainMap
@@ -52,6 +53,7 @@ class Dataset:
     Attributes:
         features: names of the terrain features under each wheel; empty for a dataset without.
         min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).
+        pca: what tells the PCA that made visual features from others (`PrincipalComponents.identity`).
     """
 
     path: Path
@@ -60,6 +62,7 @@ class Dataset:
     drives: tuple[StoredDrive, ...]
     features: tuple[str, ...] = ()
     min_hindsight: float = 0.0
+    pca: str | None = None
 
     def relabelled(self, split: Split) -> "Dataset":
         """The same rows under another split (folds)."""
@@ -100,11 +103,7 @@ def create(
         shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
         found = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
-        for key in ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight"):
-            if found.get(key) != json.loads(json.dumps(meta[key])):
-                raise DatasetError(
-                    f"already holds a dataset with another {key}", where=path, how="choose another --out, or delete it"
-                )
+        refuse_unlike(path, found, json.loads(json.dumps(meta)))
         for partial in path.glob(".*"):
             shutil.rmtree(partial, ignore_errors=True)
         return
@@ -190,7 +189,7 @@ def open_dataset(path: str | Path) -> Dataset:
     """Read a dataset.
 
     Raises:
-        DatasetError: none there, of another version, without drives, or a drive that is cut short.
+        DatasetError: none there, of another version, without drives, or a drive that is cut short or unsound.
     """
     path = Path(path)
     attributes = _attributes(path)
@@ -207,7 +206,9 @@ def open_dataset(path: str | Path) -> Dataset:
     split = stored_split(attributes["split"], attributes["split_drives"])
     features = tuple(attributes.get("features", ()))
     drives = tuple(_read_drive(path, name) for name in names)
-    return Dataset(path, rig, split, drives, features, attributes.get("min_hindsight", 0.0))
+    for drive in drives:
+        refuse_unsound(path, drive.name, drive.rows, rig, needs_cells=bool(features))
+    return Dataset(path, rig, split, drives, features, attributes.get("min_hindsight", 0.0), attributes.get("pca"))
 
 
 def stored_split(text: str, drives: list[list[str]]) -> Split:

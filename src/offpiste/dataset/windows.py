@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
+from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
 from offpiste.dataset.cells import CellTable, UnderWheels
 from offpiste.dataset.extract import present_actuators, present_control
 from offpiste.dataset.normals import Normals
@@ -106,8 +106,16 @@ class Windows:
         self.maps = WindowMaps(self._drives, self.drive, self.rows - offset[self.drive], self.device)
         self.drive_names = tuple(d.name for d in dataset.drives)
         self._offset = offset
+        if not any((drive.part == PARTS.index(part)).any() for drive in dataset.drives):
+            count, seconds = len(dataset.drives), horizon * DT
+            drives = f"{count} drive{'s' * (count > 1)}"
+            raise DatasetError(
+                f"the {part} part has no window of {seconds:g} s, and no row (split {dataset.split.text}, {drives})",
+                where=dataset.path,
+                how="extract more or longer drives, or choose another --split",
+            )
         if not len(self.rows):
-            seconds = horizon * 0.02
+            seconds = horizon * DT
             raise DatasetError(
                 f"the {part} part has no window of {seconds:g} s that starts above {min_speed:g} m/s",
                 where=dataset.path,

@@ -7,6 +7,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
 from offpiste.evaluation.evaluate import Evaluation, Judged, evaluate_models
+from offpiste.evaluation.metrics import MIN_BLOCKS
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.table import render_table
 from offpiste.evaluation.tabulate import Lookup, Start
@@ -46,6 +47,7 @@ def judge_runs(
             runs.append(run)
             fold = number if folds else None
             judged.append(Judged(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
+    _refuse_unseen(runs, dataset)
     evaluation = evaluate_models(
         judged,
         dataset,
@@ -59,8 +61,22 @@ def judge_runs(
     )
     write_report(evaluation, out)
     tell(render_table(evaluation.metrics.results))
+    if (found := evaluation.metrics.windows.blocks) < MIN_BLOCKS:
+        tell(f"–: no interval, since the windows lie in {found} blocks of 10 s, and {MIN_BLOCKS} are the least")
     tell(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
+    """A model that reads features says nothing where all of them are missing."""
+    reading = [run for run in runs if encoder_of(run.dynamics) is not None]
+    cells = [d.rows.cells for d in dataset.drives if d.rows.cells is not None]
+    if reading and not any(bool(c.valid.any()) for c in cells):
+        raise RunError(
+            f"'{reading[0].model}' reads terrain features, and all of {dataset.path} are missing",
+            where=reading[0].folder,
+            how="look at the dataset with `offpiste view`, mend the rig's cameras and LiDARs and extract again",
+        )
 
 
 def _refuse_unfit(run: Run, dataset: Dataset) -> None:
@@ -71,6 +87,12 @@ def _refuse_unfit(run: Run, dataset: Dataset) -> None:
             f"reads {needed.features} terrain features; the dataset has {given.features}",
             where=run.folder,
             how="judge it on a dataset that was extracted with the same --features",
+        )
+    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
+        raise RunError(
+            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
+            where=run.folder,
+            how="judge it on a dataset that was extracted with the PCA of its training",
         )
     for kind in ("control", "actuators"):
         if getattr(needed, kind) != getattr(given, kind):

@@ -169,7 +169,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
         LogError: the log's format has no images or clouds, or it lacks a topic, a calibration or a transform.
         RigError: the rig names no sensors, or its channels give no full poses.
     """
-    source, notes = sensor_source(log, rig), []
+    source, absent = sensor_source(log, rig), []
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
     present: dict[str, CameraSource | LidarSource] = {}
     for name, entry in entries.items():
@@ -177,7 +177,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
         if found is not None and found.count:
             present[name] = entry
         elif entry.optional:
-            notes.append(f"{name}: the log has no messages on '{entry.topic}', and is read without it")
+            absent.append(name)
         else:
             how = f"it has: {', '.join(sorted(log.topics)) or 'none'}; or set optional = true"
             raise LogError(f"'{name}': no messages on topic '{entry.topic}'", where=log.path, how=how)
@@ -189,6 +189,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
     cameras = {n: _camera(source, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
     lidars = {n: _lidar(source, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
     known = poses or poses_from_drive(drive_from_log(log, rig))
+    notes = [f"no messages of {', '.join(absent)}: the log is read without"] if absent else []
     return SensorLog(source, rig, cameras, lidars, known, notes)
 
 

@@ -1,7 +1,13 @@
 """Settings of a training, with defaults that are right for a log of some minutes to some hours."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
+
+from offpiste.errors import RunError
+
+MOST_CODES = 256
+"""A longer code would not compress anything."""
 
 
 @dataclass(frozen=True)
@@ -56,3 +62,28 @@ class TrainConfig:
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
     device: str = "cpu"
+
+
+def refuse_impossible(config: TrainConfig) -> None:
+    """Raise unless every number of a training is one that it can work with.
+
+    Raises:
+        RunError: names the setting and its limit.
+    """
+    least = {"codes": 1, "pca": 0, "epochs": 1, "bicycle_epochs": 1, "actuator_epochs": 1, "batch": 1, "stride": 1}
+    for name, limit in (least | {"seed": 0}).items():
+        if getattr(config, name) < limit:
+            _refuse(name, getattr(config, name), f"{limit} or more")
+    if config.codes > MOST_CODES:
+        _refuse("codes", config.codes, f"{MOST_CODES} or less; the paper takes 1 to 16")
+    for name in ("learning_rate", "constants_learning_rate", "gradient_clip"):
+        if not 0 < getattr(config, name) < math.inf:
+            _refuse(name, getattr(config, name), "a number above 0")
+    weights = config.weights.in_order()
+    if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
+        raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")
+
+
+def _refuse(name: str, value: int | float, allowed: str) -> None:
+    option = "--" + name.replace("_", "-")
+    raise RunError(f"{option} is {value:g}", how=f"give {allowed}")

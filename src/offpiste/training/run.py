@@ -27,6 +27,7 @@ class Run:
         scale: the loss's units (`kinematic_scale`).
         split: text of the split it was trained under.
         seen: (drive, first, last) stretches of time [s] that training or validation used.
+        pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
     """
 
     folder: Path
@@ -37,6 +38,7 @@ class Run:
     scale: Float[Tensor, " 5"]
     split: str
     seen: tuple[tuple[str, float, float], ...]
+    pca: str | None = None
 
 
 def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
@@ -61,8 +63,12 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         split, seed = about["split"], about["seed"]
     except (KeyError, TypeError, ValueError, msgspec.ValidationError) as error:
         raise RunError(f"lacks or misstates {error}", where=folder / "model.json", how="train again") from error
-    load_weights(dynamics, load_tensors(folder / "model.safetensors")[0], folder)
-    return Run(folder, dynamics.eval(), about["model"], seed, weights, scale, split, seen)
+    tensors = load_tensors(folder / "model.safetensors")[0]
+    load_weights(dynamics, tensors, folder)
+    for name, values in tensors.items():
+        if not torch.isfinite(values).all():
+            raise RunError(f"weights '{name}' are not finite", where=folder, how="train again, or restore the file")
+    return Run(folder, dynamics.eval(), about["model"], seed, weights, scale, split, seen, about.get("pca"))
 
 
 def save_run(
@@ -83,6 +89,7 @@ def save_run(
         "dataset": str(dataset.path.resolve()),
         "split": dataset.split.text,
         "seen": seen_stretches(dataset),
+        "pca": dataset.pca,
     }
     save_json(folder / "model.json", about)
 

@@ -19,7 +19,7 @@ from offpiste.dynamics.kernels.function import rollout_recorded, supports
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.training.actuators import actuator_loss
 from offpiste.training.checkpoint import load_json, save_json
-from offpiste.training.config import TrainConfig
+from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.drawing import DRAWS, Draw
 from offpiste.training.ground import encoded, encoder_of
 from offpiste.training.losses import squared_errors, summed_loss
@@ -49,15 +49,18 @@ def train(
         group: the processes that train together; only the first one writes and tells.
 
     Raises:
-        RunError: the folder holds a run already and `resume` is false, or one with other settings.
-        DatasetError: a part has no window.
+        RunError: a setting is out of range, or the folder holds a run already and `resume` is false, or one with
+            other settings.
+        DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
     """
+    refuse_impossible(config)
     check_device(config.device)
     vehicle = vehicle_of(dataset, config)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
     windows = Windows(dataset, "train", start=config.start, device=config.device)
     draw = _draw(config.model, windows)
+    _refuse_poor(dynamics, windows, config, dataset)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
     record = metrics_writer(folder / "metrics.jsonl", tell) if group.writes else _unrecorded
@@ -104,6 +107,21 @@ def _refusal(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) 
     except OffpisteError as error:
         return error
     return None
+
+
+def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig, dataset: Dataset) -> None:
+    if len(windows) < config.batch:
+        raise DatasetError(
+            f"has {len(windows)} windows to train, fewer than a batch of {config.batch}",
+            where=dataset.path,
+            how="extract longer or more drives, or give a smaller --batch",
+        )
+    if encoder_of(dynamics) is not None and not windows.features_at_starts()[1].any():
+        raise DatasetError(
+            "all terrain features are missing under the wheels where training windows start",
+            where=dataset.path,
+            how="look at it with `offpiste view`, mend the rig's cameras and LiDARs and extract again, or train `b`",
+        )
 
 
 def _draw(model: str, windows: Windows) -> Draw | None:
@@ -167,6 +185,15 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
     save_json(path, described)
 
 
+def _refuse_ground(batch: Batch) -> None:
+    """The ground is read from disk batch by batch, and not looked at when a dataset is opened."""
+    normals = torch.cat((batch.history.terrain.normal, batch.terrain.normal), dim=1)
+    features = batch.ground.features[batch.ground.valid] if batch.ground is not None else normals[:0]
+    for name, values in (("surface normals", normals), ("valid terrain features", features)):
+        if not torch.isfinite(values).all():
+            raise TrainingError(f"{name} of the dataset are not finite", how="extract it again")
+
+
 def _freeze(dynamics: Dynamics, fitted: nn.Module) -> None:
     """Put the fitted actuator models into a model and keep them from training."""
     lags = getattr(dynamics, "actuators", None)
@@ -179,10 +206,11 @@ def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
     """The same, if all of it is finite.
 
     Raises:
-        TrainingError: names the first step and the state that is not.
+        TrainingError: names the first step and the state that is not, or what of the dataset made it so.
     """
     broken = ~torch.isfinite(trajectory.state).all(dim=0)
     if broken.any():
+        _refuse_ground(batch)
         step, column = (int(i) for i in broken.nonzero()[0])
         raise TrainingError(
             f"the predicted {STATE[column]} is not finite from step {step + 1} ({(step + 1) * DT:.2f} s) on",

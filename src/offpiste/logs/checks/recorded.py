@@ -10,6 +10,7 @@ from jaxtyping import Float
 from offpiste.errors import LogError
 from offpiste.logs.checks.finding import Finding
 from offpiste.logs.log import Log, Samples, Topic
+from offpiste.progress import track
 from offpiste.rig import Rig
 
 _BULK = re.compile(
@@ -85,7 +86,7 @@ def read_topics(log: RememberedLog, *, stamps: str) -> tuple[dict[str, Recorded]
     """
     recorded: dict[str, Recorded] = {}
     findings: list[Finding] = []
-    for name, topic in log.topics.items():
+    for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
         fields = log.quantities(topic)
         if topic.count == 0 or not fields or _BULK.search(topic.type):
             continue

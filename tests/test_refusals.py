@@ -1,0 +1,255 @@
+"""What a dataset or a run may be unfit for: each ends in one line that says what, where and how, and exit code 1."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import zarr
+from safetensors.torch import load_file, save_file
+
+from factories import circle_rows, small_rig
+from offpiste.cli import main
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import add_drive, create, open_dataset
+from offpiste.errors import RunError
+from offpiste.training.config import TrainConfig, Weights, refuse_impossible
+from offpiste.training.run import build, save_run, vehicle_of
+from seen_drives import seen_dataset
+
+QUICK = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100", "--batch", "64")
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset with features by distance, and beside it runs `b` and `cf` whose weights are as they were drawn."""
+    folder = tmp_path_factory.mktemp("refusals")
+    dataset = seen_dataset(folder / "good.zarr")
+    for model in ("b", "cf"):
+        config = TrainConfig(model=model)
+        save_run(folder / model, build(model, vehicle_of(dataset), seed=0), config, dataset, torch.ones(5))
+    return dataset.path
+
+
+@pytest.fixture
+def copied(good: Path, tmp_path: Path) -> Path:
+    """A copy of the dataset to break."""
+    return Path(shutil.copytree(good, tmp_path / "broken.zarr"))
+
+
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command that must fail; gives its one line."""
+
+    def run(*words: object) -> str:
+        with pytest.raises(SystemExit) as exit_:
+            main([str(word) for word in words])
+        error = capsys.readouterr().err
+        assert exit_.value.code == 1, error
+        assert error.startswith("offpiste: ")
+        assert error.count("\n") == 1, error
+        return error
+
+    return run
+
+
+def change(path: Path, key: str, new: Callable[[np.ndarray], Any]) -> None:
+    """Change an array of all drives, in its file."""
+    for folder in path.glob(f"*/{key}"):
+        array = zarr.open_array(folder, mode="r")
+        chunk = next(file for file in (folder / "c").rglob("*") if file.is_file())
+        values = np.frombuffer(chunk.read_bytes(), array.dtype).reshape(array.shape)
+        chunk.write_bytes(np.ascontiguousarray(new(values.copy()), array.dtype).tobytes())
+
+
+def part_of(values: np.ndarray, value: float) -> np.ndarray:
+    """Some rows replaced."""
+    values[100:130] = value
+    return values
+
+
+def test_features_that_are_all_missing(copied: Path, good: Path, tmp_path: Path, said: Callable[..., str]) -> None:
+    change(copied, "cells/valid", np.zeros_like)
+    for model in ("cf", "dc"):
+        line = said("train", copied, "--model", model, "--out", tmp_path / model, *QUICK)
+        assert "all terrain features are missing" in line
+        assert str(copied) in line
+    line = said("evaluate", good.parent / "cf", "--dataset", copied, "--out", tmp_path / "report")
+    assert "'cf' reads terrain features" in line
+    assert not (tmp_path / "report").exists()
+
+
+def test_one_drive(tmp_path: Path, good: Path, said: Callable[..., str]) -> None:
+    alone = seen_dataset(tmp_path / "one.zarr", ("train",)).path
+    assert "the validation part has no window of 5 s, and no row" in said(
+        "train", alone, "--out", tmp_path / "run", *QUICK
+    )
+    line = said("evaluate", good.parent / "b", "--dataset", alone)
+    assert "the test part has no window of 5 s, and no row" in line
+    assert "1 drive" in line
+
+
+def test_fewer_windows_than_a_batch(good: Path, tmp_path: Path, said: Callable[..., str]) -> None:
+    line = said("train", good, "--out", tmp_path / "run", "--batch", 5000)
+    assert "fewer than a batch of 5000" in line
+    assert not (tmp_path / "run").exists(), "a folder that cannot be filled is not begun"
+
+
+@pytest.mark.parametrize("key", ["state", "state_causal", "control"])
+def test_rows_that_are_not_finite(copied: Path, good: Path, tmp_path: Path, said: Callable[..., str], key: str) -> None:
+    change(copied, key, lambda values: part_of(values, np.nan))
+    for command in (("train", copied, "--out", tmp_path / "run", *QUICK), ("evaluate", good.parent / "b", "--dataset")):
+        line = said(*command, *([copied] if command[0] == "evaluate" else []))
+        assert f"drive 'circle-0': '{key}' is not finite in 30 rows that are marked complete, from row 100 on" in line
+
+
+@pytest.mark.parametrize(("key", "named"), [("normal", "surface normals"), ("cells/features", "terrain features")])
+def test_ground_that_is_not_finite(
+    copied: Path, tmp_path: Path, said: Callable[..., str], key: str, named: str
+) -> None:
+    change(copied, key, lambda values: np.full_like(values, np.nan))
+    line = said("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
+    assert f"{named} of the dataset are not finite" in line
+    assert "extract it again" in line
+
+
+@pytest.mark.parametrize("key", ["cells/features", "state", "part"])
+@pytest.mark.parametrize("left", [50, 0, None])
+def test_a_store_cut_short(copied: Path, good: Path, said: Callable[..., str], key: str, left: int | None) -> None:
+    if left is None:
+        shutil.rmtree(copied / "circle-3" / key)
+    else:
+        chunk = next(c for c in (copied / "circle-3" / key / "c").rglob("*") if c.is_file())
+        chunk.write_bytes(chunk.read_bytes()[:left])
+    line = said("evaluate", good.parent / "b", "--dataset", copied)
+    assert "drive 'circle-3' cannot be read" in line
+    assert f"delete {copied / 'circle-3'} and run `offpiste extract` again" in line
+
+
+def test_a_drive_without_its_cells(copied: Path, good: Path, said: Callable[..., str]) -> None:
+    shutil.rmtree(copied / "circle-3" / "cells")
+    assert "none of the features" in said("evaluate", good.parent / "b", "--dataset", copied)
+
+
+def test_a_run_judged_on_what_it_was_trained_on(copied: Path, good: Path, said: Callable[..., str]) -> None:
+    change(copied, "part", lambda values: np.full_like(values, 2))
+    assert "was trained on 18 s of the test part of drive 'circle-0'" in said(
+        "evaluate", good.parent / "b", "--dataset", copied
+    )
+
+
+@pytest.fixture(scope="module")
+def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset without features, whose logs have neither brake nor engine."""
+    path, split = tmp_path_factory.mktemp("blind") / "blind.zarr", parse_split("blocks:0.5,0.25,0.25")
+    create(path, small_rig(), split)
+    add_drive(path, "one", circle_rows(4000), split, ())
+    return path
+
+
+@pytest.mark.parametrize("model", ["df", "cf", "dc", "hold"])
+def test_a_model_of_features_without_any(blind: Path, tmp_path: Path, said: Callable[..., str], model: str) -> None:
+    assert "reads terrain features and the dataset has none" in said(
+        "train", blind, "--model", model, "--out", tmp_path / "run", *QUICK
+    )
+
+
+def test_a_dataset_without_what_a_run_reads(good: Path, blind: Path, said: Callable[..., str]) -> None:
+    assert "reads 5 terrain features; the dataset has 0" in said("evaluate", good.parent / "cf", "--dataset", blind)
+
+
+def test_absent_channels(good: Path, tmp_path: Path, said: Callable[..., str]) -> None:
+    path, split = tmp_path / "fewer.zarr", parse_split("blocks:0.5,0.25,0.25")
+    rig = small_rig()
+    dataset = open_dataset(good)
+    create(path, rig, split)
+    add_drive(path, "one", circle_rows(4000), split, ())
+    attributes = zarr.open_group(path, mode="r+").attrs
+    attributes["rig"] = {**attributes["rig"], "channels": {
+        name: source for name, source in attributes["rig"]["channels"].items() if name != "throttle"
+    }}  # fmt: skip
+    assert "throttle" in vehicle_of(dataset).control
+    line = said("evaluate", good.parent / "b", "--dataset", path)
+    assert "was trained with control throttle, " in line
+    assert "judge it on a dataset whose rig has the same channels" in line
+
+
+def test_another_pca(copied: Path, good: Path, said: Callable[..., str], tmp_path: Path) -> None:
+    run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
+    (run / "model.json").write_text((run / "model.json").read_text().replace('"pca": null', '"pca": "one"'))
+    zarr.open_group(copied, mode="r+").attrs["pca"] = "other"
+    line = said("evaluate", run, "--dataset", copied)
+    assert "reads features of the PCA one; the dataset's are of other" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--codes", "0"), "--codes is 0; give 1 or more"),
+        (("--codes", "100000"), "--codes is 100000; give 256 or less"),
+        (("--pca", "-1"), "--pca is -1; give 0 or more"),
+        (("--pca", "6"), "reads 6 terrain features; the dataset has 5"),
+        (("--batch", "0"), "--batch is 0"),
+        (("--stride", "0"), "--stride is 0"),
+        (("--epochs", "0"), "--epochs is 0"),
+        (("--learning-rate", "nan"), "--learning-rate is nan; give a number above 0"),
+        (("--seed", "-1"), "--seed is -1"),
+        (("--weights.yaw", "-1"), "weights of the loss"),
+    ],
+)
+def test_settings_out_of_range(
+    good: Path, tmp_path: Path, said: Callable[..., str], words: tuple[str, str], why: str
+) -> None:
+    assert why in said("train", good, "--model", "cf", "--out", tmp_path / "run", *words)
+
+
+def test_settings_that_are_possible() -> None:
+    refuse_impossible(TrainConfig(codes=1, pca=0, weights=Weights(yaw=0.0)))
+    with pytest.raises(RunError, match="weights of the loss"):
+        refuse_impossible(TrainConfig(weights=Weights(0.0, 0.0, 0.0, 0.0, 0.0)))
+
+
+def test_an_unknown_feature_set_is_wrong_usage(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["evaluate", str(good.parent / "cf"), "--dataset", str(good), "--feature-set", "15"])
+    assert exit_.value.code == 2
+    assert "hindsight" in capsys.readouterr().err
+
+
+def broken_run(run: Path, how: str) -> None:
+    weights = run / "model.safetensors"
+    if how == "no model.json":
+        (run / "model.json").unlink()
+    elif how == "unfinished":
+        (run / "model.json").rename(run / "config.json")
+    elif how == "half a model.json":
+        (run / "model.json").write_text('{"model')
+    elif how == "no weights":
+        weights.unlink()
+    elif how == "cut weights":
+        weights.write_bytes(weights.read_bytes()[:200])
+    elif how == "zeros":
+        weights.write_bytes(bytes(4000))
+    else:
+        save_file({name: value * float("nan") for name, value in load_file(weights).items()}, weights)
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ("no model.json", "model.json: not a run"),
+        ("unfinished", "training has not finished; go on with `offpiste train --resume`"),
+        ("half a model.json", "model.json: not a run"),
+        ("no weights", "model.safetensors: cannot be read"),
+        ("cut weights", "model.safetensors: cannot be read"),
+        ("zeros", "model.safetensors: cannot be read"),
+        ("not finite", "are not finite"),
+    ],
+)
+def test_a_broken_run(good: Path, tmp_path: Path, said: Callable[..., str], how: str, why: str) -> None:
+    run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
+    broken_run(run, how)
+    assert why in said("evaluate", run, "--dataset", good)
