@@ -1,9 +1,13 @@
-"""A plan's rollouts with map and cost: fused, eager, pytorch_mppi, and pytorch_mppi compiled, side by side in one run.
+"""What a plan costs: rollouts with map and cost by four planners, side by side in one run, and everything around them.
 
-`python benchmarks/plan.py [--threads 2] [--samples 256 1024 4096] [--steps 250]`: medians in ms over 5 s. All read the
-same map (600 x 600 cells of 0.2 m, waves), with the same dynamics and the same cost. pytorch_mppi calls dynamics and
-cost step by step, so its cost is `costs.terms_after` of one step. Nothing is sampled in these times; the last line of
-each model is a whole plan: noise, limits, rollouts, weights.
+`python benchmarks/plan.py [--threads 2] [--samples 256 1024 4096] [--seconds 20] [--skip compiled]`. All read the same
+map (600 x 600 cells of 0.2 m, waves), with the same dynamics and the same cost. pytorch_mppi calls dynamics and cost
+step by step, so its cost is `costs.terms_after` of one step. Planners take turns, so that what else the machine does
+meets all alike; a line has the median and the best time, the processor's time [ms], how many times as long as the fused
+one (median over turns; in brackets by the processor's time), and the share of costs within 1 % of eager.
+
+`--cycle RUN --pca FILE` drives a run for some seconds on the proving ground instead, and prints the stages of its run
+time.
 """
 
 import argparse
@@ -11,6 +15,10 @@ import statistics
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,9 +31,9 @@ from offpiste.mapping.layers import TerrainLayers
 from offpiste.mapping.lookup import MapTerrain, stack_maps
 from offpiste.planning.costs import Situation, Weights, terms_after
 from offpiste.planning.course import Course, Hazards, cost_map
-from offpiste.planning.fused import encode_map, fused_costs
-from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, sample
-from offpiste.planning.rollouts import driving_costs
+from offpiste.planning.fused import coded_map, encode_map, fused_costs
+from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
+from offpiste.planning.rollouts import as_codes, driving_costs
 from offpiste.trajectory import Carry
 
 FEATURES = 40
@@ -63,7 +71,7 @@ def codes_first(at: Situation, codes: tuple[Tensor, Tensor]) -> Situation:
 def stepwise(model: Hybrid, at: Situation, weights: Weights, samples: int) -> tuple[Callable, Callable]:
     """Dynamics and running cost for pytorch_mppi; lateral speed and control before a step travel with the state."""
     zeros, offset = torch.zeros(samples, dtype=torch.long), at.offset.expand(samples, 2)
-    encode = (lambda features, valid: features) if model.codes else None
+    encode = as_codes(model.encoder.missing()) if model.codes else None
     step = as_callable(model, MapTerrain(at.ground, zeros, offset, at.wheels, encode))
 
     def dynamics(state: Tensor, control: Tensor) -> Tensor:
@@ -98,14 +106,39 @@ def pytorch_mppi(model: Hybrid, at: Situation, weights: Weights, controls: Tenso
     return lambda: planner._compute_rollout_costs(controls)[0]
 
 
-def timed(run: Callable[[], Tensor], seconds: float = 5.0) -> tuple[float, Tensor]:
-    """Median time [ms] over some seconds, after a first call that may compile, and the costs."""
-    costs, times, began = run(), [], time.perf_counter()
-    while not times or (time.perf_counter() - began < seconds and len(times) < 50):
-        before = time.perf_counter()
-        run()
-        times.append(1e3 * (time.perf_counter() - before))
-    return statistics.median(times), costs
+class Taken(NamedTuple):
+    """Times of one thing, turn after turn [ms], and what came out."""
+
+    wall: list[float]
+    processor: list[float]
+    found: Tensor
+
+    def __str__(self) -> str:
+        wall = f"{statistics.median(self.wall):7.1f} (best {min(self.wall):6.1f}"
+        return f"{wall}, processor {statistics.median(self.processor):6.1f}) ms"
+
+
+def in_turns(runs: dict[str, Callable[[], Tensor]], seconds: float) -> dict[str, Taken]:
+    """Times of several things that take turns for some seconds, three at least, after a first one that may compile."""
+    taken = {name: Taken([], [], run()) for name, run in runs.items()}
+    began, turns = time.perf_counter(), 0
+    while turns < 3 or (time.perf_counter() - began < seconds and turns < 100):
+        turns += 1
+        for name, run in runs.items():
+            wall, processor = time.perf_counter(), time.process_time()
+            run()
+            taken[name].processor.append(1e3 * (time.process_time() - processor))
+            taken[name].wall.append(1e3 * (time.perf_counter() - wall))
+    return taken
+
+
+def times(taken: Taken, base: Taken) -> str:
+    """How many times as long as another that it took turns with."""
+    wall, processor = (
+        statistics.median(a / b for a, b in zip(mine, other, strict=True))
+        for mine, other in ((taken.wall, base.wall), (taken.processor, base.processor))
+    )
+    return f"x{wall:5.1f} ({processor:5.1f})"
 
 
 def agreement(costs: Tensor, reference: Tensor) -> float:
@@ -113,58 +146,125 @@ def agreement(costs: Tensor, reference: Tensor) -> float:
     return ((costs - reference).abs() <= 0.01 * reference.abs()).float().mean().item()
 
 
+def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Namespace, skip: list[str]) -> None:
+    """Print what the same rollouts cost each planner."""
+    weights, codes = Weights(), encode_map(at.ground, model.encoder)
+    coded, carry = codes_first(at, codes), start(model, at)
+    fused = fused_costs(model, carry, at, weights, codes)
+    eager = driving_costs(model, carry, coded, weights, as_codes(codes[1]) if model.codes else None)
+    makers = {
+        "fused": lambda: lambda: fused(controls),
+        "eager": lambda: lambda: eager(controls),
+        "pytorch-mppi": lambda: pytorch_mppi(model, coded, weights, controls, compiled=False),
+        "compiled": lambda: pytorch_mppi(model, coded, weights, controls, compiled=True),
+    }
+    taken = in_turns({name: make() for name, make in makers.items() if name not in skip}, options.seconds)
+    reference = taken.get("eager", taken["fused"]).found
+    for name, one in taken.items():
+        same = agreement(one.found, reference)
+        print(f"  {name:12} {one}  {times(one, taken['fused'])}  {same:.2f}", flush=True)
+
+
+def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings: Settings, seconds: float) -> None:
+    """Print what a plan of 1024 x 250 is made of."""
+    draw = torch.Generator().manual_seed(0)
+    wanted = sample(plan, settings, draw)
+    controls = limited(wanted, settings, at.control)
+    runs: dict[str, Callable[[], Tensor]] = {
+        "sampling": lambda: sample(plan, settings, draw),
+        "limits": lambda: limited(wanted, settings, at.control),
+        "weights, mean": lambda: torch.einsum("k,ktu->tu", weigh(controls[:, 0, 0], 1.0), controls),
+    }
+    for name, model in models.items():
+        codes = encode_map(at.ground, model.encoder)
+        cost_of = fused_costs(model, start(model, at), at, Weights(), codes)
+        runs[f"rollouts, {name}"] = lambda cost_of=cost_of: cost_of(controls)
+        runs[f"whole, {name}"] = lambda model=model, codes=codes: (
+            improve(
+                plan, fused_costs(model, start(model, at), at, Weights(), codes), settings, draw, previous=at.control
+            ).controls
+        )
+    taken = in_turns(runs, seconds)
+    for name, one in taken.items():
+        print(f"  {name:16} {one}", flush=True)
+    if "dc" in models:
+        print(f"  dc to b: rollouts {times(taken['rollouts, dc'], taken['rollouts, b'])}")
+
+
+def encoding(model: Hybrid, at: Situation) -> None:
+    """Print what codes of the map cost."""
+    coded = codes_first(at, encode_map(at.ground, model.encoder)).ground
+    runs = {
+        "all cells": lambda: encode_map(at.ground, model.encoder)[0],
+        "within 40 m": lambda: encode_map(at.ground, model.encoder, centre=at.offset, reach=40.0)[0],
+        "codes already": lambda: coded_map(coded, model.encoder)[0],
+    }
+    for name, one in in_turns(runs, 2.0).items():
+        print(f"  {name:16} {one}", flush=True)
+
+
+def cycle(run: Path, pca: Path | None, seconds: float) -> None:
+    """Drive a course and print the stages of the run time; the simulator's own sensors are listed too."""
+    from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
+    from offpiste.experiments.closed_loop.planner import load_planner
+
+    with TemporaryDirectory() as folder:
+        driven = drive_course(load_planner(run, pca), CourseDrive(seconds=seconds), Path(folder) / "drive")
+    print("stage of the run time: how often, median, 95th percentile [ms]")
+    for name, stage in driven.result["stages"].items():
+        print(f"  {name:18} {stage['count']:5} {stage['median_ms']:8.1f} {stage['p95_ms']:8.1f}")
+
+
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--samples", type=int, nargs="+", default=[256, 1024, 4096])
-    parser.add_argument("--steps", type=int, nargs="+", default=[HORIZON_STEPS])
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--skip", nargs="*", default=[])
+    parser.add_argument("--samples", type=int, nargs="*", default=[256, 1024, 4096])
+    parser.add_argument("--steps", type=int, nargs="*", default=[50, 100, 500], help="beside 250, fused and eager")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of turns, for each table")
+    parser.add_argument("--skip", nargs="*", default=[], help="planners")
+    parser.add_argument("--cycle", type=Path, metavar="RUN")
+    parser.add_argument("--pca", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     torch.set_num_threads(options.threads)
+    if options.cycle:
+        return cycle(options.cycle, options.pca, options.seconds)
     torch.set_grad_enabled(False)
-    torch.manual_seed(0)
-    layers, weights = ground(), Weights()
+    layers, settings = ground(), Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3))
     at = Situation(
         stack_maps([layers.terrain_map()]),
         cost_map(layers, Course(np.array([[-50.0, 0], [50.0, 0]]), np.full(2, 6.0)), Hazards()),
         WHEELS, torch.zeros(2, dtype=torch.float64), torch.tensor([0.0, 0, 0, 6, 0, 0]), torch.zeros(3),
     )  # fmt: skip
-    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3))
-    print(f"{options.threads} threads; rollouts with map and cost [ms], share of costs within 1 % of eager")
-    for name in ("b", "dc"):
-        vehicle = Vehicle(1200.0, 2.1, 0.5, CONTROL, ())
-        model = Hybrid(vehicle, encoder=Compressor(FEATURES) if name == "dc" else None).requires_grad_(False)
-        torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.05)
-        encoding, codes = time.perf_counter(), encode_map(at.ground, model.encoder)
-        print(f"{name}: encoding the map once takes {1e3 * (time.perf_counter() - encoding):.0f} ms")
-        coded, carry = codes_first(at, codes), start(model, at)
-        fused = fused_costs(model, carry, at, weights, codes)
-        eager = driving_costs(model, carry, coded, weights, (lambda features, valid: features) if model.codes else None)
-        for steps in options.steps:
-            for samples in options.samples:
-                draw = torch.Generator().manual_seed(0)
-                controls = sample(torch.tensor([0.3, 0.0, 0.0]).repeat(steps, 1), settings, draw)
-                controls = controls.repeat(4, 1, 1)[:samples].clamp(-1, 1)
-                runs = {
-                    "fused": lambda: fused(controls),  # noqa: B023
-                    "eager": lambda: eager(controls),  # noqa: B023
-                    "pytorch-mppi": pytorch_mppi(model, coded, weights, controls, compiled=False),
-                    "compiled": pytorch_mppi(model, coded, weights, controls, compiled=True),
-                }
-                found = {key: timed(run, options.seconds) for key, run in runs.items() if key not in options.skip}
-                base, reference = found["fused"][0], found.get("eager", found["fused"])[1]
-                parts = (
-                    f"{key} {ms:7.1f} (x{ms / base:4.1f}, {agreement(costs, reference):.2f})"
-                    for key, (ms, costs) in found.items()
-                )
-                print(f"{name:2} K {samples:4} T {steps:3} | " + " | ".join(parts), flush=True)
-        plan = torch.tensor([0.3, 0.0, 0.0]).repeat(HORIZON_STEPS, 1)
-        draw = torch.Generator().manual_seed(0)
-        whole, _ = timed(lambda: improve(plan, fused, settings, draw, previous=at.control).controls, options.seconds)  # noqa: B023
-        print(f"{name:2} a whole plan, K 1024, T 250, fused: {whole:.1f} ms", flush=True)
+    models = {name: network(name) for name in ("b", "dc")}
+
+    def controls(samples: int, steps: int) -> Tensor:
+        draw, plan = torch.Generator().manual_seed(0), torch.tensor([0.3, 0.0, 0.0]).repeat(steps, 1)
+        return limited(sample(plan, replace(settings, samples=samples), draw), settings, at.control)
+
+    print(f"{options.threads} threads")
+    print(f"a whole plan, K 1024, T {HORIZON_STEPS}")
+    whole_plan(models, at, torch.tensor([0.3, 0.0, 0.0]).repeat(HORIZON_STEPS, 1), settings, options.seconds)
+    print("codes of a map of 600 x 600 cells, once a map (dc)")
+    encoding(models["dc"], at)
+    for name, model in models.items():
+        for samples in options.samples:
+            print(f"{name}, K {samples}, T {HORIZON_STEPS}: rollouts with map and cost", flush=True)
+            compare(model, at, controls(samples, HORIZON_STEPS), options, options.skip)
+    for steps in options.steps:
+        print(f"dc, K 1024, T {steps}: rollouts with map and cost", flush=True)
+        compare(models["dc"], at, controls(1024, steps), options, [*options.skip, "pytorch-mppi", "compiled"])
+    return None
+
+
+def network(name: str) -> Hybrid:
+    """`b` or `dc` with random weights."""
+    torch.manual_seed(0)
+    vehicle = Vehicle(1200.0, 2.1, 0.5, CONTROL, ())
+    model = Hybrid(vehicle, encoder=Compressor(FEATURES) if name == "dc" else None).requires_grad_(False)
+    torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.05)
+    return model
 
 
 if __name__ == "__main__":
