@@ -1,8 +1,8 @@
 """The paper's on-line pipeline as one object: messages of sensors in, controls out.
 
-Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time comes from stamps only: the same messages
-give the same controls, however long they take to compute. A plan made from data at t acts from t + latency on; it starts
-from the state that the model predicts through the controls committed until then.
+Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time comes from stamps only: the same
+messages give the same controls, however long they take to compute. A plan made from data at t acts from t + latency on;
+it starts from the state that the model predicts through the controls committed until then.
 """
 
 from dataclasses import dataclass, field
@@ -26,6 +26,7 @@ from offpiste.planning.course import Course, Hazards, cost_map
 from offpiste.planning.fused import fused_costs, fused_rollout
 from offpiste.planning.guide import Guide
 from offpiste.planning.modes import Ages, Controls, Event, Judgement, Patience, judge
+from offpiste.planning.one_foot import PEDAL_AND_WHEEL, controls_of, feet_of, with_one_foot
 from offpiste.planning.rollouts import driving_costs
 from offpiste.planning.schedule import Schedule, TimedPlan
 from offpiste.planning.seeing import Seeing, Sight
@@ -41,7 +42,8 @@ class RuntimeSettings:
     Attributes:
         plan_rate: plans made a second [Hz].
         latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
-        sampling, weights, hazards: of the planner.
+        sampling: of pedal and steer (`one_foot`).
+        weights, hazards: of the planner.
         replay: of images and scans, as the dataset was extracted with.
         patience: with late inputs.
         slow: speed while scans are late [m/s].
@@ -55,9 +57,7 @@ class RuntimeSettings:
     plan_rate: float = 10.0
     latency: float = 0.1
     sampling: mppi.Settings = field(
-        default_factory=lambda: mppi.Settings(
-            mppi.PEDALS_AND_WHEEL, (0.3, 0.15, 0.3), samples=512, rest=(0.2, 0.0, 0.0)
-        )
+        default_factory=lambda: mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=512, rest=(0.2, 0.0))
     )
     weights: Weights = field(default_factory=Weights)
     hazards: Hazards = field(default_factory=Hazards)
@@ -190,7 +190,7 @@ class Runtime:
         # The wheels stay as they were planned: straight ahead may lead off the course.
         steer = 0.0 if planned is None else float(planned[2])
         command = np.array((0.0, self._settings.stop, steer))
-        why = judgement.why or (self.events[-1].why if self.events else "no plan")
+        why = judgement.why if bad or not self.events else self.events[-1].why
         return Controls(now, command, "stopped" if stands else "stopping", why)
 
     def _plan(self, now: float, judgement: Judgement) -> None:
@@ -233,7 +233,7 @@ class Runtime:
     def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
         settings, model = self._settings, self._dynamics
         fused = supports(model, carry.state.device, carry.state.dtype) and not getattr(model, "holds", False)
-        rest = np.array(settings.sampling.rest or (0.0, 0.0, 0.0))
+        rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
         before = self._schedule.continued(start, HORIZON_STEPS, rest)
         if fused:
@@ -242,17 +242,24 @@ class Runtime:
             encode = area.terrain(at.offset, self._wheels, 1).encode
             cost_of = driving_costs(model, carry, at, settings.weights, encode)
         try:
-            plan = mppi.improve(before, cost_of, settings.sampling, self._generator, previous=at.control)
+            plan = mppi.improve(
+                feet_of(before),
+                with_one_foot(cost_of),
+                settings.sampling,
+                self._generator,
+                previous=feet_of(at.control),
+            )
         except PlanningError as error:
             self.failures.append(str(error))
             return
         if not plan.controls.isfinite().all():
             self.failures.append("a plan that is not finite")
             return
-        self._schedule.add(TimedPlan(start, now, plan.controls))
+        controls = controls_of(plan.controls)
+        self._schedule.add(TimedPlan(start, now, controls))
         states = np.zeros((0, 6))
         if fused:
-            predicted = fused_rollout(model, carry, plan.controls[None], at, settings.weights, area.codes)[1][0]  # type: ignore[arg-type]
+            predicted = fused_rollout(model, carry, controls[None], at, settings.weights, area.codes)[1][0]  # type: ignore[arg-type]
             states = predicted.double().numpy()
             states[:, :2] += at.offset.numpy()
         self.predictions.append(Prediction(start, states))

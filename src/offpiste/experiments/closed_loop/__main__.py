@@ -31,6 +31,8 @@ class ClosedLoop:
     """Wanted along the courses [m/s]."""
     latencies: tuple[float, ...] = (0.0, 0.3)
     """Of dc and the ceiling, beside 0.1 [s]."""
+    keep_logs: bool = False
+    """Of every drive: 150 MB each."""
     faults: bool = False
     """Instead: each fault once, with every run given, into OUT/faults."""
 
@@ -38,7 +40,7 @@ class ClosedLoop:
         """Drive, write, print."""
         first = TEST if self.test else DEVELOPMENT
         planners = [load_planner(run, self.pca) for run in self.runs]
-        asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed))
+        asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
         seeds = range(first, first + self.courses)
         if not self.faults:
             results = drive_all(entries(planners, self.latencies), seeds, self.out, asked, tell=tell)

@@ -38,6 +38,7 @@ class CourseDrive:
         seconds: until the drive ends, wherever the vehicle is.
         sensors: profile of `simulation.sensors`.
         fault: of the sensors, from `fault_start` on [s].
+        keep_log: 4 MB a second; without it, cameras that nobody looks through are not simulated either.
     """
 
     world: WorldSettings = field(default_factory=WorldSettings)
@@ -47,6 +48,7 @@ class CourseDrive:
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
     fault: Kind = "none"
     fault_start: float = 10.0
+    keep_log: bool = True
 
 
 @dataclass(frozen=True)
@@ -66,16 +68,26 @@ class Driven:
 
 
 def drive_course(
-    planner: Planner, asked: CourseDrive, out: Path, *, tell: Callable[[object], None] = lambda said: None
+    planner: Planner,
+    asked: CourseDrive,
+    out: Path,
+    *,
+    world: World | None = None,
+    tell: Callable[[object], None] = lambda said: None,
 ) -> Driven:
-    """Drive a course; writes drive.mcap, result.json and drive.png into a folder.
+    """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
+
+    Args:
+        world: of `asked.world`, where it is made already.
 
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
     """
     _check(asked, out)
-    rig, parameters, world = load_rig("proving_ground"), load_vehicle(), make_world(asked.world)
+    rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(asked.world)
     laid, suite = lay_course(world, asked.world.seed, asked.course), sensor_suite(asked.sensors)
+    if planner.looking is None and not asked.keep_log:
+        suite = SensorSuite((), suite.lidars)
     fault = Fault(asked.fault, asked.fault_start)
     runtime = Runtime(
         planner.dynamics,
@@ -96,6 +108,8 @@ def drive_course(
     title = f"{asked.world.preset}, seed {asked.world.seed}: {planner.name}, {result['time_s']:.1f} s"
     figure = course_picture(world, laid.course, trace, runtime.predictions, title)
     write_whole(out / "drive.png", lambda partial: figure.savefig(partial, format="png"))
+    if not asked.keep_log:
+        (out / "drive.mcap").unlink()
     write_text(out / "result.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
     tell(described(result))
     return Driven(world, laid, driving, trace, runtime, result)

@@ -17,7 +17,8 @@ from offpiste.errors import RunError
 from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
 from offpiste.experiments.closed_loop.planner import Planner
 from offpiste.files import write_text
-from offpiste.simulation.world import WorldSettings
+from offpiste.simulation.build import make_world
+from offpiste.simulation.world import World, WorldSettings
 
 DEVELOPMENT, TEST = 1, 101
 """First seeds of the courses: everything is chosen on the first, and judged on the second."""
@@ -76,15 +77,16 @@ def drive_all(
     """
     asked, results = asked or CourseDrive(), []
     for number, seed in enumerate(seeds):
-        world = WorldSettings(WORLDS[number % len(WORLDS)], seed)
+        place = WorldSettings(WORLDS[number % len(WORLDS)], seed)
+        world: World | None = None
         for row in rows:
-            folder = out / row.name / f"{world.preset}-{seed}"
+            folder = out / row.name / f"{place.preset}-{seed}"
             found = _read(folder / "result.json")
             if found is None:
                 shutil.rmtree(folder, ignore_errors=True)  # an interrupted drive
-                runtime = replace(asked.runtime, latency=row.latency)
-                drive = replace(asked, world=world, runtime=runtime)
-                found = drive_course(row.planner, drive, folder, tell=tell).result
+                world = world or make_world(place)
+                drive = replace(asked, world=place, runtime=replace(asked.runtime, latency=row.latency))
+                found = drive_course(row.planner, drive, folder, world=world, tell=tell).result
             if found["run"] != str(row.planner.folder.resolve()) or found["target_mps"] != asked.course.speed:
                 raise RunError("a drive of another run or course", where=folder, how="give another --out")
             results.append({**found, "row": row.name})
