@@ -383,6 +383,54 @@ class Reproduce:
         return 0
 
 
+@dataclass(frozen=True)
+class Drive:
+    """Drive a course on the proving ground by the planner, with a trained model; simulated time, so a seed repeats."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """A folder that `train` wrote; trained on ground-truth features, it is told the ground's true properties."""
+    world: str = "mojave"
+    """mojave, halter-ranch, dunes or coastal-scrub."""
+    seed: int = 0
+    """Of the world, the course, the noise and the sampled controls."""
+    seconds: float = 40.0
+    """The drive ends then, or at the end of its course."""
+    out: Path = Path("closed-loop")
+    """Folder of drive.mcap, result.json and drive.png."""
+    pca: Path | None = None
+    """Of runs with visual features: the file that their dataset was extracted with."""
+    speed: float = 8.0
+    """Wanted along the course [m/s]."""
+    latency: float = 0.1
+    """From the data of a plan to its first control [s]."""
+    fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
+    """What goes wrong with the sensors."""
+    fault_start: float = 10.0
+    """When it does [s]."""
+    recording: bool = False
+    """Also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
+
+    def run(self) -> int:
+        """Load, drive, judge, draw."""
+        from offpiste.experiments.closed_loop.command import drive_and_show
+
+        drive_and_show(
+            self.run_folder,
+            self.out,
+            world=self.world,
+            seed=self.seed,
+            seconds=self.seconds,
+            pca=self.pca,
+            speed=self.speed,
+            latency=self.latency,
+            fault=self.fault,
+            fault_start=self.fault_start,
+            recording=self.recording,
+            tell=tell,
+        )
+        return 0
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
     "simulate": Simulate,
@@ -393,6 +441,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": Train,
     "evaluate": Evaluate,
     "reproduce": Reproduce,
+    "drive": Drive,
 }
 
 
