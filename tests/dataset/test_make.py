@@ -43,5 +43,9 @@ def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> 
     ):
         with pytest.raises(DatasetError, match=f"another {key}: {both}"):
             refuse_unlike(tmp_path, found, found | {key: other})
+    moved = {"split": "drives:one.txt", "split_drives": [["one", "train"]]}
+    refuse_unlike(tmp_path, found | moved, found | moved | {"split": "drives:/there/one.txt"})
+    with pytest.raises(DatasetError, match="another split_drives"):
+        refuse_unlike(tmp_path, found | moved, found | moved | {"split_drives": [["one", "test"]]})
     with pytest.raises(DatasetError, match="another rig; choose"):
         refuse_unlike(tmp_path, found, found | {"rig": {}})
