@@ -1,6 +1,6 @@
 """One drive from its log into a dataset: read, bring to 50 Hz, look at the ground, write whole or not at all."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def extract_drive(job: Job, report: Report) -> str:
         with scratch(job.out, job.name) as folder:
             writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, looking.channels)
             settings = job.snapshots or SnapshotSettings()
-            keeper = SnapshotKeeper(writer, Due(_judged(rows, job), settings), settings.margin)
+            keeper = SnapshotKeeper(writer, Due(_starts(rows, job, settings.parts), settings), settings.margin)
             rows = with_visual_features(rows, sensors, job.rig, looking, replay, snapshots=keeper, report=report)
             writer.close()
             stored = add_drive(
@@ -91,11 +91,11 @@ def _seen_by_pca(looking: Looking, rows: Rows, job: Job) -> tuple[str, ...]:
     return (f"warning: the PCA may have seen {seen:.0f} s that validate or test here; give fit-pca the same --split",)
 
 
-def _judged(rows: Rows, job: Job) -> list[Bool[np.ndarray, " N"]]:
-    """For validation and test, the rows at which windows start."""
+def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray, " N"]]:
+    """For each of some parts, the rows at which windows start."""
     part = job.split.label(job.name, rows.state[:, :2] + rows.origin)
     found = []
-    for number in (PARTS.index("validation"), PARTS.index("test")):
+    for number in (PARTS.index(name) for name in parts):
         starts = np.zeros(len(part), bool)
         starts[judged_starts(rows, part == number)] = True
         found.append(starts)

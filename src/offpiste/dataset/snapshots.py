@@ -29,12 +29,14 @@ class SnapshotSettings:
 
     Attributes:
         seconds: at most one in so long [s].
+        parts: whose windows get one; training needs none.
         most: of one part of one drive; a longer part has them further apart.
         margin: the map is kept within this and half the way of five seconds at the window's first speed, around the
             place half that way straight ahead [m].
     """
 
     seconds: float = 0.5
+    parts: tuple[str, ...] = ("validation", "test")
     most: int = 2000
     margin: float = 18.0
 

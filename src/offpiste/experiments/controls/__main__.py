@@ -13,10 +13,13 @@ from offpiste.experiments.controls.models import models_control
 from offpiste.experiments.controls.oracle import oracle_control
 from offpiste.experiments.controls.reproduced import open_reproduction
 from offpiste.experiments.controls.shift import shift_control
+from offpiste.experiments.controls.snapshots import snapshots_control
+from offpiste.experiments.controls.sweep import Sweep, sweep_control
+from offpiste.experiments.controls.twins import twins_control
 from offpiste.experiments.controls.uniform import UniformDrives, uniform_control
 from offpiste.progress import tell
 
-What = Literal["models", "shift", "oracle", "uniform"]
+What = Literal["models", "snapshots", "shift", "oracle", "uniform", "twins", "contrast", "appearance"]
 
 
 @dataclass(frozen=True)
@@ -34,14 +37,38 @@ class Controls:
     uniform: UniformDrives = field(default_factory=UniformDrives)
     """For `uniform`: how much is driven."""
 
+    snapshot_drives: int = 8
+    """For `snapshots`: how many training drives are extracted once more."""
+    snapshot_seconds: float = 0.5
+    """For `snapshots`: at most one in so long [s]."""
+    sweep: Sweep = field(default_factory=Sweep)
+    """For `contrast` and `appearance`."""
+    twin_drives: int = 4
+    """For `twins`: how many test drives are driven once more."""
+    twin_seconds: float = 60.0
+    """For `twins`: of each [s]."""
+
     def run(self) -> None:
         """Do it, and show the tables."""
         of = open_reproduction(self.reproduction)
         controls: dict[What, Callable[[], Path]] = {
             "models": lambda: models_control(of, self.out, list(self.models), tell=tell),
+            "snapshots": lambda: snapshots_control(
+                of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds, tell=tell
+            ),
             "shift": lambda: shift_control(of, self.out, tell=tell),
             "oracle": lambda: oracle_control(of, self.out, tell=tell),
             "uniform": lambda: uniform_control(of, self.out, self.uniform, tell=tell),
+            "twins": lambda: twins_control(
+                of,
+                self.out,
+                drives=self.twin_drives,
+                seconds=self.twin_seconds,
+                oracle=self.out / "oracle",
+                tell=tell,
+            ),
+            "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, tell=tell),
+            "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, tell=tell),
         }
         page = controls[self.what]()
         tell(page.read_text("utf-8"))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from offpiste.dataset.ground_truth import FeatureSource
+from offpiste.dataset.hindsight import MIN_HINDSIGHT
 from offpiste.dataset.make import make_dataset
 from offpiste.dataset.snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS
@@ -63,12 +64,14 @@ def driven_dataset(
     pca: Path | None = None,
     features: FeatureSource = "none",
     snapshot_seconds: float = 0.5,
+    min_hindsight: float = MIN_HINDSIGHT,
     tell: Callable[[str], None],
 ) -> Dataset:
     """Simulate what is missing of some drives and extract them into `folder/dataset.zarr`.
 
     Args:
         pca: visual features; else `features` of `dataset.ground_truth`.
+        snapshot_seconds, min_hindsight: of `dataset.make.make_dataset`.
     """
     logs = [folder / "logs" / f"{drive.name}.mcap" for drive in drives]
     for drive, log in zip(drives, logs, strict=True):
@@ -82,6 +85,7 @@ def driven_dataset(
         split=f"drives:{parts}",
         pca=pca,
         features=features,
+        min_hindsight=min_hindsight,
         snapshots=SnapshotSettings(snapshot_seconds),
         tell=tell,
     )

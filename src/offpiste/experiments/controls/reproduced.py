@@ -25,11 +25,13 @@ class Reproduced:
         folder: of `offpiste reproduce`.
         size: what was judged, and how models were trained.
         dataset: with visual features by distance.
+        contrast: of grip in its worlds.
     """
 
     folder: Path
     size: Size
     dataset: Dataset
+    contrast: float = 1.0
 
     @property
     def pca(self) -> Path:
@@ -103,4 +105,5 @@ def open_reproduction(folder: Path) -> Reproduced:
         raise RunError(
             f"lacks or misstates {error}", where=folder / "settings.json", how="give the folder of `offpiste reproduce`"
         ) from error
-    return Reproduced(folder, size, open_dataset(folder / "dataset.zarr" if dataset == "simulated" else Path(dataset)))
+    path = folder / "dataset.zarr" if dataset == "simulated" else Path(dataset)
+    return Reproduced(folder, size, open_dataset(path), settings.get("contrast", 1.0))

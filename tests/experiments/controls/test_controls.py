@@ -1,0 +1,73 @@
+"""Controls from end to end on a made-up reproduction: tables, files, and what is used again."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from offpiste.errors import RunError
+from offpiste.experiments.controls.models import models_control
+from offpiste.experiments.controls.reproduced import open_reproduction
+from offpiste.experiments.controls.shift import shift_control
+from offpiste.experiments.controls.training import trained
+from offpiste.experiments.reproduce.settings import Size
+from offpiste.training.config import TrainConfig
+from seen_drives import seen_dataset
+
+TINY = Size("tiny", (30.0, 15.0, 15.0), stride=320, train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=80))
+
+
+@pytest.fixture(scope="module")
+def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("reproduced")
+    seen_dataset(folder / "dataset.zarr")
+    (folder / "settings.json").write_text(json.dumps({"size": asdict(TINY), "dataset": "simulated"}))
+    of = open_reproduction(folder)
+    for model in ("b", "dc"):
+        trained(of.dataset, of.member(model).config(of.size, 0, "cpu"), folder / "runs", tell=lambda line: None)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Shared, so that what one control has judged serves the other."""
+    return tmp_path_factory.mktemp("controls")
+
+
+def test_models_are_trained_once_and_judged_beside_b_and_dc(reproduction: Path, out: Path) -> None:
+    of = open_reproduction(reproduction)
+    page = models_control(of, out, ["dc-hold"], tell=lambda line: None)
+    found = json.loads((page.parent / "control.json").read_text("utf-8"))
+    ways = {(g["model"], g["lookup"], g["feature_set"]) for g in found["against_b"]}
+    assert {("dc", "map", None), ("dc-hold", "recorded", "40"), ("dc-hold", "recorded", "hindsight")} <= ways
+    assert {g["model"] for g in found["against_dc"]} == {"dc-hold"}
+    assert "## Control models against b" in page.read_text("utf-8")
+    # The bicycle's constants are those of the reproduction's runs: only the networks are trained anew.
+    stage = "bicycle.safetensors"
+    assert (out / "models/runs/dc-hold-0" / stage).read_bytes() == (reproduction / "runs/b-0" / stage).read_bytes()
+    kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
+    models_control(of, out, ["dc-hold"], tell=lambda line: None)
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
+
+
+def test_shifted_features_are_judged_on_the_same_windows(reproduction: Path, out: Path) -> None:
+    of = open_reproduction(reproduction)
+    page = shift_control(of, out, tell=lambda line: None)
+    gains = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
+    assert {(g["case"], g["model"]) for g in gains} == {("as recorded", "dc"), ("shifted", "dc")}
+    for before, after in zip(gains[::2], gains[1::2], strict=True):
+        assert (before["n"], before["baseline_error_m"]) == (after["n"], after["baseline_error_m"])
+        assert before["error_m"] != after["error_m"]
+
+
+def test_what_is_no_reproduction_is_said_in_a_line(tmp_path: Path, reproduction: Path) -> None:
+    with pytest.raises(RunError, match=r"settings\.json"):
+        open_reproduction(tmp_path)
+    with pytest.raises(RunError, match="no finished run of 'cf'"):
+        open_reproduction(reproduction).runs("cf")
+    with pytest.raises(RunError, match="log is missing"):
+        open_reproduction(reproduction).logs()
+    (tmp_path / "settings.json").write_text('{"size": {}}')
+    with pytest.raises(RunError, match="lacks or misstates"):
+        open_reproduction(tmp_path)

@@ -1,0 +1,79 @@
+"""Windows as drives of their own: the usual features are the usual batch, a snapshot's are those of its map."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.snapshots import SnapshotWriter, crop, open_snapshots
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
+from offpiste.experiments.controls.snapshots import own_drives, read_as_stored, read_on_snapshot
+from offpiste.mapping.terrain import TerrainMap, wheel_places
+from seen_drives import FEATURES, seen_dataset
+
+ROWS = (20, 75, 300, 880)
+"""The last one is too near the end for a window."""
+
+
+def with_snapshots(dataset: Dataset, folder: Path) -> Dataset:
+    """Every drive with maps of its own at `ROWS`."""
+    rng, drives = np.random.default_rng(4), []
+    for drive in dataset.drives:
+        writer = SnapshotWriter(folder / drive.name, 0.4, FEATURES)
+        for row in ROWS:
+            looks = rng.normal(size=(300, 300, FEATURES)).astype(np.float32)
+            flat = np.ones((300, 300), np.float32)
+            rise = np.broadcast_to(np.array([0.1, -0.2], np.float32), (300, 300, 2))
+            terrain = TerrainMap(drive.rows.origin - 60.0, 0.4, flat, looks, rise)
+            state = drive.rows.state[row].astype(np.float64)
+            state[:2] += drive.rows.origin
+            writer.add(row, crop(terrain, state, 40.0))
+        writer.close()
+        drives.append(replace(drive, snapshots=open_snapshots(folder / drive.name)))
+    return replace(dataset, drives=tuple(drives))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("data")
+    return with_snapshots(seen_dataset(folder / "seen.zarr"), folder / "snapshots")
+
+
+def test_the_usual_features_give_the_usual_batch(dataset: Dataset) -> None:
+    own = Windows(own_drives(dataset, read_as_stored), "train")
+    whole = Windows(dataset, "train")
+    assert len(own) == 2 * (len(ROWS) - 1)  # two drives train
+    at = [i for i in range(len(whole)) if whole.row_in_drive(np.array([i]))[0] in ROWS]
+    for name in (FEATURE_SETS[0], FEATURE_SETS[6]):
+        one, two = own.reading(name).gather(np.arange(len(own))), whole.reading(name).gather(np.array(at))
+        torch.testing.assert_close(one.history.state, two.history.state)
+        torch.testing.assert_close(one.target, two.target)
+        torch.testing.assert_close(one.terrain.normal, two.terrain.normal)
+        assert one.ground is not None
+        assert two.ground is not None
+        for where in ("past", "ahead"):
+            mine, others = (g.features[getattr(g, where)] for g in (one.ground, two.ground))
+            torch.testing.assert_close(mine, others, equal_nan=True)
+
+
+def test_a_snapshot_is_read_under_the_recorded_wheels(dataset: Dataset) -> None:
+    made = own_drives(dataset, read_on_snapshot)
+    drive = next(d for d in made.drives if d.name == "circle-1@75")
+    source = next(d for d in dataset.drives if d.name == "circle-1")
+    assert source.snapshots is not None
+    terrain = source.snapshots.load(1)
+    cells = drive.rows.cells
+    assert cells is not None
+    assert len(cells.features) == 1
+    for row in (0, 10, 200):
+        state = source.rows.state[75 - 10 + row].astype(np.float64)
+        places = wheel_places(state[None, :2] + source.rows.origin, state[None, 2], dataset.rig.wheel_positions())[0]
+        column, line = np.round((places - terrain.origin) / terrain.resolution).astype(int).T
+        found = cells.features[0, cells.index[row]]
+        np.testing.assert_allclose(found, terrain.features[line, column], atol=2e-3)
+    up = np.array([-0.1, 0.2, 1.0]) / np.sqrt(1.05)
+    np.testing.assert_allclose(drive.rows.normal[0, 50, 0], up, atol=1e-3)

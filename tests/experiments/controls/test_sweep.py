@@ -1,0 +1,50 @@
+"""Noise in the place of imperfect sight: its size, and that wheels and maps see the same."""
+
+import numpy as np
+import pytest
+
+from experiments.controls.made_errors import BASE, errors
+from offpiste.experiments.controls.data import planned
+from offpiste.experiments.controls.judging import MAP, gain
+from offpiste.experiments.controls.sweep import _named, draw_gains, noisy
+from offpiste.mapping.terrain import TerrainMap
+
+
+def kinds(nodes: int = 400) -> TerrainMap:
+    features = np.random.default_rng(1).normal(size=(nodes, nodes, 2)) * [0.5, 3.0] + [0, 7]
+    flat = np.zeros((nodes, nodes), np.float32)
+    return TerrainMap(np.zeros(2), 0.5, flat, features.astype(np.float32))
+
+
+def test_noise_has_the_stated_size_in_each_feature() -> None:
+    seen = noisy(kinds(), 0.5, np.random.default_rng(2))
+    added = seen.features - kinds().features
+    assert added.std(axis=(0, 1)) == pytest.approx([0.25, 1.5], rel=0.15)
+    assert np.abs(added.mean(axis=(0, 1)) / added.std(axis=(0, 1))).max() < 0.15
+    # Smooth: neighbours half a metre apart have much the same.
+    assert np.abs(np.diff(added[..., 0], axis=0)).mean() < 0.5 * added[..., 0].std()
+
+
+def test_no_noise_leaves_the_map() -> None:
+    np.testing.assert_array_equal(noisy(kinds(), 0.0, np.random.default_rng(2)).features, kinds().features)
+
+
+def test_drives_are_named_and_seeded_in_order() -> None:
+    drives = planned("mojave", ((10.0, 20.0), (), (30.0,)), seed=7, sensors="none", contrast=0.5)
+    assert [(d.name, d.part, d.settings.seconds) for d in drives] == [
+        ("mojave-7", "train", 10.0),
+        ("mojave-8", "train", 20.0),
+        ("mojave-9", "test", 30.0),
+    ]
+    assert {d.settings.world.grip_contrast for d in drives} == {0.5}
+    assert [d.settings.world.seed for d in drives] == [7, 8, 9]
+
+
+def test_gains_are_drawn_with_their_intervals() -> None:
+    noise = np.random.default_rng(5).uniform(0.5, 1.0, len(BASE.row))
+    one = gain("", "df", [errors(noise * BASE.distance())], [BASE], MAP)
+    figure = draw_gains([(0.0, _named(one, "contrast 0")), (1.0, one)], "grip contrast")
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == "grip contrast"
+    (bars,) = axes.containers
+    assert list(bars.lines[0].get_ydata()) == pytest.approx([100 * one.distance.mean] * 2)
