@@ -93,6 +93,7 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tel
     evaluation = judge_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
     tell(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
     tell_result(evaluation, dataset, report, tell=tell)
+    # A driven course comes here, as step 8: the folder of `dc` is runs[-1], its PCA is out / "pca.safetensors".
 
 
 def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
