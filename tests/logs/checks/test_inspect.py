@@ -308,6 +308,15 @@ def test_no_control_at_all() -> None:
     assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no control channel"]
 
 
+def test_pedals_alone_are_not_enough() -> None:
+    without = rig(
+        (f"[channels.steer]\n{STEER}", ""), ('absent = ["brake_pressure"', 'absent = ["steer", "brake_pressure"')
+    )
+    found = inspect_log(CLEAN, without)
+    assert not found.usable
+    assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no steering"]
+
+
 def test_no_pose_at_all() -> None:
     found = inspect_log(MemoryLog({"pedals": CLEAN.data["pedals"]}))
     assert not found.usable
