@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.errors import OffpisteError
+from offpiste.experiments.claimed import claim_folder
 from offpiste.experiments.controls.models import models_control
 from offpiste.experiments.controls.oracle import oracle_control
 from offpiste.experiments.controls.reproduced import open_reproduction
@@ -51,6 +52,8 @@ class Controls:
     def run(self) -> None:
         """Do it, and show the tables."""
         of = open_reproduction(self.reproduction)
+        # What was judged is used again: it must be of the same runs.
+        claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
         controls: dict[What, Callable[[], Path]] = {
             "models": lambda: models_control(of, self.out, list(self.models), tell=tell),
             "snapshots": lambda: snapshots_control(
