@@ -1,0 +1,49 @@
+"""Paired differences and the table over courses."""
+
+import numpy as np
+import pytest
+
+from offpiste.experiments.closed_loop.table import COUNTED, paired, table
+
+
+def test_intervals_of_a_known_difference():
+    rng = np.random.default_rng(0)
+    shared = rng.normal(30, 10, 200)
+    found = paired(shared + rng.normal(-1.0, 1.0, 200), shared, np.random.default_rng(1))
+    # 1.96 sigma / sqrt(n), whatever courses have in common.
+    assert found.mean == pytest.approx(-1.0, abs=0.2)
+    assert found.high - found.low == pytest.approx(2 * 1.96 / np.sqrt(200), rel=0.2)
+    assert found.low < found.mean < found.high
+
+
+def test_only_courses_that_both_drove_count():
+    first, second = np.array([1.0, 2.0, np.nan, 4.0]), np.array([0.0, 0.0, 0.0, 0.0])
+    assert paired(first, second, np.random.default_rng(0)).mean == pytest.approx(7 / 3)
+    assert paired(first[1:], second[1:], np.random.default_rng(0)) is None
+
+
+def result(row, seed, time, finished=True):
+    return {
+        "row": row,
+        "world": "mojave",
+        "seed": seed,
+        "time_s": time,
+        "mean_path_error_m": 0.5,
+        "worst_path_error_m": 1.0,
+        "mean_speed_error_mps": 2.0,
+        "plan_error_5s_m": {"mean": None},
+        **dict.fromkeys(COUNTED, False),
+        "finished": finished,
+    }
+
+
+def test_the_table_counts_what_did_not_finish_with_the_limit():
+    rows = [result("b-100ms", seed, 30.0) for seed in range(4)]
+    rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
+    rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
+    text = table(rows, limit=40.0)
+    assert "| b-100ms | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
+    assert "| dc-100ms | 25.00 |" in text  # (40 + 3 * 20) / 4
+    lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
+    assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
+    assert "-5.00 [" in lines[0]
