@@ -108,9 +108,9 @@ class Windows:
         self._offset = offset
         if not any((drive.part == PARTS.index(part)).any() for drive in dataset.drives):
             count, seconds = len(dataset.drives), horizon * DT
-            drives = f"{count} drive{'s' * (count > 1)}"
+            of = f"split {dataset.split.text}, {count} drive{'s' * (count > 1)}"
             raise DatasetError(
-                f"the {part} part has no window of {seconds:g} s, and no row (split {dataset.split.text}, {drives})",
+                f"the {part} part has no window of {seconds:g} s, and no row ({of})",
                 where=dataset.path,
                 how="extract more or longer drives, or choose another --split",
             )
