@@ -192,6 +192,19 @@ def test_any_number_of_samples_costs_what_each_costs_alone(samples):
         assert torch.equal(cost_of(controls[k : k + 1])[0], together[k])
 
 
+def test_a_plan_is_the_same_on_any_number_of_threads():
+    at, dynamics = situation(ground()), model("dc")
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, dynamics.encoder))
+    settings, plans, threads = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=100), [], torch.get_num_threads()
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        draw = torch.Generator().manual_seed(0)
+        plans.append(improve(torch.zeros(STEPS, 3), cost_of, settings, draw, previous=torch.zeros(3)))
+    torch.set_num_threads(threads)
+    assert torch.equal(plans[0].costs, plans[1].costs)
+    torch.testing.assert_close(plans[0].controls, plans[1].controls)
+
+
 def test_a_sample_with_nan_costs_nan_and_others_do_not():
     at, dynamics = situation(ground()), model("b")
     cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, None))

@@ -57,7 +57,7 @@ def encode_map(
     wanted = features.isfinite().all(dim=-1)
     if centre is not None:
         rows, columns = (torch.arange(n, dtype=torch.float64, device=features.device) for n in wanted.shape)
-        x, y = (centre.double() - maps.origin[0]) / maps.resolution
+        x, y = (centre.to(maps.origin) - maps.origin[0]) / maps.resolution
         cells = reach / maps.resolution
         wanted &= ((rows - y).abs() <= cells)[:, None] & ((columns - x).abs() <= cells)
     missing = encoder.missing()
