@@ -1,0 +1,185 @@
+"""The run time on a stream without a simulator: what it does when all is well, and when inputs are late or missing."""
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.conventions import DT
+from offpiste.errors import PlanningError
+from offpiste.logs.measurements import Image
+from offpiste.planning import mppi
+from planning.stream import look, reading, scan, straight_drive
+
+
+def speed(stream):
+    return float(np.hypot(*stream.states[-1][3:5]))
+
+
+def commands(stream):
+    return np.stack([c.command for c in stream.controls])
+
+
+@pytest.fixture(scope="module")
+def driven():
+    stream = straight_drive()
+    stream.run(4.0)
+    return stream
+
+
+def test_it_follows_its_course_at_speed(driven):
+    x, y = driven.states[-1][:2]
+    assert x > 8.0
+    assert abs(y) < 0.6
+    assert speed(driven) == pytest.approx(5.0, abs=1.0)
+    assert driven.modes() == [("stopped", "no scan"), ("stopped", "no plan"), ("driving", "")]
+    assert driven.runtime.dropped == {"lidar: before the first poses": 1}
+
+
+def test_the_same_messages_give_the_same_controls(driven):
+    again, other = straight_drive(), straight_drive(seed=1)
+    again.run(1.0)
+    other.run(1.0)
+    np.testing.assert_array_equal(commands(again), commands(driven)[:50])
+    assert not np.array_equal(commands(other), commands(driven)[:50])
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
+def test_a_plan_starts_where_the_vehicle_then_is(latency):
+    # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
+    stream = straight_drive(latency=latency)
+    stream.run(2.0)
+    checked = 0
+    for prediction in stream.runtime.predictions:
+        first = round(prediction.time / DT)
+        rows = np.arange(first + 1, min(first + 6, len(stream.states)))
+        # What acts from a plan's start on is that plan, until the next one made 0.1 s later.
+        if prediction.time > 0.5 and len(rows) == 5:
+            met = np.array([stream.states[row] for row in rows])
+            np.testing.assert_allclose(prediction.state[:5], met, atol=2e-3)
+            checked += 1
+    assert checked >= 8
+    acting = [c.time for c in stream.controls if c.mode == "driving"]
+    assert acting[0] == pytest.approx(0.1 + latency, abs=DT / 2)  # the first scan that counts comes at 0.1 s
+
+
+def test_without_scans_it_slows_down_and_stops():
+    stream = straight_drive(slow=1.0, stream={"scans": lambda t: t < 2.0})
+    stream.run(2.2)
+    before = speed(stream)
+    stream.run(0.66)
+    assert stream.modes()[-1] == ("degraded", "late scan")
+    assert speed(stream) < before - 0.2
+    stream.run(2.7)
+    assert stream.modes()[-2:] == [("stopping", "no scan"), ("stopped", "no scan")]
+    assert speed(stream) < 0.3
+    times = {event.why: event.time for event in reversed(stream.runtime.events)}
+    assert times["late scan"] == pytest.approx(1.9 + 0.3, abs=2 * DT)
+
+
+def test_a_stop_is_ended_before_it_drives_on():
+    stream = straight_drive(stream={"reads": lambda t: not 1.5 <= t < 1.8})
+    stream.run(4.5)
+    why = "no state of the vehicle"
+    assert stream.modes()[-2:] == [("stopping", why), ("driving", "")]
+    lost = commands(stream)[round(1.62 / DT) : round(1.8 / DT)]
+    np.testing.assert_array_equal(lost[:, 0], 0.0)
+    np.testing.assert_array_equal(lost[:, 1], 0.5)
+    assert min(np.hypot(s[3], s[4]) for s in stream.states[80:]) < 0.3
+
+
+def test_an_empty_map_stops_it():
+    stream = straight_drive()
+    stream.run(1.5)
+    stream.runtime.forget_map()
+    stream.height = 1000.0  # echoes from nowhere
+    stream.run(0.2)
+    assert stream.modes()[-1] == ("stopping", "empty map")
+    stream.run(2.5)
+    assert stream.modes()[-1] == ("stopped", "empty map")
+    assert speed(stream) < 0.3
+
+
+def test_a_plan_that_fails_leaves_the_last_one_for_a_while(monkeypatch):
+    stream = straight_drive()
+    stream.run(1.5)
+    planned = stream.runtime._schedule.latest.controls
+
+    def fails(*_, **__):
+        raise PlanningError("none of 64 sampled trajectories has a finite cost")
+
+    monkeypatch.setattr(mppi, "improve", fails)
+    stream.run(0.5)
+    last = stream.runtime._schedule.latest
+    assert last.controls is planned
+    row = round(last.start / DT)
+    np.testing.assert_allclose(commands(stream)[row : row + 20], planned[:20], atol=1e-7)
+    stream.run(0.5)
+    assert stream.modes()[-1] == ("stopping", "no plan")
+    assert len(stream.runtime.failures) >= 5
+    monkeypatch.undo()
+    stream.run(3.5)
+    assert stream.modes()[-1] == ("driving", "")
+
+
+def test_it_stops_at_the_end_of_its_course():
+    stream = straight_drive(length=8.0)
+    stream.run(6.5)
+    assert stream.modes()[-1] == ("stopped", "end of the course")
+    assert 5.0 < stream.states[-1][0] < 14.0
+
+
+def test_without_images_it_goes_on_and_says_so():
+    stream = straight_drive(eyes=True, stream={"images": lambda t: t < 1.2})
+    stream.run(1.5)
+    layers = stream.runtime._seeing.layers()
+    assert layers.features.shape[2] == 4  # codes of 3 features
+    assert layers.valid.sum() > 100
+    codes = layers.features[layers.valid]
+    stream.run(1.5)
+    assert stream.modes()[-1] == ("degraded", "no image")
+    assert speed(stream) > 2.0
+    # The map holds codes, not features: those of the one colour that was seen.
+    features = look(np.full((98, 140, 3), 120, np.uint8))[:1, 0]
+    expected = stream.runtime._encoder(torch.from_numpy(features), torch.ones(1, dtype=torch.bool)).numpy()
+    np.testing.assert_allclose(codes, np.broadcast_to(expected, codes.shape), atol=1e-5)
+
+
+def test_features_that_are_not_finite_count_as_no_image():
+    broken = []
+
+    def looking(pixels):
+        return np.full_like(look(pixels), np.nan) if broken else look(pixels)
+
+    stream = straight_drive(eyes=True, looking=looking)
+    stream.run(1.0)
+    broken.append(True)
+    stream.run(2.2)
+    assert stream.modes()[-1] == ("degraded", "no image")
+    assert stream.runtime.dropped["images without finite features"] >= 3
+    assert np.isfinite(commands(stream)).all()
+    assert np.isfinite(stream.runtime._seeing.layers().features[stream.runtime._seeing.layers().valid]).all()
+
+
+def test_what_is_no_use_is_dropped_and_counted():
+    stream = straight_drive(eyes=True)
+    stream.run(2.0)
+    runtime, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
+    runtime.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
+    runtime.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
+    assert runtime._seeing.image_time == 1.9
+    runtime.image(Image(7.0, "eye", pixels))  # from the future
+    before = runtime._seeing.scan_time
+    broken = scan(1.95)
+    runtime.scan(type(broken)(1.95, "lidar", np.full_like(broken.points, np.nan), None, broken.intensity))
+    assert runtime._seeing.scan_time == before
+    runtime.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
+    runtime.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
+    assert runtime.dropped == {
+        "eye: before the first poses": 1,
+        "lidar: before the first poses": 1,
+        "eye: stamps repeat or go back": 1,
+        "eye: stamped when the pose is not known": 1,
+        "scans without a finite point": 1,
+        "readings of the vehicle that are not finite": 1,
+        "readings of the vehicle whose stamps repeat or go back": 1,
+    }
