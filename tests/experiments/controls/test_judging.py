@@ -36,6 +36,11 @@ def test_share_of_the_oracle_by_hand() -> None:
     assert reached.ci95 == pytest.approx((0.4, 0.4))
 
 
+def test_an_oracle_without_a_gain_has_no_shares() -> None:
+    worse = errors(1.1 * BASE.distance())
+    assert np.isnan(share(errors(0.8 * BASE.distance()), BASE, worse, BASE, Sampling().on(BASE)).mean)
+
+
 def test_a_failed_window_leaves_no_share() -> None:
     broken = errors(np.where(ROW == 0, np.inf, BASE.distance()))
     assert np.isnan(share(broken, BASE, BASE, BASE, Sampling().on(BASE)).mean)

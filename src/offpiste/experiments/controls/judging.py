@@ -153,12 +153,14 @@ def gain(
 def share(mine: Errors, base: Errors, oracle: Errors, oracle_base: Errors, drawn: Resampling) -> PairedDifference:
     """What part of an oracle's relative gain in distance a model reaches: (1 - mine/base) / (1 - oracle/oracle_base).
 
-    Each gain is over a baseline that reads the same normals. All are of the same windows, in the same order.
+    Each gain is over a baseline that reads the same normals. All are of the same windows, in the same order. Where the
+    oracle's own gain is not surely above zero there is nothing to have a share of: NaN.
     """
     values = [errors.distance() for errors in (mine, base, oracle, oracle_base)]
     if not all(np.isfinite(value).all() for value in values):
         return PairedDifference(np.nan, (np.nan, np.nan))
     a, b, c, d = (drawn.means(value) for value in values)
+    if not drawn.interval(1 - c / d)[0] > 0:
+        return PairedDifference(np.nan, (np.nan, np.nan))
     m, n, o, p = (value.mean() for value in values)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return PairedDifference(float((1 - m / n) / (1 - o / p)), drawn.interval((1 - a / b) / (1 - c / d)))
+    return PairedDifference(float((1 - m / n) / (1 - o / p)), drawn.interval((1 - a / b) / (1 - c / d)))
