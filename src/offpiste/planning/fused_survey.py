@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
-from offpiste.dynamics.kernels.jit import inlined, lane_loop
+from offpiste.dynamics.kernels.jit import inlined, lane_loop, maker
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
 
@@ -76,7 +76,7 @@ class Sight(NamedTuple):
     slope: np.ndarray
 
 
-@lane_loop
+@maker
 def make_sight() -> Sight:
     """An empty one."""
     cells = np.zeros((3, LANES), np.int32)

@@ -6,9 +6,9 @@ import numpy as np
 
 from offpiste.dynamics.kernels.elementary import Lane, f4, tanh
 from offpiste.dynamics.kernels.generated import cell, cell_adjoint
-from offpiste.dynamics.kernels.jit import lane_loop
+from offpiste.dynamics.kernels.jit import lane_loop, maker
 from offpiste.dynamics.kernels.layout import CELL_ROW, CELL_ROWS, HIDDEN, LANES
-from offpiste.dynamics.kernels.matrix import add_outer, add_product
+from offpiste.dynamics.kernels.matrix import add_outer, add_product, copy
 from offpiste.dynamics.kernels.network import Network
 
 UNITS = HIDDEN * LANES
@@ -33,7 +33,7 @@ class Scratch(NamedTuple):
     layer: np.ndarray
 
 
-@lane_loop
+@maker
 def make_scratch(network: Network, one: Lane) -> Scratch:
     """Scratch of a network; `one` stands in the row of the biases' input, 0 for adjoints."""
     seen = np.zeros((network.gates.shape[1] + HIDDEN) * LANES, f4)
@@ -59,7 +59,7 @@ def compensate(network: Network, s: Scratch, w: np.ndarray, before: np.ndarray, 
     inputs = HIDDEN * LANES
     hidden = network.first_hidden * LANES
     memory = hidden + units * LANES
-    s.seen[:inputs] = before[hidden : hidden + UNITS]
+    copy(before[hidden : hidden + UNITS], s.seen[:inputs])
     for k in range(len(network.inputs)):
         row = w[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
         standardised = s.seen[inputs + k * LANES : inputs + (k + 1) * LANES]
@@ -69,12 +69,12 @@ def compensate(network: Network, s: Scratch, w: np.ndarray, before: np.ndarray, 
 
     s.cell[:GATES] = f4(0)
     add_product(network.gates, s.seen, s.cell)
-    s.cell[MEMORY : MEMORY + UNITS] = before[memory : memory + UNITS]
+    copy(before[memory : memory + UNITS], s.cell[MEMORY : MEMORY + UNITS])
     cell(s.cell)
-    after[hidden : hidden + UNITS] = s.cell[NEXT_HIDDEN : NEXT_HIDDEN + UNITS]
-    after[memory : memory + UNITS] = s.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS]
+    copy(s.cell[NEXT_HIDDEN : NEXT_HIDDEN + UNITS], after[hidden : hidden + UNITS])
+    copy(s.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS], after[memory : memory + UNITS])
 
-    s.seen[len(s.seen) - UNITS :] = s.cell[NEXT_HIDDEN : NEXT_HIDDEN + UNITS]
+    copy(s.cell[NEXT_HIDDEN : NEXT_HIDDEN + UNITS], s.seen[len(s.seen) - UNITS :])
     width = network.inner.shape[0] * LANES
     s.layer[:width] = f4(0)
     add_product(network.inner, s.seen[inputs:], s.layer)
@@ -126,13 +126,13 @@ def compensate_adjoint(
     bar.cell[:NEXT_HIDDEN] = f4(0)
     for i in range(UNITS):
         bar.cell[NEXT_HIDDEN + i] = carry_bar[hidden + i] + bar.seen[after + i]
-    bar.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS] = carry_bar[memory : memory + UNITS]
+    copy(carry_bar[memory : memory + UNITS], bar.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS])
     cell_adjoint(s.cell, bar.cell)
     add_outer(bar.cell, s.seen, gates_bar)
     add_product(network.gates_t, bar.cell, bar.seen)
 
-    carry_bar[hidden : hidden + UNITS] = bar.seen[:inputs]
-    carry_bar[memory : memory + UNITS] = bar.cell[MEMORY : MEMORY + UNITS]
+    copy(bar.seen[:inputs], carry_bar[hidden : hidden + UNITS])
+    copy(bar.cell[MEMORY : MEMORY + UNITS], carry_bar[memory : memory + UNITS])
     for k in range(len(network.inputs)):
         row = w_bar[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
         standardised = bar.seen[inputs + k * LANES : inputs + (k + 1) * LANES]

@@ -1,7 +1,8 @@
 """Numba, as the kernels use it: three kinds of compiled function.
 
 `fastmath` allows fused multiply-add, and where a sum over lanes is wanted its reordering, but never assumes that
-numbers are finite: a diverged rollout must say so.
+numbers are finite: a diverged rollout must say so. Loops neither make nor keep arrays, so they do not count references
+to them (`_nrt`); nor can they, then, assign slices, which may need a copy: `matrix.copy` does.
 """
 
 import hashlib
@@ -17,17 +18,22 @@ Function = Callable[..., Any]
 
 def inlined(function: Function) -> Function:
     """A scalar function that becomes part of the loop that calls it."""
-    return _compile(function, forceinline=True)
+    return _compile(function, forceinline=True, _nrt=False)
 
 
 def lane_loop(function: Function) -> Function:
     """A function that does the same to every lane."""
-    return _compile(function)
+    return _compile(function, _nrt=False)
 
 
 def lane_sum(function: Function) -> Function:
     """A function that adds up lanes, in any order."""
-    return _compile(function, fastmath={"contract", "reassoc"})
+    return _compile(function, fastmath={"contract", "reassoc"}, _nrt=False)
+
+
+def maker(function: Function) -> Function:
+    """A function that makes arrays."""
+    return _compile(function)
 
 
 def entry(function: Function) -> Function:

@@ -12,6 +12,13 @@ from offpiste.dynamics.kernels.layout import LANES
 
 
 @lane_loop
+def copy(x: np.ndarray, y: np.ndarray) -> None:
+    """As many numbers of x as fit into y."""
+    for i in range(len(y)):
+        y[i] = x[i]
+
+
+@lane_loop
 def add_product(w: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
     """Add a product: y += W x.
 

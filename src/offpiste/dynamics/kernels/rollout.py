@@ -12,8 +12,9 @@ from offpiste.conventions import STATE
 from offpiste.dynamics.kernels.compensate import Scratch, compensate, compensate_adjoint, make_scratch
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
-from offpiste.dynamics.kernels.jit import entry, lane_loop
+from offpiste.dynamics.kernels.jit import entry, lane_loop, maker
 from offpiste.dynamics.kernels.layout import CARRIED, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS
+from offpiste.dynamics.kernels.matrix import copy
 from offpiste.dynamics.kernels.network import Network
 
 MOVED = len(CARRIED) * LANES
@@ -46,7 +47,7 @@ class Record(NamedTuple):
     recorded: np.ndarray
 
 
-@lane_loop
+@maker
 def make_scratches(networks: Networks, one: Lane) -> Scratches:
     """`make_scratch` of each network."""
     return make_scratch(networks[0], one), make_scratch(networks[1], one), make_scratch(networks[2], one)
@@ -74,12 +75,12 @@ def advance_block(
 ) -> None:
     """One step of a block, from one carry to the next; controls, normals and codes are loaded."""
     units = (len(before) - MOVED) // (2 * LANES)
-    w[:MOVED] = before[:MOVED]
+    copy(before, w[:MOVED])
     sense(w, c)
     for k in range(3):
         compensate(networks[k], scratches[k], w, before[MOVED:], after[MOVED:], units)
     advance(w, c)
-    after[:MOVED] = w[NEXT : NEXT + MOVED]
+    copy(w[NEXT : NEXT + MOVED], after[:MOVED])
 
 
 @entry

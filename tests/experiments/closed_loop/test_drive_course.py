@@ -1,0 +1,80 @@
+"""A real closed loop, short and small: proving ground, sensors, map, plan, recorded and judged."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.errors import OffpisteError, RunError
+from offpiste.experiments.closed_loop.courses import CourseSettings, friction_along, lay_course
+from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
+from offpiste.experiments.closed_loop.planner import Planner, load_planner
+from offpiste.logs.drive import read_drive
+from offpiste.rig import load_rig
+from offpiste.simulation.build import make_world
+from offpiste.simulation.world import WorldSettings
+from planning.stream import parametric, settings
+
+WORLD = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
+ASKED = CourseDrive(WORLD, seconds=6.0, course=CourseSettings(speed=5.0, length=60.0, candidates=6), runtime=settings())
+PLANNER = Planner("parametric", Path("nowhere"), parametric())
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    out = tmp_path_factory.mktemp("closed-loop") / "drive"
+    return drive_course(PLANNER, ASKED, out), out
+
+
+def test_it_drives_along_the_course(driven):
+    result = driven[0].result
+    assert result["progress_m"] > 8.0
+    assert result["worst_path_error_m"] < 3.0
+    assert not result["rollover"]
+    assert not result["stuck"]
+    assert result["modes"][-1][1:] == ("driving", "")
+    assert result["failed_plans"] == 0
+    assert result["plan_error_5s_m"]["n"] > 0
+
+
+def test_what_is_written_can_be_read(driven):
+    _, out = driven
+    assert json.loads((out / "result.json").read_text())["planner"] == "parametric"
+    assert (out / "drive.png").stat().st_size > 10_000
+    drive = read_drive(out / "drive.mcap", load_rig("proving_ground"))
+    recorded = drive.channels["throttle"]
+    given = np.array([c.command[0] for c in driven[0].driving.controls])
+    np.testing.assert_allclose(recorded.values[:, 0], given, atol=1e-6)
+    with pytest.raises(OffpisteError, match="exists already"):
+        drive_course(PLANNER, ASKED, out)
+
+
+def test_a_course_is_on_a_trail_and_the_same_for_a_seed():
+    world = make_world(WORLD)
+    laid, again = (lay_course(world, 3, ASKED.course) for _ in range(2))
+    np.testing.assert_array_equal(laid.course.path, again.course.path)
+    trails = np.concatenate(world.trails)
+    away = np.linalg.norm(laid.course.path[:, None] - trails[None], axis=-1).min(axis=1)
+    assert away.max() < 0.5
+    assert np.linalg.norm(np.diff(laid.course.path, axis=0), axis=1) == pytest.approx(1.0, abs=0.05)
+    assert laid.changes == pytest.approx(np.abs(np.diff(friction_along(world, laid.course.path))).sum())
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"seconds": 0.0}, "a drive of 0 s"),
+        ({"runtime": settings(latency=0.03)}, "a latency of 0.03 s"),
+        ({"fault": "earthquake"}, "no fault is called 'earthquake'"),
+    ],
+)
+def test_what_cannot_be_driven_is_told_at_once(changed, message, tmp_path):
+    with pytest.raises(OffpisteError, match=message):
+        drive_course(PLANNER, replace(ASKED, **changed), tmp_path)
+
+
+def test_no_run_no_planner(tmp_path):
+    with pytest.raises(RunError, match="no such folder"):
+        load_planner(tmp_path / "none")
