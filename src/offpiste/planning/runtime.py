@@ -232,7 +232,7 @@ class Runtime:
 
     def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
         settings, model = self._settings, self._dynamics
-        fused = supports(model, carry.state.device, carry.state.dtype) and not getattr(model, "holds", False)
+        fused = supports(model, carry.state.device, carry.state.dtype)
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
         before = self._schedule.continued(start, HORIZON_STEPS, rest)

@@ -36,8 +36,8 @@ def pca_file(path, seed):
     return pca.identity
 
 
-def run_folder(folder, model, features, pca):
-    """An untrained run and as much of its dataset as is read."""
+def run_folder(folder, model, features, dataset_pca, **told):
+    """An untrained run, of which model.json tells something more, and as much of its dataset as is read."""
     vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(features))
     save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
     about = {
@@ -48,10 +48,11 @@ def run_folder(folder, model, features, pca):
         "dataset": str(folder / "dataset.zarr"),
         "split": "blocks:0.7,0.1,0.2",
         "seen": [],
+        **told,
     }
     save_json(folder / "model.json", about)
     (folder / "dataset.zarr").mkdir()
-    attributes = {"attributes": {"features": list(features), "pca": pca}}
+    attributes = {"attributes": {"features": list(features), "pca": dataset_pca}}
     (folder / "dataset.zarr" / "zarr.json").write_text(json.dumps(attributes))
     return folder
 
@@ -71,6 +72,13 @@ def test_a_run_of_visual_features_wants_its_own_pca(tmp_path):
     (run / "dataset.zarr" / "zarr.json").unlink()
     with pytest.raises(RunError, match="cannot be read"):
         load_planner(run, mine)
+
+
+def test_a_run_that_names_its_pca_needs_no_dataset(tmp_path):
+    identity = pca_file(tmp_path / "mine.safetensors", 0)
+    run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], "of another dataset", pca=identity)
+    (run / "dataset.zarr" / "zarr.json").unlink()
+    assert load_planner(run, tmp_path / "mine.safetensors").looking.identity == identity
 
 
 def test_an_oracle_is_known_by_its_features(tmp_path):

@@ -48,15 +48,9 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
     run = load_run(folder)
     if encoder_of(run.dynamics) is None:
         return Planner(run.model, folder, run.dynamics)
-    names, identity = _features(folder)
-    if tuple(names) == GROUND_PROPERTIES:
-        return Planner("ceiling", folder, run.dynamics)
+    identity = run.pca or _pca_of_dataset(folder)
     if identity is None:
-        raise RunError(
-            f"reads features that no camera gives: {', '.join(names[:4])} …",
-            where=folder,
-            how="give a run trained on visual features, on ground-truth ones, or on none",
-        )
+        return Planner("ceiling", folder, run.dynamics)
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
     looking = load_looking(pca)
@@ -69,16 +63,26 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
     return Planner(run.model, folder, run.dynamics, looking)
 
 
-def _features(folder: Path) -> tuple[list[str], str | None]:
-    """Names of the features that a run was trained on, and what tells their PCA from others."""
+def _pca_of_dataset(folder: Path) -> str | None:
+    """What tells the PCA of a run's dataset from others; None where its features are the ground's true properties.
+
+    Runs say which PCA they were trained with, but for older ones and those that had none.
+    """
     about: dict[str, Any] = load_json(folder / "model.json")
     dataset = Path(about.get("dataset", ""))
     try:
         attributes = json.loads((dataset / "zarr.json").read_text("utf-8"))["attributes"]
-        return list(attributes["features"]), attributes["pca"]
+        names, identity = tuple(attributes["features"]), attributes["pca"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(
             f"its dataset {dataset} is needed to tell which features it reads, and cannot be read",
             where=folder,
             how="put the dataset back where it was",
         ) from error
+    if identity is None and names != GROUND_PROPERTIES:
+        raise RunError(
+            f"reads features that no camera gives: {', '.join(names[:4])} …",
+            where=folder,
+            how="give a run trained on visual features, on ground-truth ones, or on none",
+        )
+    return identity
