@@ -46,4 +46,16 @@ def test_the_stretch_is_what_lies_around():
     for x in range(50, 101, 10):
         guide.move(np.array((float(x), 0.0)))
     assert len(Guide(Course(np.array([[0.0, 0.0], [0.2, 0.0]]), np.full(2, 5.0))).stretch().path) >= 2
-    assert guide.stretch().path[-1, 0] == pytest.approx(100.0)
+
+
+def test_beyond_its_end_a_course_goes_straight_on():
+    path = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 30.0]])
+    guide = Guide(Course(path, np.array([5.0, 5.0, 3.0])), Reach(back=5.0, ahead=20.0))
+    for place in (*np.linspace(path[0], path[1], 9), *np.linspace(path[1], path[2], 9)):
+        guide.move(place)
+    stretch = guide.stretch()
+    np.testing.assert_allclose(stretch.path[-1], (50.0, 50.0), atol=0.3)
+    assert stretch.speed[-1] == pytest.approx(3.0)
+    # But it is driven at its own end.
+    guide.move(np.array((50.0, 45.0)))
+    assert guide.progress == guide.length == pytest.approx(80.0)

@@ -32,7 +32,8 @@ class Guide:
     """Keeps the vehicle's place on a course."""
 
     def __init__(self, course: Course, reach: Reach | None = None) -> None:
-        self._course, self._reach = densified(course, SPACING), reach or Reach()
+        dense, self._reach = densified(course, SPACING), reach or Reach()
+        self._course, self._end = _prolonged(dense, self._reach.ahead), len(dense.path) - 1
         step = np.linalg.norm(np.diff(self._course.path, axis=0), axis=1)
         self._arc = np.concatenate(([0.0], np.cumsum(step)))
         self._next = 0
@@ -40,7 +41,7 @@ class Guide:
     @property
     def length(self) -> float:
         """Of the whole course [m]."""
-        return float(self._arc[-1])
+        return float(self._arc[self._end])
 
     @property
     def progress(self) -> float:
@@ -54,14 +55,16 @@ class Guide:
 
     def move(self, xy: Float[np.ndarray, " 2"]) -> float:
         """The vehicle has come to a place; returns its distance from the course there [m]."""
-        last = int(np.searchsorted(self._arc, self.progress + self._reach.search))
+        last = min(int(np.searchsorted(self._arc, self.progress + self._reach.search)), self._end)
         away = np.linalg.norm(self._course.path[self._next : last + 1] - xy, axis=1)
         nearest = int(np.argmin(away))
         self._next += nearest
         return float(away[nearest])
 
     def stretch(self, *, at_most: float = np.inf) -> Course:
-        """What lies a little behind and ahead.
+        """What lies a little behind and ahead; beyond its end the course goes straight on.
+
+        If it ended there, plans would lead no further: the vehicle would creep up to the end, and not get there.
 
         Args:
             at_most: speed that is not exceeded [m/s].
@@ -70,3 +73,12 @@ class Guide:
         last = int(np.searchsorted(self._arc, self.progress + self._reach.ahead)) + 1
         chosen = slice(max(min(first, len(self._arc) - 2), 0), last)
         return Course(self._course.path[chosen], np.minimum(self._course.speed[chosen], at_most))
+
+
+def _prolonged(course: Course, length: float) -> Course:
+    """A dense course that goes straight on for some metres."""
+    direction = course.path[-1] - course.path[-2]
+    steps = SPACING * np.arange(1, round(length / SPACING) + 1)[:, None]
+    beyond = course.path[-1] + steps * direction / max(float(np.linalg.norm(direction)), 1e-9)
+    path = np.concatenate((course.path, beyond))
+    return Course(path, np.concatenate((course.speed, np.full(len(beyond), course.speed[-1]))))

@@ -57,7 +57,16 @@ class RuntimeSettings:
     plan_rate: float = 10.0
     latency: float = 0.1
     sampling: mppi.Settings = field(
-        default_factory=lambda: mppi.Settings(PEDAL_AND_WHEEL, (0.5, 0.5), samples=512, iterations=2, rest=(0.2, 0.0))
+        default_factory=lambda: mppi.Settings(
+            PEDAL_AND_WHEEL,
+            (0.25, 0.25),
+            samples=512,
+            temperature=10.0,
+            iterations=2,
+            wide=0.3,
+            fresh=0.1,
+            rest=(0.4, 0.0),
+        )
     )
     weights: Weights = field(default_factory=Weights)
     hazards: Hazards = field(default_factory=Hazards)

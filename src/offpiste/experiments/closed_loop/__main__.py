@@ -27,7 +27,7 @@ class ClosedLoop:
     """Courses of the test seeds (from 101) instead of those for development (from 1)."""
     out: Path = Path("closed-loop")
     seconds: float = 40.0
-    speed: float = 8.0
+    speed: float = 7.0
     """Wanted along the courses [m/s]."""
     latencies: tuple[float, ...] = (0.0, 0.3)
     """Of dc and the ceiling, beside 0.1 [s]."""

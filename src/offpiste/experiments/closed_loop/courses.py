@@ -35,8 +35,8 @@ class CourseSettings:
         candidates: stretches that are compared; the one on which friction changes most is taken.
     """
 
-    speed: float = 8.0
-    length: float = 240.0
+    speed: float = 7.0
+    length: float = 180.0
     clearance: float = 1.7
     steepest: float = 0.3
     radius: float = 5.0
