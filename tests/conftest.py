@@ -1,10 +1,14 @@
 """Shared by all tests; shapes and types of offpiste's functions are checked while they run."""
 
+import os
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 from jaxtyping import install_import_hook
 
 install_import_hook("offpiste", "beartype.beartype")
 
-import os  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
