@@ -27,7 +27,7 @@ class Stopwatch:
         """For each stage: how often, the median and the 95th percentile [ms], and all of it [s]."""
         return {
             stage: {
-                "count": len(taken),
+                "count": float(len(taken)),
                 "median_ms": 1e3 * float(np.median(taken)),
                 "p95_ms": 1e3 * float(np.percentile(taken, 95)),
                 "total_s": float(np.sum(taken)),
