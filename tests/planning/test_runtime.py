@@ -37,17 +37,17 @@ def test_it_follows_its_course_at_speed(driven):
 
 def test_the_same_messages_give_the_same_controls(driven):
     again, other = straight_drive(), straight_drive(seed=1)
-    again.run(1.0)
-    other.run(1.0)
-    np.testing.assert_array_equal(commands(again), commands(driven)[:50])
-    assert not np.array_equal(commands(other), commands(driven)[:50])
+    again.run(0.6)
+    other.run(0.6)
+    np.testing.assert_array_equal(commands(again), commands(driven)[:30])
+    assert not np.array_equal(commands(other), commands(driven)[:30])
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
 def test_a_plan_starts_where_the_vehicle_then_is(latency):
     # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
     stream = straight_drive(latency=latency)
-    stream.run(2.0)
+    stream.run(1.5)
     checked = 0
     for prediction in stream.runtime.predictions:
         first = round(prediction.time / DT)
@@ -57,7 +57,7 @@ def test_a_plan_starts_where_the_vehicle_then_is(latency):
             met = np.array([stream.states[row] for row in rows])
             np.testing.assert_allclose(prediction.state[:5], met, atol=2e-3)
             checked += 1
-    assert checked >= 8
+    assert checked >= 6
     acting = [c.time for c in stream.controls if c.mode == "driving"]
     assert acting[0] == pytest.approx(0.1 + latency, abs=DT / 2)  # the first scan that counts comes at 0.1 s
 
@@ -77,14 +77,14 @@ def test_without_scans_it_slows_down_and_stops():
 
 
 def test_a_stop_is_ended_before_it_drives_on():
-    stream = straight_drive(stream={"reads": lambda t: not 1.5 <= t < 1.8})
-    stream.run(4.5)
+    stream = straight_drive(stream={"reads": lambda t: not 1.0 <= t < 1.3})
+    stream.run(3.2)
     why = "no state of the vehicle"
     assert stream.modes()[-2:] == [("stopping", why), ("driving", "")]
-    lost = commands(stream)[round(1.62 / DT) : round(1.8 / DT)]
+    lost = commands(stream)[round(1.12 / DT) : round(1.3 / DT)]
     np.testing.assert_array_equal(lost[:, 0], 0.0)
     np.testing.assert_array_equal(lost[:, 1], 0.5)
-    assert min(np.hypot(s[3], s[4]) for s in stream.states[80:]) < 0.3
+    assert min(np.hypot(s[3], s[4]) for s in stream.states[55:]) < 0.3
 
 
 def test_an_empty_map_stops_it():
@@ -94,7 +94,7 @@ def test_an_empty_map_stops_it():
     stream.height = 1000.0  # echoes from nowhere
     stream.run(0.2)
     assert stream.modes()[-1] == ("stopping", "empty map")
-    stream.run(2.5)
+    stream.run(1.8)
     assert stream.modes()[-1] == ("stopped", "empty map")
     assert speed(stream) < 0.3
 
