@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -183,11 +183,13 @@ def _result(
         "dropped": runtime.dropped,
         "failed_plans": len(runtime.failures),
         "stages": runtime.watch.summary(),
-        "runtime": _plain(asdict(replace(asked.runtime, sampling=replace(asked.runtime.sampling, noise=None)))),  # type: ignore[arg-type]
+        "runtime": _plain(asked.runtime),
         "course": asdict(asked.course),
     }
 
 
-def _plain(value: Any) -> Any:
-    """What JSON can hold."""
-    return json.loads(json.dumps(value, default=str))
+def _plain(settings: RuntimeSettings) -> dict[str, Any]:
+    """What JSON can hold of them: all but the noise, which is a function."""
+    given = asdict(settings)
+    given["sampling"].pop("noise")
+    return dict(json.loads(json.dumps(given, default=str)))
