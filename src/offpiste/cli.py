@@ -399,7 +399,7 @@ class Drive:
     """Folder of drive.mcap, result.json and drive.png."""
     pca: Path | None = None
     """Of runs with visual features: the file that their dataset was extracted with."""
-    speed: float = 8.0
+    speed: float = 7.0
     """Wanted along the course [m/s]."""
     latency: float = 0.1
     """From the data of a plan to its first control [s]."""

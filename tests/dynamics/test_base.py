@@ -82,8 +82,10 @@ def test_each_row_alone_equals_it_in_the_batch(name):
 @models
 def test_float32_agrees_with_float64(name):
     at = situation(name, steps=50)
-    wanted = predict(built(name), at).state
-    found = predict(built(name).float(), at.mapped(lambda tensor: tensor.float()))
+    torch.manual_seed(0)
+    model = unsettled(MODELS[name](VEHICLE).double(), scale=0.05)  # larger random weights are chaotic: rounding grows
+    wanted = predict(model, at).state
+    found = predict(model.float(), at.mapped(lambda tensor: tensor.float()))
     assert found.state.dtype == torch.float32
     torch.testing.assert_close(found.state.double(), wanted, rtol=1e-3, atol=1e-3)
 

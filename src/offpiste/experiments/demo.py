@@ -136,5 +136,6 @@ def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings, te
         batch=settings.batch,
         seed=settings.seed,
     )
-    train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
+    if not (folder / "model.json").exists():
+        train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
     return folder

@@ -34,7 +34,7 @@ class Fault:
         """What arrives at the run time now, with its own stamp."""
         self._now = time
         arrived: list[Image | Cloud] = []
-        while self._waiting and self._waiting[0][0] <= time:
+        while self._waiting and self._waiting[0][0] <= time + 1e-6:  # sums of tenths are not tenths
             arrived.append(self._waiting.pop(0)[1])
         if measured is None:
             return arrived
