@@ -27,6 +27,7 @@ def result(row, seed, time, finished=True):
         "row": row,
         "world": "mojave",
         "seed": seed,
+        "driven_cost": 10 * time,
         "time_s": time,
         "mean_path_error_m": 0.5,
         "worst_path_error_m": 1.0,
@@ -42,8 +43,9 @@ def test_the_table_counts_what_did_not_finish_with_the_limit():
     rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
     rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
-    assert "| dc-100ms | 25.00 |" in text  # (40 + 3 * 20) / 4
+    assert "| b-100ms | 300.00 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
+    assert "| dc-100ms | 200.00 | 25.00 |" in text  # (40 + 3 * 20) / 4
     lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
     assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
+    assert "-100.00 [" in lines[0]
     assert "-5.00 [" in lines[0]

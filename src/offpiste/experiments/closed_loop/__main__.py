@@ -1,16 +1,21 @@
 """Command line of the closed loop's table, and of its faults."""
 
+import sys
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from offpiste.errors import OffpisteError
 from offpiste.experiments.closed_loop.courses import CourseSettings
 from offpiste.experiments.closed_loop.drive_course import CourseDrive
+from offpiste.experiments.closed_loop.drives import DEVELOPMENT, TEST, drive_all, entries, places
 from offpiste.experiments.closed_loop.faults import KINDS, Kind
 from offpiste.experiments.closed_loop.planner import load_planner
-from offpiste.experiments.closed_loop.table import DEVELOPMENT, TEST, drive_all, entries, write_table
+from offpiste.experiments.closed_loop.table import write_table
+from offpiste.parallel import usable_cores
 from offpiste.progress import tell
 
 
@@ -36,24 +41,29 @@ class ClosedLoop:
     faults: bool = False
     """Instead: each fault once, with every run given, into OUT/faults."""
 
+    processes: int = 0
+    """Courses that are driven at a time; 0: one a core."""
+
     def run(self) -> None:
         """Drive, write, print."""
-        first = TEST if self.test else DEVELOPMENT
         planners = [load_planner(run, self.pca) for run in self.runs]
         asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
-        seeds = range(first, first + self.courses)
+        worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
+        drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores(), tell=tell)
         if not self.faults:
-            results = drive_all(entries(planners, self.latencies), seeds, self.out, asked, tell=tell)
+            results = drive(entries(planners, self.latencies), out=self.out, asked=asked)
             tell(write_table(results, self.out, self.seconds))
             return
         kinds: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "none")
         for kind in kinds:
             told = replace(asked, fault=kind)
-            results = drive_all(entries(planners, ()), seeds, self.out / "faults" / kind, told, tell=tell)
-            for result in results:
+            for result in drive(entries(planners, ()), out=self.out / "faults" / kind, asked=told):
                 ending = ", ".join(f"{t} s {mode}: {why}" for t, mode, why in result["modes"])
                 tell(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
 
 
 if __name__ == "__main__":
-    tyro.cli(ClosedLoop).run()
+    try:
+        tyro.cli(ClosedLoop).run()
+    except OffpisteError as error:
+        sys.exit(str(error))

@@ -171,9 +171,10 @@ def _result(
         "run": str(planner.folder.resolve()),
         "latency_s": asked.runtime.latency,
         "target_mps": asked.course.speed,
+        "limit_s": asked.seconds,
         "friction_changes": laid.changes,
         "fault": asked.fault,
-        **summary(driving, trace, runtime.guide.length),
+        **summary(driving, trace, runtime.guide.length, asked.seconds, asked.runtime.weights),
         "plan_error_5s_m": {
             "mean": float(errors.mean()) if len(errors) else None,
             "median": float(np.median(errors)) if len(errors) else None,

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.experiments.closed_loop.lockstep import Driving, time_of
+from offpiste.planning.costs import Weights
 from offpiste.planning.course import Course
 from offpiste.planning.guide import Guide
 from offpiste.planning.runtime import Prediction
@@ -49,11 +50,13 @@ def trace_of(driving: Driving, course: Course) -> Trace:
     return Trace(place, speed, off, target, progress, slip)
 
 
-def summary(driving: Driving, trace: Trace, length: float) -> dict[str, Any]:
+def summary(driving: Driving, trace: Trace, length: float, limit: float, weights: Weights) -> dict[str, Any]:
     """Numbers with their units in their names; means are over the time until the course was driven, or ended.
 
     Args:
         length: of the course [m].
+        limit: of the drive's time [s].
+        weights: of the planner.
     """
     events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
     happened = {event for _, event in events}
@@ -64,6 +67,7 @@ def summary(driving: Driving, trace: Trace, length: float) -> dict[str, Any]:
     return {
         "finished": finished,
         "time_s": float(rows.stop * DT),
+        "driven_cost": driven_cost(trace, rows.stop, None if finished else limit, weights),
         "course_m": length,
         "progress_m": float(trace.progress[rows][-1]),
         "driven_m": float(np.linalg.norm(np.diff(trace.place[rows], axis=0), axis=1).sum()),
@@ -80,6 +84,19 @@ def summary(driving: Driving, trace: Trace, length: float) -> dict[str, Any]:
         "share_of_time": {mode: modes.count(mode) / len(modes) for mode in sorted(set(modes))},
         "vehicle_events": events,
     }
+
+
+def driven_cost(trace: Trace, rows: int, limit: float | None, weights: Weights) -> float:
+    """What planners minimise, of what was driven: their costs of path and speed, summed over time as they sum them.
+
+    Args:
+        rows: that count.
+        limit: where the course was not driven to its end, the vehicle counts as standing from `rows` until then [s].
+    """
+    path = weights.path * trace.off[:rows] ** 2
+    speed = weights.speed * (trace.speed - trace.target)[:rows] ** 2
+    standing = weights.speed * trace.target[rows - 1] ** 2 * max((limit or 0.0) - rows * DT, 0.0)
+    return float(DT * (path + speed).sum() + standing)
 
 
 def prediction_errors(predictions: list[Prediction], place: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " P"]:

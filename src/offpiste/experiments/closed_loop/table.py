@@ -1,32 +1,18 @@
-"""Many courses, several planners: a drive each, done once; then a table of differences on the same courses.
-
-`python -m offpiste.experiments.closed_loop --help`. Goes on where it was stopped, from its folder.
-"""
+"""What planners did on the same courses: means, counts, and paired differences with their intervals."""
 
 import json
-import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import RunError
-from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
-from offpiste.experiments.closed_loop.planner import Planner
 from offpiste.files import write_text
-from offpiste.simulation.build import make_world
-from offpiste.simulation.world import World, WorldSettings
-
-DEVELOPMENT, TEST = 1, 101
-"""First seeds of the courses: everything is chosen on the first, and judged on the second."""
-
-WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
-"""Course after course."""
 
 MEASURES: Final = {
+    "driven_cost": "driven cost",
     "time_s": "time [s]",
     "mean_path_error_m": "mean path error [m]",
     "worst_path_error_m": "worst path error [m]",
@@ -41,60 +27,6 @@ COUNTED: Final = {
     "left_world": "left the world",
 }
 RESAMPLES: Final = 10_000
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A planner at a latency [s]."""
-
-    planner: Planner
-    latency: float = 0.1
-
-    @property
-    def name(self) -> str:
-        """What a row and a folder are called."""
-        return f"{self.planner.name}-{round(1000 * self.latency)}ms"
-
-
-def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)) -> list[Entry]:
-    """All at 0.1 s; those that know the ground ahead at other latencies too."""
-    wide = [Entry(p, latency) for p in planners if p.name in ("dc", "ceiling") for latency in latencies]
-    return [*(Entry(p) for p in planners), *wide]
-
-
-def drive_all(
-    rows: Sequence[Entry],
-    seeds: Sequence[int],
-    out: Path,
-    asked: CourseDrive | None = None,
-    *,
-    tell: Callable[[object], None] = lambda said: None,
-) -> list[dict[str, Any]]:
-    """Drive what is not driven yet, course by course; returns all results.
-
-    Raises:
-        RunError: the folder holds drives of other settings or runs.
-    """
-    asked, results = asked or CourseDrive(), []
-    for number, seed in enumerate(seeds):
-        place = WorldSettings(WORLDS[number % len(WORLDS)], seed)
-        world: World | None = None
-        for row in rows:
-            folder = out / row.name / f"{place.preset}-{seed}"
-            found = _read(folder / "result.json")
-            if found is None:
-                shutil.rmtree(folder, ignore_errors=True)  # an interrupted drive
-                world = world or make_world(place)
-                drive = replace(asked, world=place, runtime=replace(asked.runtime, latency=row.latency))
-                found = drive_course(row.planner, drive, folder, world=world, tell=tell).result
-            if found["run"] != str(row.planner.folder.resolve()) or found["target_mps"] != asked.course.speed:
-                raise RunError("a drive of another run or course", where=folder, how="give another --out")
-            results.append({**found, "row": row.name})
-    return results
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    return json.loads(path.read_text("utf-8")) if path.exists() else None
 
 
 @dataclass(frozen=True)
@@ -134,7 +66,11 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
         for row in rows
         for key in MEASURES
     }
-    lines = [f"{len(courses)} courses, means; a drive that does not finish counts with {limit:g} s.", ""]
+    lines = [
+        f"{len(courses)} courses, means; a drive that does not finish counts with {limit:g} s, and standing until then."
+        " Driven cost: what planners minimise, of what was driven (squared errors of path and speed, over time).",
+        "",
+    ]
     lines += [_line(["planner", *MEASURES.values(), *COUNTED.values()]), _rule(1 + len(MEASURES) + len(COUNTED))]
     for row in rows:
         mine = [r for r in results if r["row"] == row]

@@ -1,0 +1,114 @@
+"""Many courses, several planners: a drive each, done once. Goes on where it was stopped, from its folder."""
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from offpiste.errors import RunError
+from offpiste.experiments.closed_loop.drive_course import CourseDrive, described, drive_course
+from offpiste.experiments.closed_loop.planner import Planner
+from offpiste.parallel import run_all
+from offpiste.simulation.build import make_world
+from offpiste.simulation.world import World, WorldSettings
+
+DEVELOPMENT, TEST = 1, 101
+"""First seeds of the courses: everything is chosen on the first, and judged on the second."""
+
+WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
+"""Course after course."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A planner at a latency [s]."""
+
+    planner: Planner
+    latency: float = 0.1
+
+    @property
+    def name(self) -> str:
+        """What a row and a folder are called."""
+        return f"{self.planner.name}-{round(1000 * self.latency)}ms"
+
+
+def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)) -> list[Entry]:
+    """All at 0.1 s; those that know the ground ahead at other latencies too."""
+    wide = [Entry(p, latency) for p in planners if p.name in ("dc", "ceiling") for latency in latencies]
+    return [*(Entry(p) for p in planners), *wide]
+
+
+def places(first: int, courses: int) -> list[WorldSettings]:
+    """Worlds of so many courses, of seeds from `first` on."""
+    return [WorldSettings(WORLDS[number % len(WORLDS)], first + number) for number in range(courses)]
+
+
+def drive_all(
+    rows: Sequence[Entry],
+    worlds: Sequence[WorldSettings],
+    out: Path,
+    asked: CourseDrive | None = None,
+    *,
+    processes: int = 1,
+    tell: Callable[[object], None] = lambda said: None,
+) -> list[dict[str, Any]]:
+    """Drive what is not driven yet; returns all results.
+
+    Args:
+        processes: courses that are driven at a time, each by all planners.
+
+    Raises:
+        RunError: the folder holds drives of other settings or runs.
+        OffpisteError: a course cannot be driven; the others are.
+    """
+    asked = asked or CourseDrive()
+    courses = [(world, [row for row in rows if _found(row, world, out, asked) is None]) for world in worlds]
+    failed = run_all(
+        partial(_drive_course, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses", tell
+    )
+    if failed:
+        raise failed[0]
+    found = [(row, _found(row, world, out, asked)) for world in worlds for row in rows]
+    return [{**result, "row": row.name} for row, result in found if result is not None]
+
+
+def _drive_course(
+    course: tuple[WorldSettings, list[Entry]], report: Callable[[float], None], *, out: Path, asked: CourseDrive
+) -> str:
+    """Drive a course with several planners, one after the other."""
+    (place, rows), said = course, []
+    world = make_world(place)
+    for number, row in enumerate(rows):
+        drive = replace(asked, world=place, runtime=replace(asked.runtime, latency=row.latency))
+        said.append(_driven(row, drive, _folder(row, place, out), world))
+        report((number + 1) / len(rows))
+    return "\n".join(said)
+
+
+def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World) -> str:
+    shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+    with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
+        result = drive_course(row.planner, drive, folder, world=world).result
+    return f"{row.name}: {described(result)}"
+
+
+def _folder(row: Entry, place: WorldSettings, out: Path) -> Path:
+    return out / row.name / f"{place.preset}-{place.seed}"
+
+
+def _found(row: Entry, place: WorldSettings, out: Path, asked: CourseDrive) -> dict[str, Any] | None:
+    """The result of a drive that is there already."""
+    folder = _folder(row, place, out)
+    path = folder / "result.json"
+    if not path.exists():
+        return None
+    result: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    wanted = (str(row.planner.folder.resolve()), asked.course.speed, asked.seconds)
+    if (result["run"], result["target_mps"], result["limit_s"]) != wanted:
+        raise RunError("a drive of another run or course", where=folder, how="give another --out")
+    return result
