@@ -20,7 +20,7 @@ Log = Annotated[str, tyro.conf.arg(metavar="LOG")]
 
 @dataclass(frozen=True)
 class Demo:
-    """The whole path on simulated drives with camera and LiDAR; ends with a table of `b` against `dc` and a picture."""
+    """The whole path on simulated drives with camera and LiDAR; ends with `b` against `dc`, and a course driven."""
 
     out: Path = Path("demo")
     """Folder for everything that it makes."""
@@ -31,7 +31,7 @@ class Demo:
     seed: int = 0
 
     def run(self) -> int:
-        """Simulate, inspect, look, extract, train, judge."""
+        """Simulate, inspect, look, extract, train, judge, drive."""
         from offpiste.experiments.demo import DemoSettings, run_demo
 
         run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=tell)

@@ -15,6 +15,7 @@ SMALL = DemoSettings(
     images=4,
     snapshot_seconds=1.0,
     parts=("train", "validation", "test"),
+    course_seconds=1.0,
 )
 
 
@@ -31,12 +32,15 @@ def test_the_demo_walks_the_whole_path_and_can_be_repeated(tmp_path: Path) -> No
     assert any("no real vehicle" in str(line) for line in said)
     assert any("too little for an interval" in str(line) for line in said), "one drive of 8 s says nothing"
 
+    assert json.loads((tmp_path / "course" / "result.json").read_text())["planner"] == "dc"
+    assert said[-1] == f"picture: {tmp_path / 'course' / 'drive.png'}"
+
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
-    kept |= {log: log.stat().st_mtime_ns for log in (tmp_path / "logs").iterdir()}
+    kept |= {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.mcap")}
     again: list[object] = []
     run_demo(tmp_path, SMALL, processes=1, tell=again.append)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    assert str(again[-1]) == str(said[-1])
+    assert again[-2:] == said[-2:]
 
     with pytest.raises(RunError, match=r"demo\.seconds"):
         run_demo(tmp_path, DemoSettings(), tell=said.append)

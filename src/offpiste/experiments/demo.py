@@ -1,5 +1,7 @@
-"""The whole path on the proving ground: simulate, inspect, look, extract, train, judge by distance and on the map."""
+"""The whole path on the proving ground: simulate, inspect, look, extract, train, judge, and drive a course."""
 
+import json
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +14,9 @@ from offpiste.dataset.snapshots import SnapshotSettings
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.experiments.claimed import claim_folder
+from offpiste.experiments.closed_loop.courses import CourseSettings
+from offpiste.experiments.closed_loop.drive_course import CourseDrive, described, drive_course
+from offpiste.experiments.closed_loop.planner import load_planner
 from offpiste.experiments.demo_result import tell_result
 from offpiste.experiments.judge_runs import judge_runs
 from offpiste.experiments.recorded import Recording, simulate_all
@@ -35,7 +40,7 @@ BACKBONE = "filterbank"
 PCA_DRIVES = 2
 """So many drives that train are enough for the PCA."""
 
-STEPS = 7
+STEPS = 8
 
 Tell = Callable[[object], None]
 
@@ -53,6 +58,8 @@ class DemoSettings:
         batch: windows a step; small, so that there are some steps.
         snapshot_seconds: a window is judged at most once in so long [s].
         parts: of the drives, each in a world of its own.
+        course_seconds: until the driven course ends, wherever the vehicle is.
+        course_speed: wanted along it [m/s].
     """
 
     seconds: float = 60.0
@@ -64,6 +71,8 @@ class DemoSettings:
     batch: int = 64
     snapshot_seconds: float = 0.5
     parts: tuple[str, ...] = ("train", "train", "train", "train", "validation", "test", "test")
+    course_seconds: float = 30.0
+    course_speed: float = 6.0
 
 
 def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tell) -> None:
@@ -93,7 +102,7 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tel
     evaluation = judge_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
     tell(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
     tell_result(evaluation, dataset, report, tell=tell)
-    # A driven course comes here, as step 8: the folder of `dc` is runs[-1], its PCA is out / "pca.safetensors".
+    _drive(runs[-1], out, settings, tell)
 
 
 def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
@@ -139,3 +148,21 @@ def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings, te
     if not (folder / "model.json").exists():
         train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
     return folder
+
+
+def _drive(run: Path, out: Path, settings: DemoSettings, tell: Tell) -> None:
+    """A course in a world that no drive has been in, planned with the model."""
+    folder, pca = out / "course", out / "pca.safetensors"
+    seed = settings.seed + len(settings.parts)
+    tell(
+        f"8/{STEPS}  offpiste drive {run} --pca {pca} --world {WORLD} --seed {seed} --seconds {settings.course_seconds:g}"
+        f" --speed {settings.course_speed:g} --out {folder}"
+    )
+    if not (folder / "result.json").exists():
+        shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+        world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
+        course = CourseSettings(speed=settings.course_speed)
+        asked = CourseDrive(world, settings.course_seconds, course=course)
+        drive_course(load_planner(run, pca), asked, folder)
+    tell(described(json.loads((folder / "result.json").read_text("utf-8"))))
+    tell(f"picture: {folder / 'drive.png'}")
