@@ -11,7 +11,7 @@ import torch
 from factories import circle_rows, small_rig
 from offpiste.dataset import store
 from offpiste.dataset.ground_truth import with_ground_truth
-from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter, crop, open_snapshots
+from offpiste.dataset.snapshots import CHUNK, Due, SnapshotSettings, SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.starts import judged_starts
 from offpiste.dataset.windows import Windows
@@ -81,6 +81,23 @@ def test_a_chunk_that_is_missing_is_not_read_as_zeros(tmp_path):
     next(path for path in (tmp_path / "s" / "features" / "c").rglob("*") if path.is_file()).unlink()
     with pytest.raises(ValueError, match="'features' is missing"):
         open_snapshots(tmp_path / "s")
+
+
+def test_flat_ground_that_looks_of_nothing_is_kept(tmp_path):
+    level = TerrainMap(np.zeros(2), 0.25, np.zeros((300, 300), np.float32), np.zeros((300, 300, 2), np.float16), None)
+    level = dataclasses.replace(level, rise=np.zeros((300, 300, 2), np.float16))
+    writer = SnapshotWriter(tmp_path / "s", 0.25, 2)
+    for row in range(3):
+        writer.add(row, crop(level, np.array([30.0, 30.0, 0, 3.0, 0, 0]), 18.0))
+    writer.close()
+    snapshots = open_snapshots(tmp_path / "s")
+    assert snapshots.first[-1] > 3 * CHUNK
+    for number in range(3):
+        found = snapshots.load(number)
+        known = np.isfinite(found.elevation)
+        assert known.sum() == snapshots.first[number + 1] - snapshots.first[number]
+        assert not found.elevation[known].any()
+        assert not found.features[known].any()
 
 
 def test_snapshots_keep_their_distance_and_their_number():

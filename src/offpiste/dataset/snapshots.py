@@ -136,13 +136,9 @@ class SnapshotWriter:
         self._first = [0]
         self._origin: list[np.ndarray] = []
         self._shape: list[tuple[int, int]] = []
-        for name, dtype, more in (
-            ("place", np.int32, ()),
-            ("elevation", np.float32, ()),
-            ("rise", np.float16, (2,)),
-            ("features", np.float16, (features,)),
-        ):
-            self._group.create_array(
+        # Not looked up in the group again: that would forget to write chunks of nothing but zeros.
+        self._cells = {
+            name: self._group.create_array(
                 name,
                 shape=(0, *more),
                 dtype=dtype,
@@ -150,12 +146,17 @@ class SnapshotWriter:
                 compressors=ZstdCodec(level=1),
                 config={"write_empty_chunks": True},
             )
+            for name, dtype, more in (
+                ("place", np.int32, ()),
+                ("elevation", np.float32, ()),
+                ("rise", np.float16, (2,)),
+                ("features", np.float16, (features,)),
+            )
+        }
 
     def add(self, row: int, cells: CellList) -> None:
         """A snapshot for the window that starts at `row` of its drive."""
-        for name in CELL_ARRAYS:
-            array = self._group[name]
-            assert isinstance(array, zarr.Array)
+        for name, array in self._cells.items():
             array.append(getattr(cells, name))
         self._row.append(row)
         self._first.append(self._first[-1] + len(cells.place))
