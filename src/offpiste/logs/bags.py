@@ -1,40 +1,27 @@
 """ROS 1 and ROS 2 bags, without ROS."""
 
 import functools
-import math
-import struct
 import weakref
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from operator import attrgetter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from rosbags import rosbag1, rosbag2
-from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat, Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
+from offpiste.logs.bag_decoding import (
+    MakeDecoder,
+    field_getter,
+    fields_of,
+    headers_only,
+    stamp_of,
+    typestore_of,
+    whole_messages,
+)
+from offpiste.logs.bag_files import MAGIC, open_readers, reported, storage_files
 from offpiste.logs.log import Log, Samples, Topic
-from offpiste.logs.mcap_recovery import StreamedMcap
-
-_Indexed = rosbag1.Reader | rosbag2.Reader
-_Reader = _Indexed | StreamedMcap
-_MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
-_MEND = {
-    ".bag": "mend it with `rosbag reindex FILE`, or record or copy it again",
-    ".mcap": "mend it with `mcap recover FILE -o MENDED.mcap`, or record or copy it again",
-    ".db3": "mend it with `sqlite3 FILE .recover | sqlite3 MENDED.db3`, or record or copy it again",
-}
-_OCTETS = {"byte", "char", "uint8"}
-_NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"}
-_MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
-_MAX_ENTRIES = 36
-"""A 6 x 6 covariance is still listed entry by entry; what is longer is bulk data."""
 
 
 class BagLog(Log):
@@ -53,7 +40,7 @@ class BagLog(Log):
         self.path = path
         notes: list[str] = []
         with ExitStack() as stack:
-            self._readers = _open(path, notes)
+            self._readers = open_readers(path, notes)
             for reader in self._readers:
                 stack.callback(reader.close)
             names = {connection.topic for reader in self._readers for connection in reader.connections}
@@ -65,8 +52,8 @@ class BagLog(Log):
     def recognises(path: Path) -> bool:
         """Whether a file has a bag's ending, or a folder holds one."""
         if path.is_dir():
-            return (path / "metadata.yaml").is_file() or bool(_storage_files(path))
-        return path.suffix in _MAGIC
+            return (path / "metadata.yaml").is_file() or bool(storage_files(path))
+        return path.suffix in MAGIC
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -84,7 +71,7 @@ class BagLog(Log):
         """
         found = self._found(topic)
         for received, message in self._messages(found.name, found.type):
-            yield _stamp(received, message, stamps), message
+            yield stamp_of(received, message, stamps), message
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
         """Stamps of all messages of a topic [s], in the order of the file; no more than their headers is decoded.
@@ -96,7 +83,9 @@ class BagLog(Log):
             LogError: no such topic, a type that cannot be decoded, or the file is damaged there.
         """
         found = self._found(topic)
-        return np.array([_stamp(at, head, stamps) for at, head in self._messages(found.name, found.type, _headers)])
+        return np.array(
+            [stamp_of(at, head, stamps) for at, head in self._messages(found.name, found.type, headers_only)]
+        )
 
     def _describe(self, name: str, notes: list[str]) -> Topic:
         connections = [c for reader in self._readers for c in reader.connections if c.topic == name]
@@ -114,29 +103,29 @@ class BagLog(Log):
                 return None
 
         try:
-            fields = tuple(_fields(_typestore_of(main, self.path), main.msgtype, first))
+            fields = tuple(fields_of(typestore_of(main, self.path), main.msgtype, first))
         except LogError as error:
             notes.append(f"topic '{name}': {error}")
             return Topic(name, error.what, count, ())
         return Topic(name, main.msgtype, count, fields)
 
-    def _messages(self, name: str, msgtype: str, decoder: _MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
+    def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
         """Time of arrival [ns] and decoded message."""
-        make = decoder or _decoder
+        make = decoder or whole_messages
         for reader in self._readers:
             connections = [c for c in reader.connections if c.topic == name and c.msgtype == msgtype]
             if not connections:
                 continue
             decoders = {c.id: make(c, self.path) for c in connections}
-            with _reported(Path(str(reader.path)), f"topic '{name}' is damaged"):
+            with reported(Path(str(reader.path)), f"topic '{name}' is damaged"):
                 for connection, received, raw in reader.messages(connections):
                     yield received, decoders[connection.id](raw)
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
-        getters = [_getter(field) for field in fields]
+        getters = [field_getter(field) for field in fields]
         time, rows = [], []
         for received, message in self._messages(topic.name, topic.type):
-            time.append(_stamp(received, message, stamps))
+            time.append(stamp_of(received, message, stamps))
             rows.append([get(message) for get in getters])
         if len(time) < topic.count:
             raise LogError(
@@ -145,201 +134,3 @@ class BagLog(Log):
                 how="the bag was cut short or mixed; record or copy it again",
             )
         return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(getters)))
-
-
-def _stamp(received: int, message: object, stamps: str) -> float:
-    """A message's time [s] by the clock that is asked for."""
-    return ((stamps == "header" and _header_stamp(message)) or received) / 10**9  # exact, unlike 1e9
-
-
-def _header_stamp(message: Any) -> int:
-    """A message's own stamp [ns], 0 where it has none."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
-
-
-def _getter(field: str) -> Callable[[object], float]:
-    path, _, index = field.removesuffix("]").partition("[")
-    get = attrgetter(path)
-    if not index:
-        return get
-    entry = int(index)
-    return lambda message: values[entry] if entry < len(values := get(message)) else math.nan
-
-
-def _fields(store: Typestore, msgtype: str, first: Callable[[], object], prefix: str = "") -> Iterator[str]:
-    """Paths of a type's numbers; `first` gives the topic's first message, where there is one."""
-    entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
-    for name, (kind, detail) in entries:
-        path = prefix + name
-        if kind == Nodetype.NAME:
-            if detail != "std_msgs/msg/Header":
-                yield from _fields(store, detail, first, f"{path}.")
-        elif kind == Nodetype.BASE:
-            if detail[0] in _NUMBERS and name != "structure_needs_at_least_one_member":
-                yield path
-        else:
-            (inner, element), size = detail
-            if inner != Nodetype.BASE or element[0] not in _NUMBERS:
-                continue
-            if kind == Nodetype.ARRAY:
-                size = size if size <= _MAX_ENTRIES else 0
-            elif element[0] in _OCTETS or (message := first()) is None:
-                size = 0
-            else:
-                size = min(len(attrgetter(path)(message)), _MAX_ENTRIES)
-            yield from (f"{path}[{i}]" for i in range(size))
-
-
-def _encoding(connection: Connection) -> str:
-    ext = connection.ext
-    return "ros1" if isinstance(ext, ConnectionExtRosbag1) else ext.serialization_format
-
-
-def _decoder(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    store, msgtype = _typestore_of(connection, path), connection.msgtype
-    deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
-    return lambda raw: deserialize(raw, msgtype)
-
-
-def _headers(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Decodes as much of a message as its stamp needs: where it begins with a header, its first bytes."""
-    store = _typestore_of(connection, path)
-    fields = store.get_msgdef(connection.msgtype).fields
-    if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
-        return _decoder(connection, path)
-    # ROS 1: a count, then seconds and nanoseconds; ROS 2: four bytes that say the byte order, then the same two.
-    is_ros1 = _encoding(connection) == "ros1"
-
-    def decode(raw: bytes) -> object:
-        order = "<" if is_ros1 or raw[1] & 1 else ">"
-        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
-        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds)))
-
-    return decode
-
-
-def _typestore_of(connection: Connection, path: Path) -> Typestore:
-    """What can decode a connection's messages.
-
-    Raises:
-        LogError: no definition, one that cannot be parsed, or an encoding that is not ROS.
-    """
-    encoding = _encoding(connection)
-    if encoding not in ("ros1", "cdr"):
-        what = f"{connection.msgtype} is encoded as {encoding}, which is not read"
-        raise LogError(what, where=path, how="record it with `ros2 bag record`")
-    try:
-        return _typestore(connection.msgtype, connection.msgdef, encoding == "ros1")
-    except KeyError as error:
-        part = "" if error.args == (connection.msgtype,) else f" (its part {error.args[0]})"
-        raise LogError(
-            f"{connection.msgtype} is not defined in the bag{part}",
-            where=path,
-            how="record as .mcap, or run `ros2 bag convert` to .mcap, where its message package is installed",
-        ) from error
-    except (TypesysError, SyntaxError, RecursionError) as error:
-        reason = " ".join(str(error).split())[:100]
-        what = f"{connection.msgtype} has a damaged definition: {reason}"
-        raise LogError(what, where=path, how="record or copy the bag again") from error
-
-
-@functools.lru_cache(maxsize=1024)
-def _typestore(msgtype: str, definition: MessageDefinition, ros1: bool) -> Typestore:
-    if definition.format == MessageDefinitionFormat.NONE or not definition.data.strip():
-        # ROS 2 bags carry definitions since Iron, so those without come from Humble or before.
-        store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    else:
-        store = get_typestore(Stores.EMPTY)
-        store.register(_parsed(msgtype, definition))
-    store.get_msgdef(msgtype)  # a KeyError names the type that is missing
-    return store
-
-
-def _parsed(msgtype: str, definition: MessageDefinition) -> dict[str, Any]:
-    text = definition.data
-    if definition.format == MessageDefinitionFormat.MSG:
-        return dict(get_types_from_msg(text, msgtype))
-    rule = "=" * 80 + "\n"
-    parts = [part.partition("\n")[2] for part in text.split(rule)[1:]] if text.startswith(rule) else [text]
-    return {name: fields for part in parts for name, fields in get_types_from_idl(part).items()}
-
-
-def _storage_files(folder: Path) -> list[Path]:
-    """A ROS 2 bag's files in order: drive_2.mcap before drive_10.mcap."""
-    files = [file for file in folder.iterdir() if file.suffix in (".mcap", ".db3") and file.is_file()]
-    return sorted(files, key=lambda file: (len(file.name), file.name))
-
-
-def _open(path: Path, notes: list[str]) -> list[_Reader]:
-    if not path.is_dir():
-        return [_open_file(path, notes)]
-    failed = LogError("no metadata.yaml", where=path, how=_mend(path))
-    if (path / "metadata.yaml").is_file():
-        try:
-            return [_opened(rosbag2.Reader, path)]
-        except LogError as error:
-            failed = error
-    readers: list[_Reader] = []
-    for file in _storage_files(path):
-        try:
-            readers.append(_open_file(file, notes))
-        except LogError as error:
-            notes.append(f"left out: {error}")
-    if not readers:
-        raise failed
-    notes.append(f"{path}: {failed.what} (was the recorder killed?); {len(readers)} files are read one by one")
-    return readers
-
-
-def _open_file(path: Path, notes: list[str]) -> _Reader:
-    _check_beginning(path)
-    wal = path.with_name(f"{path.name}-wal")
-    if path.suffix == ".db3" and wal.is_file() and wal.stat().st_size > 0:
-        notes.append(f"{wal}: messages not yet moved into the .db3 are not read; `sqlite3 FILE .schema` moves them")
-    try:
-        return _opened(rosbag1.Reader if path.suffix == ".bag" else rosbag2.Reader, path)
-    except LogError:
-        if path.suffix != ".mcap":
-            raise
-    reader = StreamedMcap(path)
-    notes.extend(reader.warnings)
-    return reader
-
-
-def _opened(kind: Callable[[Path], _Indexed], path: Path) -> _Indexed:
-    with _reported(path, "cannot be read"):
-        reader = kind(path)
-        reader.open()
-        return reader
-
-
-def _check_beginning(path: Path) -> None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
-    if not head:
-        raise LogError("the file is empty", where=path, how="record or copy it again")
-    if not head.startswith(_MAGIC[path.suffix]):
-        true = next((suffix for suffix, magic in _MAGIC.items() if head.startswith(magic)), "")
-        how = f"it is a {true} file: rename it" if true else "give it the ending of its format"
-        raise LogError(f"not a {path.suffix} file", where=path, how=how)
-
-
-def _mend(path: Path) -> str:
-    default = "mend it with `ros2 bag reindex FOLDER`, or record or copy it again"
-    return default if path.is_dir() else _MEND.get(path.suffix, default)
-
-
-@contextmanager
-def _reported(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever rosbags raises into one line: it lets the errors of struct, lz4, zstd, bz2 and SQLite through."""
-    try:
-        yield
-    except LogError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(f"{what}: {reason}", where=path, how=_mend(path)) from error
