@@ -15,7 +15,8 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.errors import RunError
-from offpiste.evaluation.evaluate import Evaluation, Judged, evaluate_models
+from offpiste.evaluation.evaluate import Evaluation, evaluate_models
+from offpiste.evaluation.models import Judged
 from offpiste.evaluation.page import headline_text, render_html
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.results import Headline, ResultRow, pooled_rows, read_metrics, run_rows

@@ -6,8 +6,9 @@ from pathlib import Path
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
-from offpiste.evaluation.evaluate import Evaluation, Judged, evaluate_models
+from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.metrics import MIN_BLOCKS
+from offpiste.evaluation.models import Judged
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.table import render_table
 from offpiste.evaluation.tabulate import Lookup, Start

@@ -12,11 +12,11 @@ from safetensors.numpy import load_file, save_file
 
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.judge import Errors, Ground, predict
 from offpiste.evaluation.metrics import PairedDifference, Resampling, relative
 from offpiste.evaluation.pooling import pool
 from offpiste.evaluation.tabulate import Sampling
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.reproduce.judged import judged_windows
 from offpiste.files import write_whole
 from offpiste.progress import track

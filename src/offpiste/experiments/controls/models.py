@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.judge import Errors
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.controls.judging import HINDSIGHT, MAP, errors_of, gain, judged_index
 from offpiste.experiments.controls.reproduced import Reproduced
 from offpiste.experiments.controls.training import trained

@@ -8,10 +8,10 @@ import numpy as np
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.judge import Errors
 from offpiste.evaluation.pooling import pool
 from offpiste.evaluation.tabulate import Sampling
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.controls.data import oracle_dataset
 from offpiste.experiments.controls.judging import HINDSIGHT, MAP, errors_of, gain, judged_index, same_windows, share
 from offpiste.experiments.controls.reproduced import Reproduced
@@ -43,7 +43,7 @@ def oracle_control(of: Reproduced, out: Path, *, tell: Callable[[str], None]) ->
     for way in [MAP, *(("recorded", name) for name in FEATURE_SETS)]:
         index = judged_index(windows, way, stride)
         there, of_truth = same_windows(windows, index, true_windows), MAP if way == MAP else HINDSIGHT
-        if (("b", of_truth)) not in oracle:
+        if ("b", of_truth) not in oracle:
             for model, run in knowing.items():
                 kept = out / "judged" / "oracle"
                 oracle[model, of_truth] = errors_of(run, true_windows, there, of_truth, scale=scale, kept=kept)

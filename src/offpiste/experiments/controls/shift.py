@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.evaluate import Way
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.controls.judging import HINDSIGHT, MAP, Gain, errors_of, gain, judged_index, same_windows
 from offpiste.experiments.controls.reproduced import Reproduced
 from offpiste.experiments.controls.written import gain_table, percent, write_control

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.metrics import PairedDifference
 from offpiste.evaluation.table import interval
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.reproduce.models import compression_sizes, feature_numbers
 from offpiste.experiments.reproduce.results import Findings
 from offpiste.viewing.cover_table import TextTable

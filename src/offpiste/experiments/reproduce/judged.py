@@ -10,8 +10,8 @@ from safetensors.numpy import load_file, save_file
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.judge import Errors, predict
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.reproduce.models import feature_sets
 from offpiste.experiments.reproduce.settings import Figure, Size
 from offpiste.files import write_whole

@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.grouped import grouped_boxes, whisker_top
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.reproduce.claims import HINDSIGHT, MAP
 from offpiste.experiments.reproduce.models import Member, compression_sizes, feature_numbers, usual
 from offpiste.experiments.reproduce.results import Findings

@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.evaluation.evaluate import Way
 from offpiste.evaluation.judge import COMPONENTS, HORIZONS, Errors
 from offpiste.evaluation.metrics import PairedDifference, relative
 from offpiste.evaluation.pooling import pool
 from offpiste.evaluation.results import LossUnits, Provenance, ResultRow
 from offpiste.evaluation.tabulate import Case, RunErrors, Sampling, result_rows
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.reproduce.judged import PART, read_errors
 from offpiste.experiments.reproduce.models import Member
 from offpiste.experiments.reproduce.settings import Reproduction

@@ -11,7 +11,7 @@ from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.evaluate import Way
+from offpiste.evaluation.ways import Way
 from offpiste.experiments.reproduce.judged import PART, errors_path, judge
 from offpiste.experiments.reproduce.models import Member
 from offpiste.experiments.reproduce.plan import Piece

@@ -1,0 +1,101 @@
+"""The models that are judged together: runs, and the baselines beside them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from offpiste.dataset.splits import Split
+from offpiste.dataset.store import Dataset
+from offpiste.dynamics import ConstantMotion, Dynamics, Kinematic
+from offpiste.dynamics.actuators import Actuators
+from offpiste.errors import RunError
+from offpiste.evaluation.results import label
+from offpiste.evaluation.ways import GROUND_BLIND
+from offpiste.training.run import vehicle_of
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A model to be judged.
+
+    Attributes:
+        name: in `offpiste.dynamics.MODELS`; runs of the same name and variant are one model.
+        variant: what else tells it from models of its name, e.g. "flat".
+        seed, fold: of the run.
+        split: that judges it, when not the dataset's own (folds).
+    """
+
+    name: str
+    dynamics: Dynamics
+    variant: str = ""
+    seed: int | None = None
+    fold: int | None = None
+    split: Split | None = None
+
+    @property
+    def label(self) -> str:
+        """The model's name, and its variant if it has one."""
+        return label(self.name, self.variant)
+
+
+def with_baselines(models: Sequence[Judged], dataset: Dataset, device: torch.device | str) -> list[Judged]:
+    """The models, and baselines that are not among them, once for every split.
+
+    Raises:
+        RunError: models are to be judged under different splits, or two runs are the same one.
+    """
+    found = list(models)
+    for name in GROUND_BLIND:
+        if any(model.label == name for model in models):
+            continue
+        for split in dict.fromkeys(model.split for model in models) or {None: None}:
+            beside = [model for model in models if model.split == split]
+            fold = beside[0].fold if beside else None
+            found.append(Judged(name, _baseline(name, beside, dataset).to(device), fold=fold, split=split))
+    _refuse_unlike(found, dataset)
+    return found
+
+
+def _baseline(name: str, beside: Sequence[Judged], dataset: Dataset) -> Dynamics:
+    """A baseline; where the log records the steering angle, `kinematic` has the delay that a model beside it fitted."""
+    if name == "ctrv":
+        return ConstantMotion(vehicle_of(dataset))
+    kinematic = Kinematic(vehicle_of(dataset))
+    for model in beside:
+        lags = getattr(model.dynamics, "actuators", None)
+        if isinstance(lags, Actuators) and _channels(lags) == _channels(kinematic):
+            kinematic.actuators.load_state_dict(lags.state_dict())
+            break
+    return kinematic
+
+
+def _channels(model: Actuators | Kinematic) -> tuple[tuple[str, ...], ...]:
+    return model.vehicle.control, model.vehicle.actuators
+
+
+def _refuse_unlike(models: Sequence[Judged], dataset: Dataset) -> None:
+    """Every model must be judged on the same windows, and every run once."""
+    wanted = set(splits_of(models, dataset))
+    for name in dict.fromkeys(model.label for model in models):
+        runs = [model for model in models if model.label == name]
+        splits = {run.split or dataset.split for run in runs}
+        if splits != wanted:
+            missing = ", ".join(split.text for split in wanted - splits)
+            raise RunError(
+                f"model '{name}' has no run for split {missing}, which others have",
+                where=dataset.path,
+                how="models compare on the same windows only: give the same folds of each, or judge them one by one",
+            )
+        identities = [(run.seed, run.fold, run.split) for run in runs]
+        if len(set(identities)) < len(identities):
+            raise RunError(
+                f"two runs of model '{name}' have the same seed and fold",
+                where=dataset.path,
+                how="give each run once, or tell them apart by a variant",
+            )
+
+
+def splits_of(models: Sequence[Judged], dataset: Dataset) -> list[Split]:
+    """Splits that models are judged under; the dataset's own where none of them says otherwise."""
+    return list(dict.fromkeys(model.split or dataset.split for model in models)) or [dataset.split]
