@@ -28,12 +28,12 @@ from offpiste.conventions import CONTROL, DT, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.dynamics.encoder import Compressor
 from offpiste.mapping.layers import TerrainLayers
-from offpiste.mapping.lookup import MapTerrain, stack_maps
+from offpiste.mapping.lookup import MapTerrain, as_codes, stack_maps
 from offpiste.planning.costs import Situation, Weights, terms_after
 from offpiste.planning.course import Course, Hazards, cost_map
 from offpiste.planning.fused import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
-from offpiste.planning.rollouts import as_codes, driving_costs
+from offpiste.planning.rollouts import driving_costs
 from offpiste.trajectory import Carry
 
 FEATURES = 40

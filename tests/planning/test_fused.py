@@ -14,12 +14,13 @@ from factories import COMMANDED, VEHICLE, coded, unsettled
 from offpiste.conventions import ACTUATORS
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.encoder import Compressor, Identity
+from offpiste.mapping.lookup import as_codes
 from offpiste.planning.costs import Weights, driving_terms
 from offpiste.planning.course import Hazards
 from offpiste.planning.fused import coded_map, encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
-from offpiste.planning.rollouts import as_codes, driving_costs, ground_ahead, spread_carry
+from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_carry
 from offpiste.trajectory import Carry
 from planning_grounds import layers, situation
 

@@ -46,6 +46,14 @@ class TerrainLayers:
         """Cells of which nothing is known, for planners that keep off them."""
         return ~self.known
 
+    @property
+    def centres(self) -> Float[np.ndarray, "ny nx 2"]:
+        """x, y of the cells' centres in the world frame [m]."""
+        ny, nx = self.known.shape
+        x = self.origin[0] + self.resolution * np.arange(nx)
+        y = self.origin[1] + self.resolution * np.arange(ny)
+        return np.stack(np.meshgrid(x, y), axis=-1)
+
     def terrain_map(self) -> TerrainMap:
         """What lookups need; shares memory with the layers where it can."""
         with np.errstate(invalid="ignore"):

@@ -4,7 +4,7 @@ Off the map, or where nothing is known: flat ground, and features marked missing
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -150,3 +150,29 @@ class MapTerrain:
             return Terrain(found.normal, found.normal[..., :0])
         codes = self.encode(found.features.flatten(0, 1), found.valid.flatten())
         return Terrain(found.normal, codes.unflatten(0, (-1, 4)))
+
+
+@dataclass(frozen=True)
+class HeldCodes:
+    """Normals under the wheels of the predicted state, codes of the start (`hold`)."""
+
+    source: MapTerrain
+    latent: Float[Tensor, "B 4 E"]
+
+    @classmethod
+    def of(cls, source: MapTerrain, state: Float[Tensor, "B 6"]) -> "HeldCodes":
+        """A source that keeps the codes that lie under the wheels in `state`."""
+        return cls(replace(source, encode=None), source.at(0, state).latent)
+
+    def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
+        """The ground under the wheels in `state`, as it looked at the start."""
+        return Terrain(self.source.at(t, state).normal, self.latent)
+
+
+def as_codes(missing: Float[Tensor, " E"]) -> Encode:
+    """Reads features that are codes already.
+
+    Args:
+        missing: `FeatureEncoder.missing()`.
+    """
+    return lambda codes, valid: torch.where(valid[:, None], codes, missing)

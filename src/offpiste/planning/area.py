@@ -10,7 +10,7 @@ from torch import Tensor
 
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.mapping.layers import TerrainLayers
-from offpiste.mapping.lookup import MapStack, MapTerrain, stack_maps
+from offpiste.mapping.lookup import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.planning.fused import Codes
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
@@ -30,14 +30,16 @@ class Area:
     stack: MapStack
     codes: Codes
 
+    @property
+    def encode(self) -> Encode | None:
+        """Reads the codes of the stack; None where it holds none."""
+        missing = self.codes[1]
+        return as_codes(missing) if len(missing) else None
+
     def terrain(self, offset: Float[Tensor, " 2"], wheels: Float[Tensor, "4 2"], count: int) -> MapTerrain:
         """A source for as many states in the frame at `offset` [m]."""
         number = torch.zeros(count, dtype=torch.long)
-        missing = self.codes[1]
-        encode = None
-        if len(missing):
-            encode = lambda codes, valid: torch.where(valid[:, None], codes, missing)  # noqa: E731
-        return MapTerrain(self.stack, number, offset.expand(count, 2), wheels, encode)
+        return MapTerrain(self.stack, number, offset.expand(count, 2), wheels, self.encode)
 
 
 def cropped(layers: TerrainLayers, centre: Float[np.ndarray, " 2"], half: float) -> TerrainLayers:
@@ -77,9 +79,5 @@ def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: Kn
 
 
 def _known(layers: TerrainLayers, ground: KnownGround) -> tuple[Tensor, Tensor]:
-    ny, nx = layers.known.shape
-    x = layers.origin[0] + layers.resolution * np.arange(nx)
-    y = layers.origin[1] + layers.resolution * np.arange(ny)
-    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    features = torch.from_numpy(np.asarray(ground(places), np.float32))
+    features = torch.from_numpy(np.asarray(ground(layers.centres.reshape(-1, 2)), np.float32))
     return features, torch.ones(len(features), dtype=torch.bool)

@@ -134,10 +134,7 @@ def speed_limit(roughness: Float[np.ndarray, "*P"], acceleration: float, wavelen
 
 def course_layers(ground: TerrainLayers, course: Course) -> Float[np.ndarray, "ny nx 4"]:
     """Distance to the path, its direction and its speed where it is nearest to each cell (to a quarter of a cell)."""
-    ny, nx = ground.known.shape
-    x = ground.origin[0] + ground.resolution * np.arange(nx)
-    y = ground.origin[1] + ground.resolution * np.arange(ny)
-    cells = np.stack(np.meshgrid(x, y), axis=-1)
+    cells = ground.centres
     dense = densified(course, spacing=ground.resolution / 2)
     nearest = _nearest(dense.path, cells, ground.resolution)
     distance = np.linalg.norm(cells - dense.path[nearest], axis=-1)
@@ -179,10 +176,7 @@ def toward(
         speed: far from the goal [m/s].
         braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
     """
-    ny, nx = ground.known.shape
-    x = goal[0] - ground.origin[0] - ground.resolution * np.arange(nx)
-    y = goal[1] - ground.origin[1] - ground.resolution * np.arange(ny)
-    there = np.stack(np.meshgrid(x, y), axis=-1)
+    there = goal - ground.centres
     distance = np.linalg.norm(there, axis=-1)
     direction = there / np.maximum(distance, 1e-9)[..., None]
     wanted = np.minimum(speed, np.sqrt(2 * braking * distance))

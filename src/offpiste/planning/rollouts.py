@@ -1,7 +1,6 @@
 """Costs of control sequences by rolling a model out: the eager reference, for any model and any cost."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -9,10 +8,10 @@ from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.hybrid import Hybrid
-from offpiste.mapping.lookup import Encode, MapTerrain
+from offpiste.mapping.lookup import Encode, HeldCodes, MapTerrain
 from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
-from offpiste.trajectory import Carry, Terrain, TerrainSource, Trajectory
+from offpiste.trajectory import Carry, TerrainSource, Trajectory
 
 
 def model_costs(
@@ -39,7 +38,7 @@ def driving_costs(
 
     Args:
         carry: the start, a batch of one, in `situation.state`.
-        encode: of the map's features; None for models without features. `as_codes` where it holds codes.
+        encode: of the map's features; None for models without features. `lookup.as_codes` where it holds codes.
     """
 
     def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
@@ -64,28 +63,7 @@ def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode:
     source = MapTerrain(situation.ground, number, offset, situation.wheels, encode)
     if not (isinstance(dynamics, Hybrid) and dynamics.holds):
         return source
-    return HeldCodes(source, source.at(0, situation.state.expand(samples, 6)).latent)
-
-
-@dataclass(frozen=True)
-class HeldCodes:
-    """Normals from a source, codes from the start (`hold`)."""
-
-    source: MapTerrain
-    latent: Float[Tensor, "K 4 E"]
-
-    def at(self, t: int, state: Float[Tensor, "K 6"]) -> Terrain:
-        """The ground under the wheels in `state`, as it looked at the start."""
-        return Terrain(self.source.at(t, state).normal, self.latent)
-
-
-def as_codes(missing: Float[Tensor, " E"]) -> Encode:
-    """Reads features that are codes already.
-
-    Args:
-        missing: `FeatureEncoder.missing()`.
-    """
-    return lambda codes, valid: torch.where(valid[:, None], codes, missing)
+    return HeldCodes.of(source, situation.state.expand(samples, 6))
 
 
 def spread_carry(carry: Carry, samples: int) -> Carry:

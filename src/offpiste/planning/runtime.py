@@ -248,8 +248,7 @@ class Runtime:
         if fused:
             cost_of = fused_costs(model, carry, at, settings.weights, area.codes)  # type: ignore[arg-type]
         else:
-            encode = area.terrain(at.offset, self._wheels, 1).encode
-            cost_of = driving_costs(model, carry, at, settings.weights, encode)
+            cost_of = driving_costs(model, carry, at, settings.weights, area.encode)
         try:
             plan = mppi.improve(
                 feet_of(before),

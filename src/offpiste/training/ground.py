@@ -1,18 +1,17 @@
 """Where a model reads the ground: under the recorded wheels, or on a map under the wheels that it predicts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
+from jaxtyping import Int
 
 from offpiste.dataset.path_terrain import path_terrain
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Hybrid
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.errors import DatasetError
-from offpiste.mapping.lookup import MapTerrain
+from offpiste.mapping.lookup import HeldCodes, MapTerrain
 from offpiste.trajectory import Terrain, TerrainSource
 
 
@@ -65,7 +64,7 @@ def on_map(
     source = map_terrain(dynamics, windows, index)
     batch = with_past_on(source, batch)
     held = isinstance(dynamics, Hybrid) and dynamics.holds
-    return batch, _Held(source, source.at(0, batch.state).latent) if held else source
+    return batch, HeldCodes.of(source, batch.state) if held else source
 
 
 def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:
@@ -92,14 +91,3 @@ def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
     past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
     known = Terrain(torch.stack([t.normal for t in past], dim=1), torch.stack([t.latent for t in past], dim=1))
     return replace(batch, history=replace(batch.history, terrain=known))
-
-
-@dataclass(frozen=True)
-class _Held:
-    """Codes of the start, normals of the predicted places."""
-
-    source: MapTerrain
-    latent: Float[Tensor, "B 4 E"]
-
-    def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
-        return Terrain(replace(self.source, encode=None).at(t, state).normal, self.latent)
