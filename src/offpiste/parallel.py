@@ -16,7 +16,10 @@ from offpiste.errors import OffpisteError
 from offpiste.progress import shares
 
 Job = TypeVar("Job")
-Work = Callable[[Job, Callable[[float], None]], str]
+Report = Callable[[float], None]
+"""Is told the share of a job that is done, from 0 to 1."""
+
+Work = Callable[[Job, Report], str]
 """Does a job, reports the share that is done, and says in the end what came of it."""
 
 POLL = 0.3

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.splits import GAP, PARTS, _place_labels, empty_parts, parse_split, window_starts
+from offpiste.dataset.splits import GAP, PARTS, _place_labels, empty_parts, parse_split, window_starts, write_drives
 from offpiste.errors import DatasetError
 
 REACH = HISTORY_STEPS + HORIZON_STEPS
@@ -101,6 +101,11 @@ def test_drives_go_where_their_file_says(tmp_path):
     assert (split.label("friday", wandering(10)) == 2).all()
     with pytest.raises(DatasetError, match="names no part for drive 'sunday'"):
         split.label("sunday", wandering(10))
+
+
+def test_a_split_by_drives_comes_back_as_it_was_written(tmp_path):
+    parts = (("monday", "train"), ("friday", "test"))
+    assert parse_split(write_drives(tmp_path / "new" / "split.txt", parts)).drives == parts
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from offpiste.logs.measurements import Image
 from offpiste.logs.open import open_log
 from offpiste.logs.sensors import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
+from offpiste.parallel import Report
 from offpiste.perception.backbone import Backbone
 from offpiste.perception.frames import frames_by_travel, image_statistics, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
@@ -30,9 +31,6 @@ SPACING = 2.0
 
 NEAR = 0.01
 """A listed image is the one whose stamp is this near [s]."""
-
-Report = Callable[[float], None]
-"""Is told the share that is done, from 0 to 1."""
 
 
 class FittedPca(NamedTuple):

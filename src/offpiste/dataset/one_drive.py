@@ -1,6 +1,6 @@
 """One drive from its log into a dataset: read, bring to 50 Hz, look at the ground, write whole or not at all."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,11 +20,9 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.open import open_log
 from offpiste.logs.sensors import open_sensors
 from offpiste.mapping.replay import ReplaySettings
+from offpiste.parallel import Report
 from offpiste.perception.looking import Looking, load_looking
 from offpiste.rig import Rig
-
-Report = Callable[[float], None]
-"""Is told the share that is done, from 0 to 1."""
 
 
 @dataclass(frozen=True)

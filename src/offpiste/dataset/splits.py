@@ -1,5 +1,6 @@
 """Which rows train, validate and test: contiguous stretches with a gap, decided once, never by random windows."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.errors import DatasetError
+from offpiste.files import write_text
 
 PARTS = ("train", "validation", "test")
 """Names of the labels 0, 1, 2; -1 is in no part."""
@@ -96,6 +98,16 @@ def parse_split(text: str) -> Split:
     except ValueError:
         pass
     raise DatasetError(f"not a split: '{text}'", how=usage)
+
+
+def write_drives(path: Path, parts: Iterable[tuple[str, str]]) -> str:
+    """Write a split by drives into a file; returns the text that `parse_split` reads it by.
+
+    Args:
+        parts: name and part of each drive.
+    """
+    write_text(path, "".join(f"{name} {part}\n" for name, part in parts))
+    return f"drives:{path}"
 
 
 def empty_parts(split: Split) -> tuple[str, ...]:

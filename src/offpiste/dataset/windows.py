@@ -106,21 +106,8 @@ class Windows:
         self.maps = WindowMaps(self._drives, self.drive, self.rows - offset[self.drive], self.device)
         self.drive_names = tuple(d.name for d in dataset.drives)
         self._offset = offset
-        if not any((drive.part == PARTS.index(part)).any() for drive in dataset.drives):
-            count, seconds = len(dataset.drives), horizon * DT
-            of = f"split {dataset.split.text}, {count} drive{'s' * (count > 1)}"
-            raise DatasetError(
-                f"the {part} part has no window of {seconds:g} s, and no row ({of})",
-                where=dataset.path,
-                how="extract more or longer drives, or choose another --split",
-            )
         if not len(self.rows):
-            seconds = horizon * DT
-            raise DatasetError(
-                f"the {part} part has no window of {seconds:g} s that starts above {min_speed:g} m/s",
-                where=dataset.path,
-                how="give longer or faster drives, or choose another --split",
-            )
+            raise _no_window(dataset, part, horizon, min_speed)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -216,3 +203,14 @@ class Windows:
 
     def _column(self, arrays: list[np.ndarray]) -> Tensor:
         return torch.as_tensor(np.concatenate(arrays), device=self.device)
+
+
+def _no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> DatasetError:
+    what = f"the {part} part has no window of {horizon * DT:g} s"
+    if any((drive.part == PARTS.index(part)).any() for drive in dataset.drives):
+        what, how = f"{what} that starts above {min_speed:g} m/s", "give longer or faster drives"
+    else:
+        count = len(dataset.drives)
+        what = f"{what}, and no row (split {dataset.split.text}, {count} drive{'s' * (count > 1)})"
+        how = "extract more or longer drives"
+    return DatasetError(what, where=dataset.path, how=f"{how}, or choose another --split")

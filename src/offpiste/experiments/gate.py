@@ -13,10 +13,10 @@ from typing import Any, Literal
 import tyro
 
 from offpiste.dataset.make import make_dataset
+from offpiste.dataset.splits import write_drives
 from offpiste.experiments.judge_runs import judge_runs
 from offpiste.experiments.recorded import simulate_once
 from offpiste.experiments.shared_stages import reuse_stages
-from offpiste.files import write_text
 from offpiste.progress import tell
 from offpiste.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings
@@ -53,13 +53,11 @@ class Gate:
     def run(self) -> None:
         """The whole experiment."""
         drives = self.simulate()
-        parts = self.out / "parts.txt"
-        write_text(parts, "".join(f"{path.stem} {part}\n" for path, part in drives))
         dataset = make_dataset(
             [path for path, _ in drives],
             load_rig("proving_ground"),
             self.out / "dataset.zarr",
-            split=f"drives:{parts}",
+            split=write_drives(self.out / "parts.txt", ((path.stem, part) for path, part in drives)),
             features=self.features,
             tell=tell,
         )

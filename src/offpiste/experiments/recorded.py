@@ -6,8 +6,25 @@ from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 
-from offpiste.parallel import run_all
+from offpiste.parallel import Report, run_all
 from offpiste.simulation.simulate import DriveSettings, simulate
+
+
+@dataclass(frozen=True)
+class PlannedDrive:
+    """A drive to be simulated.
+
+    Attributes:
+        part: that it is for; empty where each drive is cut into all of them.
+    """
+
+    settings: DriveSettings
+    part: str
+
+    @property
+    def name(self) -> str:
+        """World and seed."""
+        return f"{self.settings.world.preset}-{self.settings.seed}"
 
 
 @dataclass(frozen=True)
@@ -41,7 +58,7 @@ def simulate_once(settings: DriveSettings, log: Path, *, tell: Callable[[str], N
     tell(str(driven).replace(partial.name, log.name))
 
 
-def _record(recording: Recording, report: Callable[[float], None]) -> str:
+def _record(recording: Recording, report: Report) -> str:
     said: list[str] = []
     with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
         simulate_once(recording.settings, recording.log, tell=said.append)

@@ -6,7 +6,7 @@ what helps may be knowing the day. A label is the same all over a recording: rea
 `python -m offpiste.experiments.surfaces ../shared/data/dart --out surfaces`
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -33,7 +33,7 @@ from offpiste.experiments.surface_labels import (
 )
 from offpiste.experiments.surface_tables import Results, tables
 from offpiste.files import write_text
-from offpiste.parallel import run_all
+from offpiste.parallel import Report, run_all
 from offpiste.progress import tell, track
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
@@ -72,7 +72,7 @@ class Trial:
         return predict(run.dynamics, windows, index, lookup="recorded", scale=run.scale, weights=weights)
 
 
-def train_once(trial: Trial, report: Callable[[float], None]) -> str:
+def train_once(trial: Trial, report: Report) -> str:
     """Train, unless that was done; says what was trained."""
     if not (trial.folder / "model.json").exists():
         reuse_stages(trial.folder.parent, trial.folder, trial.config.seed)

@@ -1,35 +1,20 @@
 """Datasets that controls need: their own drives, or other features of the same ones."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from offpiste.dataset.ground_truth import FeatureSource
 from offpiste.dataset.hindsight import MIN_HINDSIGHT
 from offpiste.dataset.make import make_dataset
 from offpiste.dataset.snapshots import SnapshotSettings
-from offpiste.dataset.splits import PARTS
+from offpiste.dataset.splits import PARTS, write_drives
 from offpiste.dataset.store import Dataset
-from offpiste.experiments.recorded import simulate_once
-from offpiste.files import write_text
+from offpiste.experiments.recorded import PlannedDrive, simulate_once
 from offpiste.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world import WorldSettings
 
 RIG = "proving_ground"
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A drive to be simulated, and the part of the split that it is for."""
-
-    settings: DriveSettings
-    part: str
-
-    @property
-    def name(self) -> str:
-        """World and seed."""
-        return f"{self.settings.world.preset}-{self.settings.seed}"
 
 
 def planned(
@@ -40,7 +25,7 @@ def planned(
     sensors: str,
     contrast: float = 1.0,
     appearance: float = 1.0,
-) -> list[Planned]:
+) -> list[PlannedDrive]:
     """Drives on one kind of world, each in a world of its own.
 
     Args:
@@ -50,7 +35,7 @@ def planned(
     """
     listed = [(part, seconds) for part, mine in zip(PARTS, lengths, strict=True) for seconds in mine]
     return [
-        Planned(
+        PlannedDrive(
             DriveSettings(WorldSettings(world, seed + k, contrast, appearance), float(seconds), seed + k, sensors), part
         )
         for k, (part, seconds) in enumerate(listed)
@@ -58,7 +43,7 @@ def planned(
 
 
 def driven_dataset(
-    drives: Sequence[Planned],
+    drives: Sequence[PlannedDrive],
     folder: Path,
     *,
     pca: Path | None = None,
@@ -76,13 +61,11 @@ def driven_dataset(
     logs = [folder / "logs" / f"{drive.name}.mcap" for drive in drives]
     for drive, log in zip(drives, logs, strict=True):
         simulate_once(drive.settings, log, tell=tell)
-    parts = folder / "parts.txt"
-    write_text(parts, "".join(f"{drive.name} {drive.part}\n" for drive in drives))
     return make_dataset(
         logs,
         load_rig(RIG),
         folder / "dataset.zarr",
-        split=f"drives:{parts}",
+        split=write_drives(folder / "parts.txt", ((drive.name, drive.part) for drive in drives)),
         pca=pca,
         features=features,
         min_hindsight=min_hindsight,

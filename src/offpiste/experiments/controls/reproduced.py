@@ -8,11 +8,11 @@ from typing import Any
 import msgspec
 import torch
 
+from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
 from offpiste.experiments.reproduce.models import Member, usual
 from offpiste.experiments.reproduce.settings import Size
-from offpiste.files import write_text
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import Run, load_run
 
@@ -85,9 +85,7 @@ class Reproduced:
         split = self.dataset.split
         if split.kind != "drives":
             return split.text
-        path = folder / "parts.txt"
-        write_text(path, "".join(f"{name} {part}\n" for name, part in split.drives))
-        return f"drives:{path}"
+        return write_drives(folder / "parts.txt", split.drives)
 
 
 def open_reproduction(folder: Path) -> Reproduced:

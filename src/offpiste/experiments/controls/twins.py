@@ -17,11 +17,12 @@ from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.judge import trajectories
 from offpiste.experiments.controls.branches import branches_of, load_branches, record_on, save_branches, twin_worlds
-from offpiste.experiments.controls.data import Planned, driven_dataset, oracle_dataset
+from offpiste.experiments.controls.data import driven_dataset, oracle_dataset
 from offpiste.experiments.controls.judging import same_windows
 from offpiste.experiments.controls.reproduced import Reproduced
 from offpiste.experiments.controls.told import Differences, draw_told, told_apart, told_table
 from offpiste.experiments.controls.written import write_control
+from offpiste.experiments.recorded import PlannedDrive
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world import WorldSettings
 from offpiste.training.run import Run, load_run
@@ -38,7 +39,7 @@ def twins_control(
         oracle: folder of the `oracle` control, for its run and its dataset of the same drives.
     """
     folder = out / "twins"
-    chosen = [Planned(settings_of(of, name, seconds), "test") for name in _spread_out(of.dataset, drives)]
+    chosen = [PlannedDrive(settings_of(of, name, seconds), "test") for name in _spread_out(of.dataset, drives)]
     for drive in chosen:
         log, kept = folder / "logs" / f"{drive.name}.mcap", folder / "branches" / f"{drive.name}.safetensors"
         if not (log.exists() and kept.exists()):

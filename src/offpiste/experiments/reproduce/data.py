@@ -7,16 +7,15 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.make import make_dataset
 from offpiste.dataset.snapshots import SnapshotSettings
-from offpiste.dataset.splits import PARTS, parse_split
+from offpiste.dataset.splits import PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset, drive_names, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.experiments.recorded import Recording, simulate_all
-from offpiste.experiments.reproduce.drives import BLOCKS, PlannedDrive, planned_drives, seconds_of
+from offpiste.experiments.recorded import PlannedDrive, Recording, simulate_all
+from offpiste.experiments.reproduce.drives import BLOCKS, planned_drives, seconds_of
 from offpiste.experiments.reproduce.models import PCA_SWEPT
 from offpiste.experiments.reproduce.plan import Piece
 from offpiste.experiments.reproduce.settings import Reproduction
-from offpiste.files import write_text
 from offpiste.parallel import usable_cores
 from offpiste.perception.backbone import open_backbone
 from offpiste.perception.pca_file import save_pca
@@ -133,9 +132,7 @@ def _logs(asked: Reproduction, drives: list[PlannedDrive]) -> list[Path]:
 def _split(asked: Reproduction, drives: list[PlannedDrive]) -> str:
     if asked.split == "blocks":
         return BLOCKS
-    path = asked.out / "parts.txt"
-    write_text(path, "".join(f"{drive.name} {drive.part}\n" for drive in drives))
-    return f"drives:{path}"
+    return write_drives(asked.out / "parts.txt", ((drive.name, drive.part) for drive in drives))
 
 
 def _of_pca(drives: list[PlannedDrive], most: int) -> list[PlannedDrive]:

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import count
 
 from offpiste.conventions import DT
 from offpiste.dataset.splits import GAP, PARTS
+from offpiste.experiments.recorded import PlannedDrive
 from offpiste.experiments.reproduce.settings import Size
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world import WorldSettings
@@ -21,23 +21,6 @@ SHORTEST_CUT = 2 * GAP * DT / 0.1 + 5.0
 """A drive that is cut must have a validation stretch of two windows and more [s]."""
 
 FIRST_SEED = 1000
-
-
-@dataclass(frozen=True)
-class PlannedDrive:
-    """A drive to be simulated.
-
-    Attributes:
-        part: that it is for; empty where each drive is cut into all of them.
-    """
-
-    settings: DriveSettings
-    part: str
-
-    @property
-    def name(self) -> str:
-        """World and seed."""
-        return f"{self.settings.world.preset}-{self.settings.seed}"
 
 
 def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0) -> list[PlannedDrive]:

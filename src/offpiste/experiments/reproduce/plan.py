@@ -8,7 +8,7 @@ from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 
-from offpiste.parallel import run_all
+from offpiste.parallel import Report, run_all
 
 Record = Callable[[str, float], None]
 """Is told what a piece took [s]."""
@@ -121,7 +121,7 @@ class _Job:
     record: Record
 
 
-def _alone(job: _Job, report: Callable[[float], None]) -> str:
+def _alone(job: _Job, report: Report) -> str:
     with redirect_stderr(io.StringIO()):  # bars of several processes would run into each other
         job.record(job.name, _timed(job.do, time.perf_counter))
     return job.name
