@@ -15,7 +15,8 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.errors import RunError
-from offpiste.evaluation.evaluate import Evaluation, evaluate_models
+from offpiste.evaluation.evaluate import Evaluation, _usual_step, evaluate_models
+from offpiste.evaluation.judge import Errors
 from offpiste.evaluation.models import Judged
 from offpiste.evaluation.page import headline_text, render_html
 from offpiste.evaluation.report import write_report
@@ -156,6 +157,14 @@ def test_what_the_windows_are_like(evaluation: Evaluation, dataset: Dataset) -> 
     assert found.median_distance_m == pytest.approx(25.0, abs=0.1)
     assert found.median_speed_mps == pytest.approx(5.0, abs=0.1)
     assert found.blocks >= 6
+
+
+def test_the_step_between_windows_is_what_it_is_where_only_some_are_judged() -> None:
+    # Windows with a snapshot: 20 to 30 rows apart, and none between drives.
+    drive, row = np.repeat([0, 1], 4), np.array([5, 25, 45, 75, 1000, 1020, 1045, 1065])
+    found = Errors(drive, row, np.zeros((8, 5, 5)), np.zeros(8))
+    assert _usual_step(found, 5) == 20
+    assert _usual_step(found.take(np.array([0, 4])), 5) == 5
 
 
 def test_worst_windows_do_not_overlap_and_show_every_run(evaluation: Evaluation) -> None:

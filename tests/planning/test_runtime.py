@@ -1,5 +1,7 @@
 """The run time on a stream without a simulator: what it does when all is well, and when inputs are late or missing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -183,3 +185,17 @@ def test_what_is_no_use_is_dropped_and_counted():
         "readings of the vehicle that are not finite": 1,
         "readings of the vehicle whose stamps repeat or go back": 1,
     }
+
+
+def test_a_pose_that_jumps_begins_the_map_anew():
+    stream = straight_drive()
+    stream.run(1.5)
+    assert stream.runtime._seeing.layers().known.any()
+    stream.scans = lambda t: False
+    stream.carry = replace(stream.carry, state=stream.carry.state + torch.tensor([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
+    stream.run(DT)
+    assert not stream.runtime._seeing.layers().known.any()
+    assert stream.modes()[-1] == ("stopping", "no scan")
+    stream.scans = lambda t: True
+    stream.run(4.0)
+    assert stream.modes()[-1] == ("driving", "")
