@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.errors import OffpisteError, RunError
-from offpiste.experiments.closed_loop.courses import CourseSettings, friction_along, lay_course
+from offpiste.experiments.closed_loop.courses import CourseSettings, lay_course, surprise_along
 from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
 from offpiste.experiments.closed_loop.planner import Planner, load_planner
 from offpiste.logs.drive import read_drive
 from offpiste.rig import load_rig
+from offpiste.simulation.build import make_world
 from offpiste.simulation.world import WorldSettings
 from planning.stream import parametric, settings
 
@@ -58,7 +60,21 @@ def test_a_course_is_on_a_trail_and_the_same_for_a_seed(driven):
     away = np.linalg.norm(laid.course.path[:, None] - trails[None], axis=-1).min(axis=1)
     assert away.max() < 0.5
     assert np.linalg.norm(np.diff(laid.course.path, axis=0), axis=1) == pytest.approx(1.0, abs=0.05)
-    assert laid.changes == pytest.approx(np.abs(np.diff(friction_along(world, laid.course.path))).sum())
+    assert laid.surprise == pytest.approx(surprise_along(world, laid.course.path, ASKED.course.speed))
+
+
+def test_the_surprise_by_hand():
+    world = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
+    friction = np.full_like(world.properties[..., 0], 0.4)
+    friction[:, :40] = 0.8  # for x < 0; the mean is 0.5975
+    properties = world.properties.copy()
+    properties[..., GROUND_PROPERTIES.index("friction")] = friction
+    half = replace(world, properties=properties)
+    angle = np.linspace(-0.4, 0.4, 25)  # an arc of 30 m radius, all of it on one side
+    arc = 30 * np.stack((np.cos(angle) - 1, np.sin(angle)), axis=-1)
+    allowed = [np.sqrt(mu * 9.81 * 30) for mu in (0.8, friction.mean())]
+    assert surprise_along(half, arc - (5, 0), 100.0) == pytest.approx(allowed[0] - allowed[1], rel=0.02)
+    assert surprise_along(half, arc - (5, 0), 10.0) == 0, "nothing is lost where both allow the wanted speed"
 
 
 @pytest.mark.parametrize(

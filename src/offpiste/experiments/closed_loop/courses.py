@@ -1,4 +1,4 @@
-"""Courses through a world: along its trails, over ground that changes, faster than most of it allows."""
+"""Courses through a world: along its trails, through bends whose ground holds otherwise than one would expect."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from offpiste.conventions import GROUND_PROPERTIES
+from offpiste.conventions import GRAVITY, GROUND_PROPERTIES
 from offpiste.errors import OffpisteError
 from offpiste.planning.course import Course
 from offpiste.simulation.arcs import Country
@@ -17,6 +17,9 @@ from offpiste.simulation.world import World
 
 STEP = 1.0
 """Of the points of a course [m]."""
+
+SMOOTH = 1.5
+"""Deviation that friction and bends are smoothed with: a vehicle's length [m]."""
 
 APART = 20.0
 """A course ends at least so far before it would meet its beginning [m]."""
@@ -32,7 +35,7 @@ class CourseSettings:
         clearance: from the nearest trunk [m].
         steepest: slope along or across (rise over run).
         radius: of the sharpest bend [m].
-        candidates: stretches that are compared; the one on which friction changes most is taken.
+        candidates: stretches that are compared; the one with the greatest `surprise` is taken.
     """
 
     speed: float = 7.0
@@ -48,12 +51,12 @@ class Laid:
     """A course and where it begins.
 
     Attributes:
-        changes: sum of the changes of friction along it, smoothed over 3 m.
+        surprise: what not knowing the ground is about in speed [m/s] (`surprise_along`).
     """
 
     course: Course
     start: Start
-    changes: float
+    surprise: float
 
 
 def lay_course(world: World, seed: int, settings: CourseSettings | None = None) -> Laid:
@@ -67,21 +70,37 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length)
         if _drivable(world, country, path, settings):
-            changes = float(np.abs(np.diff(friction_along(world, path))).sum())
             heading = np.arctan2(*(path[2] - path[0])[::-1])
             start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
-            found.append(Laid(Course(path, np.full(len(path), settings.speed)), start, changes))
+            surprise = surprise_along(world, path, settings.speed)
+            found.append(Laid(Course(path, np.full(len(path), settings.speed)), start, surprise))
     if not found:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
         raise OffpisteError("no course can be laid along its trails", where=place, how="take another seed")
-    return max(found, key=lambda laid: laid.changes)
+    return max(found, key=lambda laid: laid.surprise)
 
 
-def friction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Friction under a path, smoothed over 3 m."""
+def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
+    """How far the speed that the ground allows is from what the world's mean friction would allow, on average [m/s].
+
+    Args:
+        speed: wanted: more than that is not of use [m/s].
+    """
     column = GROUND_PROPERTIES.index("friction")
-    friction = read_grid(world.properties[..., column], world.origin, world.resolution, path)
-    return np.asarray(gaussian_filter1d(friction, 1.5 / STEP, mode="nearest"))
+    friction = world.properties[..., column]
+    under = gaussian_filter1d(read_grid(friction, world.origin, world.resolution, path), SMOOTH / STEP, mode="nearest")
+    bend = np.abs(gaussian_filter1d(_turn(path), SMOOTH / STEP, mode="nearest")) / STEP
+    bend = np.concatenate((bend[:1], bend, bend[-1:]))
+    allowed, expected = (
+        np.minimum(speed, np.sqrt(mu * GRAVITY / np.maximum(bend, 1e-6))) for mu in (under, friction.mean())
+    )
+    return float(np.abs(allowed - expected).mean())
+
+
+def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
+    """From each piece of a path to the next [rad]."""
+    way = np.diff(path, axis=0)
+    return np.diff(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
 
 
 def _stretch(
@@ -102,6 +121,4 @@ def _drivable(world: World, country: Country, path: Float[np.ndarray, "P 2"], se
             return False
     if max(country.steepest(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
         return False
-    way = np.diff(path, axis=0)
-    turn = np.diff(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
-    return bool(np.abs(turn).max() / STEP < 1 / settings.radius)
+    return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)

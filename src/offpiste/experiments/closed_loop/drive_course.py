@@ -172,7 +172,7 @@ def _result(
         "latency_s": asked.runtime.latency,
         "target_mps": asked.course.speed,
         "limit_s": asked.seconds,
-        "friction_changes": laid.changes,
+        "surprise_mps": laid.surprise,
         "fault": asked.fault,
         **summary(driving, trace, runtime.guide.length, asked.seconds, asked.runtime.weights),
         "plan_error_5s_m": {
