@@ -89,6 +89,17 @@ def test_a_stop_is_ended_before_it_drives_on():
     assert min(np.hypot(s[3], s[4]) for s in stream.states[55:]) < 0.3
 
 
+def test_after_a_long_stop_old_plans_are_forgotten():
+    stream = straight_drive(stream={"scans": lambda t: not 1.0 <= t < 3.5})
+    stream.run(3.4)
+    schedule = stream.runtime._schedule
+    old = schedule.latest
+    assert schedule.control(3.0) is not None
+    stream.run(0.2)
+    assert schedule.latest is not old
+    assert schedule.control(3.0) is None
+
+
 def test_an_empty_map_stops_it():
     stream = straight_drive()
     stream.run(1.5)
@@ -174,6 +185,9 @@ def test_what_is_no_use_is_dropped_and_counted():
     broken = scan(1.95)
     runtime.scan(type(broken)(1.95, "lidar", np.full_like(broken.points, np.nan), None, broken.intensity))
     assert runtime._seeing.scan_time == before
+    points = np.where(broken.points[:, :1] > 0, np.nan, broken.points)  # only what lies behind is finite
+    runtime.scan(type(broken)(1.96, "lidar", points, None, broken.intensity))
+    assert runtime._seeing.scan_time == 1.96
     runtime.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
     runtime.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
     assert runtime.dropped == {

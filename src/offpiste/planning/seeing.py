@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -85,17 +85,13 @@ class Seeing:
         self.image_time = max(self.image_time, image.time)
 
     def scan(self, scan: Cloud) -> None:
-        """Put a scan into the map."""
+        """Put a scan into the map, but for its points that are not finite."""
         pose = self._pose(scan.lidar, scan.time)
         if pose is None:
             return
-        finite = np.isfinite(scan.points).all(axis=1)
-        if not finite.any():
+        if not np.isfinite(scan.points).all(axis=1).any():
             self.dropped["scans without a finite point"] += 1
             return
-        if not finite.all():
-            offset = None if scan.offset is None else scan.offset[finite]
-            scan = replace(scan, points=scan.points[finite], offset=offset, intensity=scan.intensity[finite])
         with self._watch.of("map scan"):
             scanned = self._mapper.scan(scan, self._track.poses(), pose)
         if len(scanned.points_world):
