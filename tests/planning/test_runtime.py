@@ -89,6 +89,20 @@ def test_a_stop_is_ended_before_it_drives_on():
     assert min(np.hypot(s[3], s[4]) for s in stream.states[55:]) < 0.3
 
 
+def test_plans_made_during_a_stop_start_from_the_braked_vehicle():
+    stream = straight_drive(stream={"reads": lambda t: not 1.5 <= t < 1.8}, latency=0.3)
+    stream.run(2.9)
+    rows = [(round(p.time / DT) + 1, p.state[0]) for p in stream.runtime.predictions if 2.05 < p.time < 2.75]
+    assert len(rows) >= 5
+    for row, planned in rows:
+        assert stream.controls[row - 1].mode == "stopping"
+        assert speed_of(planned) == pytest.approx(speed_of(stream.states[row]), abs=0.02)
+
+
+def speed_of(state):
+    return float(np.hypot(*state[3:5]))
+
+
 def test_after_a_long_stop_old_plans_are_forgotten():
     stream = straight_drive(stream={"scans": lambda t: not 1.0 <= t < 3.5})
     stream.run(3.4)

@@ -37,6 +37,10 @@ class Reproduce:
     """fig3: what features are worth in hindsight; fig4: with the distance they were seen from."""
     size: Literal["smoke", "laptop", "paper"] = "smoke"
     """Ten minutes, two hours, or as much as in the paper."""
+    seconds: tuple[float, float, float] | None = None
+    """Instead of the size's: of driving to train, validate and test on [s]."""
+    seeds: int | None = None
+    """Instead of the size's: runs of `b`, `cf` and `dc`."""
     out: Path = Path("results")
     """Folder for everything; both figures share it."""
     dataset: Path | None = None
@@ -54,11 +58,11 @@ class Reproduce:
     def run(self) -> int:
         """Drive, extract, train, judge, draw."""
         from offpiste.experiments.reproduce.reproduce import reproduce
-        from offpiste.experiments.reproduce.settings import SIZES, Reproduction
+        from offpiste.experiments.reproduce.settings import Reproduction, sized
 
         asked = Reproduction(
             self.figure,
-            SIZES[self.size],
+            sized(self.size, self.seconds, self.seeds),
             self.out,
             dataset=self.dataset,
             backbone=self.backbone,

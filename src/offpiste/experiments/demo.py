@@ -11,7 +11,7 @@ from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.image_list import write_image_list
 from offpiste.dataset.make import make_dataset
 from offpiste.dataset.snapshots import SnapshotSettings
-from offpiste.dataset.splits import parse_split
+from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.experiments.claimed import claim_folder
 from offpiste.experiments.closed_loop.courses import CourseSettings
@@ -21,7 +21,6 @@ from offpiste.experiments.demo_result import tell_result
 from offpiste.experiments.judge_runs import judge_runs
 from offpiste.experiments.recorded import Recording, simulate_all
 from offpiste.experiments.shared_stages import reuse_stages
-from offpiste.files import write_text
 from offpiste.logs import open_log
 from offpiste.logs.checks import inspect_log, render
 from offpiste.parallel import usable_cores
@@ -118,8 +117,7 @@ def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
 def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int, tell: Tell) -> Dataset:
     """The dataset; the PCA looks at drives that train only."""
     parts, pca, path = out / "parts.txt", out / "pca.safetensors", out / "dataset.zarr"
-    write_text(parts, "".join(f"{log.stem} {part}\n" for log, part in zip(logs, settings.parts, strict=True)))
-    split = f"drives:{parts}"
+    split = write_drives(parts, ((log.stem, part) for log, part in zip(logs, settings.parts, strict=True)))
     looked_at = [log for log, part in zip(logs, settings.parts, strict=True) if part == "train"][:PCA_DRIVES]
     names = " ".join(map(str, looked_at))
     tell(f"3/{STEPS}  offpiste fit-pca {names} --rig proving_ground --backbone {BACKBONE} --split {split} --out {pca}")
@@ -155,8 +153,8 @@ def _drive(run: Path, out: Path, settings: DemoSettings, tell: Tell) -> None:
     folder, pca = out / "course", out / "pca.safetensors"
     seed = settings.seed + len(settings.parts)
     tell(
-        f"8/{STEPS}  offpiste drive {run} --pca {pca} --world {WORLD} --seed {seed} --seconds {settings.course_seconds:g}"
-        f" --speed {settings.course_speed:g} --out {folder}"
+        f"8/{STEPS}  offpiste drive {run} --pca {pca} --world {WORLD} --seed {seed}"
+        f" --seconds {settings.course_seconds:g} --speed {settings.course_speed:g} --out {folder}"
     )
     if not (folder / "result.json").exists():
         shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left

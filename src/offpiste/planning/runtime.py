@@ -188,8 +188,7 @@ class Runtime:
     def _follow(self, now: float, judgement: Judgement) -> Controls:
         """The plan, or a controlled stop; a stop that has begun is ended, unless it was over before it began."""
         planned = self._schedule.control(now)
-        latest = self._track.latest
-        stands = latest is not None and float(np.hypot(*latest.velocity[:2])) < self._settings.standstill
+        stands = self._stands()
         bad = judgement.mode == "stopping" or planned is None
         if not bad and not (self._stopping and not stands):
             self._stopping = False
@@ -201,6 +200,10 @@ class Runtime:
         command = np.array((0.0, self._settings.stop, steer))
         why = judgement.why if bad or not self.events else self.events[-1].why
         return Controls(now, command, "stopped" if stands else "stopping", why)
+
+    def _stands(self) -> bool:
+        latest = self._track.latest
+        return latest is not None and float(np.hypot(*latest.velocity[:2])) < self._settings.standstill
 
     def _plan(self, now: float, judgement: Judgement) -> None:
         """Plan from the map as it is; a plan that fails leaves the last one."""
@@ -237,7 +240,10 @@ class Runtime:
             self._schedule.clear()
         stop = np.array((0.0, self._settings.stop, 0.0))
         steps = max(round((start - first) / DT), 0)
-        return self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
+        committed = self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
+        if self._stopping and not self._stands():  # the wheels follow the plan, the pedals do not
+            committed[:, :2] = stop[:2]
+        return committed
 
     def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
         settings, model = self._settings, self._dynamics

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from offpiste.dataset.splits import PARTS, parse_split
+from offpiste.errors import OffpisteError
 from offpiste.experiments.reproduce.drives import BLOCKS, MIX, planned_drives, seconds_of
 from offpiste.experiments.reproduce.models import compression_sizes, feature_numbers, members, usual
-from offpiste.experiments.reproduce.settings import SIZES, Reproduction
+from offpiste.experiments.reproduce.settings import SIZES, Reproduction, sized
 from offpiste.simulation.presets import load_preset
 
 sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
@@ -94,3 +95,17 @@ def test_what_a_folder_is_of_does_not_depend_on_figure_or_processes(tmp_path: Pa
     two = Reproduction("fig4", SIZES["smoke"], tmp_path, processes=2)
     assert one.described() == two.described()
     assert one.described() != Reproduction("fig3", SIZES["smoke"], tmp_path, contrast=0.5).described()
+
+
+def test_a_size_with_other_lengths_and_seeds():
+    other = sized("laptop", (1000.0, 100.0, 400.0), 1)
+    assert (other.seconds, other.seeds, other.train) == ((1000.0, 100.0, 400.0), 1, SIZES["laptop"].train)
+    assert sized("laptop") == SIZES["laptop"]
+    for part, seconds in zip(PARTS, other.seconds, strict=True):
+        driven = seconds_of([drive for drive in planned_drives(other) if drive.part == part])
+        assert seconds - 0.1 < driven < seconds + len(MIX) * other.shortest
+    for seconds in ((0.0, 1.0, 1.0), (1.0, float("nan"), 1.0), (1.0, 1.0, float("inf"))):
+        with pytest.raises(OffpisteError, match="three above 0"):
+            sized("smoke", seconds)
+    with pytest.raises(OffpisteError, match="1 or more"):
+        sized("smoke", seeds=0)

@@ -1,9 +1,11 @@
 """How large a reproduction of the paper's figures is, and what it is of."""
 
-from dataclasses import asdict, dataclass, field
+import math
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from offpiste.errors import OffpisteError
 from offpiste.parallel import usable_cores
 from offpiste.training.config import TrainConfig
 
@@ -69,6 +71,24 @@ SIZES = {
     ),
 }
 """`smoke` ends within minutes, `laptop` within two hours, `paper` has some 2M windows to train and 250k to test."""
+
+
+def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
+    """One of `SIZES`, with other lengths or another number of seeds where they are given.
+
+    Raises:
+        OffpisteError: nothing to drive or train.
+    """
+    size = SIZES[name]
+    if seconds is not None:
+        if not all(0 < each < math.inf for each in seconds):
+            raise OffpisteError(f"--seconds {seconds[0]:g} {seconds[1]:g} {seconds[2]:g}", how="give three above 0")
+        size = replace(size, seconds=seconds)
+    if seeds is not None:
+        if seeds < 1:
+            raise OffpisteError(f"--seeds {seeds}", how="give 1 or more")
+        size = replace(size, seeds=seeds)
+    return size
 
 
 @dataclass(frozen=True)
