@@ -113,7 +113,8 @@ def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> s
     wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
     if split.kind in ("blocks", "fold") and min(wanted) == 0:
         lines.append(
-            f"  warning: too short or slow for {split.text}: a part has no window; split by drives (drives:FILE)"
+            f"  warning: too short or slow for {split.text}: a part has no window, so nothing can be trained on it"
+            " alone; record two minutes or more, or keep whole drives apart (--split drives:FILE)"
         )
     if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
         rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)

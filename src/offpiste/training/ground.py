@@ -30,7 +30,9 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     if encoder is None:
         return batch
     if batch.ground is None:
-        raise DatasetError("the model reads terrain features and the dataset has none", how="extract with --features")
+        raise DatasetError(
+            "the model reads terrain features and the dataset has none", how="extract with --pca (see fit-pca)"
+        )
     codes = encoder(batch.ground.features, batch.ground.valid).to(batch.state.dtype)
     ahead = batch.ground.ahead
     if isinstance(dynamics, Hybrid) and dynamics.holds:

@@ -176,6 +176,6 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
     if isinstance(dynamics, Hybrid) and dynamics.encoder is not None and not vehicle.features:
         raise RunError(
             f"model '{model}' reads terrain features and the dataset has none",
-            how="extract with `--features`, or train `b`",
+            how="extract with --pca (see fit-pca), or train b",
         )
     return dynamics

@@ -84,5 +84,6 @@ def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.Capture
     said = capsys.readouterr().err
     assert f"wrote {tmp_path / 'my.toml'}\n" in said
     assert "  missing: calibration of front" in said
-    assert "  missing: steering: no topic looks like it" in said
+    assert "  missing: steering: no field looks like it" in said
+    assert "No topic is named like a command." in said
     parse_rig((tmp_path / "my.toml").read_text(), where="my.toml")

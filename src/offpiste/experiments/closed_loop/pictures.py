@@ -31,13 +31,19 @@ def course_picture(
         label = "plans, 5 s" if not number else None
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
     pieces = LineCollection(
-        list(np.stack((trace.place[:-1], trace.place[1:]), axis=1)), cmap="inferno", linewidths=2.4, zorder=4
+        list(np.stack((trace.place[:-1], trace.place[1:]), axis=1)),
+        cmap="plasma",
+        linewidths=2.4,
+        zorder=4,
+        label="driven",
     )
     pieces.set_array((trace.slip[:-1] + trace.slip[1:]) / 2)
     pieces.set_clim(0.0, 0.4)
     axes.add_collection(pieces)
     figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
-    axes.plot(*trace.place[0], marker="o", color="white", markeredgecolor="black", zorder=5)
+    axes.plot(
+        *trace.place[0], marker="o", color="white", markeredgecolor="black", linestyle="", zorder=5, label="start"
+    )
     shown = np.concatenate((course.path, trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
     axes.set(xlim=(left, right), ylim=(bottom, top))

@@ -1,6 +1,7 @@
 """A first rig for a log: guessed from names and numbers, every guess said in a comment."""
 
 import json
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,11 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig import ACTUATOR_CHANNELS, CONTROL_CHANNELS, Rig, Wrap, parse_rig
 
-_NO_STEERING = "# MISSING: steering: no topic looks like it; no model can do without. Add [channels.steer]\n"
+_NO_STEERING = (
+    "# MISSING: steering: no field looks like it; no model can do without. Add [channels.steer] and take steer out of"
+    " `absent`. {candidates}\n"
+)
+_COMMANDS = re.compile(r"steer|joy|com+and|cmd|control|wheel", re.IGNORECASE)
 _HEADER = """\
 # A first rig for {name}, guessed by `offpiste inspect`. Every line is a guess: read it, mend it, and inspect again
 # with --rig until nothing is left to mend.
@@ -64,7 +69,7 @@ def _text(log: Log, frame: str) -> str:
     absent = [name for name in (*CONTROL_CHANNELS, *ACTUATOR_CHANNELS) if name not in entries]
     name = log.path.resolve().name.split(".")[0]
     parts = [_HEADER.format(name=name, quoted=_toml(name), absent=_toml(absent))]
-    parts += [_NO_STEERING] if "steer" in absent else []
+    parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
     for channel, entry in entries.items():
         parts += [
             f"[channels.{channel}]  # {entry.comment}",
@@ -74,6 +79,14 @@ def _text(log: Log, frame: str) -> str:
             "",
         ]
     return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
+
+
+def _candidates(log: Log) -> str:
+    """Numbers that may be the steering under another name, as a sentence."""
+    named = [
+        f"{t.name} ({', '.join(t.fields[:8])})" for t in log.topics.values() if t.fields and _COMMANDS.search(t.name)
+    ]
+    return f"It may be in: {'; '.join(named)}" if named else "No topic is named like a command."
 
 
 def _toml(value: object) -> str:

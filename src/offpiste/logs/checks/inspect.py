@@ -190,6 +190,7 @@ def _check_channels(drive: Drive, path: Path, recorded: dict[str, Recorded], *, 
     if "steer" not in drive.channels and drives:
         what, said = "there is no steering", "pedals alone do not tell where the vehicle goes"
         mend = "add [channels.steer] with the topic that holds it: commanded, or else measured"
+        said += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
         # Without a rig only names were guessed, and the topic may have another.
         findings.append(Finding("fatal" if given else "warning", "controls", what, said, mend, 1.0))
     if not steers and not drives:
