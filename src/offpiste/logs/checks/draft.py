@@ -22,7 +22,7 @@ _NO_STEERING = (
     "# MISSING: steering: no field looks like it; no model can do without. Add [channels.steer] and take steer out of"
     " `absent`. {candidates}\n"
 )
-_COMMANDS = re.compile(r"steer|joy|com+and|cmd|control|wheel", re.IGNORECASE)
+_COMMANDS = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
 _HEADER = """\
 # A first rig for {name}, guessed by `offpiste inspect`. Every line is a guess: read it, mend it, and inspect again
 # with --rig until nothing is left to mend.
