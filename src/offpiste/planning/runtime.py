@@ -59,16 +59,16 @@ class RuntimeSettings:
     sampling: mppi.Settings = field(
         default_factory=lambda: mppi.Settings(
             PEDAL_AND_WHEEL,
-            (0.25, 0.25),
+            (0.15, 0.15),
             samples=512,
-            temperature=10.0,
+            temperature=3.0,
             iterations=2,
             wide=0.3,
             fresh=0.1,
             rest=(0.4, 0.0),
         )
     )
-    weights: Weights = field(default_factory=Weights)
+    weights: Weights = field(default_factory=lambda: Weights(path=5.0))
     hazards: Hazards = field(default_factory=Hazards)
     replay: ReplaySettings = field(default_factory=ReplaySettings)
     patience: Patience = field(default_factory=Patience)
