@@ -76,9 +76,10 @@ def compared(read: Read) -> TextTable:
         )
     windows = len(next(iter(read.values()))[MODEL].row)
     about = (
-        f"Intervals: 95 %, over blocks of 10 s; none with fewer than {MIN_BLOCKS} blocks. All lines but the last read"
-        " the ground\nunder the wheels' recorded future places, which tells a model how far the vehicle went. The last"
-        " one reads the map\nwhere predictions go, as a planner does: it decides."
+        f"Intervals: 95 %, over blocks of 10 s; none with fewer than {MIN_BLOCKS} blocks. Both models read the slope as"
+        " seen from there.\nAll lines but the last read the ground under the wheels' recorded future places, which"
+        " tells a model how far the\nvehicle went. The last one reads the map where predictions go, as a planner does:"
+        " it decides."
     )
     title = f"Mean distance error after 5 s \\[m] on {windows} windows of the test drives"
     return TextTable(title, ("ground", *read[next(iter(read))], f"{MODEL} against {BASELINE}"), tuple(lines), about)
