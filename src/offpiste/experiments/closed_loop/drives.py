@@ -69,7 +69,7 @@ def drive_all(
     asked = asked or CourseDrive()
     courses = [(world, [row for row in rows if _found(row, world, out, asked) is None]) for world in worlds]
     failed = run_all(
-        partial(_drive_course, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses", tell
+        partial(_drive_rows, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses", tell
     )
     if failed:
         raise failed[0]
@@ -77,7 +77,7 @@ def drive_all(
     return [{**result, "row": row.name} for row, result in found if result is not None]
 
 
-def _drive_course(
+def _drive_rows(
     course: tuple[WorldSettings, list[Entry]], report: Callable[[float], None], *, out: Path, asked: CourseDrive
 ) -> str:
     """Drive a course with several planners, one after the other."""
