@@ -9,7 +9,7 @@ import pytest
 
 from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.errors import OffpisteError, RunError
-from offpiste.experiments.closed_loop.courses import CourseSettings, lay_course, surprise_along
+from offpiste.experiments.closed_loop.courses import CourseSettings, lay_course, surprise_along, traction_along
 from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
 from offpiste.experiments.closed_loop.planner import Planner, load_planner
 from offpiste.logs.drive import read_drive
@@ -75,6 +75,25 @@ def test_the_surprise_by_hand():
     allowed = [np.sqrt(mu * 9.81 * 30) for mu in (0.8, friction.mean())]
     assert surprise_along(half, arc - (5, 0), 100.0) == pytest.approx(allowed[0] - allowed[1], rel=0.02)
     assert surprise_along(half, arc - (5, 0), 10.0) == 0, "nothing is lost where both allow the wanted speed"
+
+
+def test_the_traction_by_hand():
+    world = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
+    given = dict.fromkeys(GROUND_PROPERTIES, 0.0) | {"friction": 0.5, "rolling_resistance": 0.1, "sinkage_drag": 0.05}
+    properties = np.broadcast_to([given[name] for name in GROUND_PROPERTIES], world.properties.shape).astype(np.float32)
+    columns = np.arange(world.elevation.shape[1]) * world.resolution
+    hill = replace(world, properties=properties, elevation=np.broadcast_to(0.2 * columns, world.elevation.shape))
+    east = np.stack((np.arange(-20.0, 21.0), np.full(41, 3.0)), axis=-1)
+    assert traction_along(hill, east) == pytest.approx(0.35 - 0.2, abs=1e-5)
+    assert traction_along(hill, east[::-1]) == pytest.approx(0.35 + 0.2, abs=1e-5)
+    assert traction_along(hill, east[:, ::-1]) == pytest.approx(0.35, abs=1e-5)
+
+
+def test_no_course_where_nobody_could_drive_off_again(driven):
+    laid, world = driven[0].laid, driven[0].world
+    assert traction_along(world, laid.course.path).min() >= ASKED.course.traction
+    with pytest.raises(OffpisteError, match="no course can be laid"):
+        lay_course(world, 3, replace(ASKED.course, traction=1.0))
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ class CourseSettings:
         clearance: from the nearest trunk [m].
         steepest: slope along or across (rise over run).
         radius: of the sharpest bend [m].
+        traction: that is left everywhere (`traction_along`); on less, who once stands does not drive off again.
         candidates: stretches that are compared; the one with the greatest `surprise` is taken.
     """
 
@@ -43,7 +44,8 @@ class CourseSettings:
     clearance: float = 1.7
     steepest: float = 0.3
     radius: float = 5.0
-    candidates: int = 24
+    traction: float = 0.02
+    candidates: int = 100
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,18 @@ def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -
     return float(np.abs(allowed - expected).mean())
 
 
+def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """What friction leaves to drive off with, over the weight: less rolling, spinning in soft ground, and the climb."""
+    under = {
+        name: read_grid(world.properties[..., column], world.origin, world.resolution, path)
+        for column, name in enumerate(GROUND_PROPERTIES)
+    }
+    height = read_grid(world.elevation, world.origin, world.resolution, path)
+    climb = np.gradient(height) / np.linalg.norm(np.gradient(path, axis=0), axis=1)
+    left = under["friction"] - under["rolling_resistance"] - under["sinkage_drag"] - climb
+    return gaussian_filter1d(left, SMOOTH / STEP, mode="nearest")
+
+
 def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
     """From each piece of a path to the next [rad]."""
     way = np.diff(path, axis=0)
@@ -121,4 +135,6 @@ def _drivable(world: World, country: Country, path: Float[np.ndarray, "P 2"], se
             return False
     if max(country.steepest(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
         return False
-    return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)
+    if np.abs(_turn(path)).max() / STEP >= 1 / settings.radius:
+        return False
+    return bool(traction_along(world, path).min() >= settings.traction)
