@@ -8,7 +8,7 @@ from typing import Any
 
 from offpiste.dynamics.kernels.jit import entry
 
-SOURCES = ("fused_kernel.py", "fused_survey.py", "limits.py", "terms.py")
+SOURCES = ("fused_kernel.py", "fused_survey.py", "limits.py", "nearest.py", "terms.py")
 """What holds compiled functions; Numba itself looks at the file of the called one only."""
 
 

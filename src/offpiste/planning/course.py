@@ -1,22 +1,21 @@
 """What the cost of driving reads at a place: hazards and speed limits of the ground, and the course, as one raster."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Int
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
+from offpiste.mapping.flatten import neighbour_offsets
 from offpiste.mapping.layers import TerrainLayers
+from offpiste.planning.nearest import along_path
 
 LAYERS: Final = ("hazard", "speed_limit", "distance", "direction_x", "direction_y", "target_speed")
 """Cost of a wheel [1/s]; [m/s]; to the path [m]; along it, a unit vector; along it [m/s]."""
-
-BLOCK: Final = 4
-"""Cells to a side, far from the course, that share their nearest point of it."""
 
 
 @dataclass(frozen=True)
@@ -96,22 +95,20 @@ class CostMap:
 
 def cost_map(ground: TerrainLayers, course: Course, hazards: Hazards) -> CostMap:
     """The raster of a map and a course, on the map's grid."""
-    layers = np.concatenate((hazard_layers(ground, hazards), course_layers(ground, course)), axis=-1)
+    layers = np.concatenate((hazard_layers(ground, hazards), course_layers(ground, course)), -1, dtype=np.float32)
     return CostMap(
         torch.as_tensor(ground.origin, dtype=torch.float64),
         ground.resolution,
-        torch.from_numpy(layers.astype(np.float32)),
+        torch.from_numpy(layers),
         hazards.unknown,
     )
 
 
 def hazard_layers(ground: TerrainLayers, hazards: Hazards) -> Float[np.ndarray, "ny nx 2"]:
     """Hazard [1/s] and speed limit [m/s] of cells."""
-    tall = np.nan_to_num(ground.obstacle_height) > hazards.height
-    near = np.zeros_like(tall)
-    if tall.any():
-        near = distance_transform_edt(~tall, sampling=ground.resolution) <= hazards.margin
-    steep = hazards.steep * np.maximum(np.nan_to_num(ground.slope) - hazards.steepest, 0)
+    # Comparisons and `fmax` pass over what is not a number.
+    near = _widened(ground.obstacle_height > hazards.height, hazards.margin / ground.resolution)
+    steep = hazards.steep * np.fmax(ground.slope - hazards.steepest, 0)
     hazard = np.where(near, hazards.obstacle, 0) + steep + np.where(ground.known, 0, hazards.unknown)
     limit = speed_limit(ground.roughness, hazards.bump, hazards.bump_length)
     return np.stack((hazard, limit), axis=-1)
@@ -127,35 +124,26 @@ def speed_limit(roughness: Float[np.ndarray, "*P"], acceleration: float, wavelen
         acceleration: [m/s^2].
         wavelength: [m].
     """
-    amplitude = np.sqrt(2) * np.nan_to_num(roughness)
+    amplitude = math.sqrt(2) * np.fmax(roughness, 0)
     with np.errstate(divide="ignore"):
-        return wavelength / (2 * np.pi) * np.sqrt(acceleration / amplitude)
+        return wavelength / (2 * math.pi) * np.sqrt(acceleration / amplitude)
 
 
-def course_layers(ground: TerrainLayers, course: Course) -> Float[np.ndarray, "ny nx 4"]:
+def _widened(cells: Bool[np.ndarray, "ny nx"], radius: float) -> Bool[np.ndarray, "ny nx"]:
+    """Cells whose centres lie within a radius of one of those given [cells]."""
+    offsets = neighbour_offsets(radius)
+    disc = np.zeros(2 * offsets.max(axis=0) + 1, np.uint8)
+    disc[tuple((offsets + offsets.max(axis=0)).T)] = 1
+    return cv2.dilate(cells.astype(np.uint8), disc).astype(bool)
+
+
+def course_layers(ground: TerrainLayers, course: Course) -> Float32[np.ndarray, "ny nx 4"]:
     """Distance to the path, its direction and its speed where it is nearest to each cell (to a quarter of a cell)."""
-    cells = ground.centres
     dense = densified(course, spacing=ground.resolution / 2)
-    nearest = _nearest(dense.path, cells, ground.resolution)
-    distance = np.linalg.norm(cells - dense.path[nearest], axis=-1)
     step = np.gradient(dense.path, axis=0)
     direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
-    return np.concatenate((distance[..., None], direction[nearest], dense.speed[nearest][..., None]), axis=-1)
-
-
-def _nearest(
-    path: Float[np.ndarray, "P 2"], cells: Float[np.ndarray, "ny nx 2"], resolution: float
-) -> Int[np.ndarray, "ny nx"]:
-    """Which point of a path is nearest to each cell: from the middle of blocks, and near the path exactly."""
-    tree, (ny, nx, _) = cKDTree(path), cells.shape
-    half = (BLOCK - 1) / 2 * resolution
-    away, found = tree.query(cells[::BLOCK, ::BLOCK] + half)
-    nearest, far = (np.repeat(np.repeat(a, BLOCK, 0), BLOCK, 1)[:ny, :nx] for a in (found, away))
-    # At 6 blocks, a point half a diagonal beside the nearest is 0.17 cells further; where another bend is as near, less
-    # than a diagonal.
-    near = far < 6 * BLOCK * resolution
-    nearest[near] = tree.query(cells[near])[1]
-    return nearest
+    values = np.concatenate((direction, dense.speed[:, None]), axis=-1, dtype=np.float32)
+    return along_path(dense.path, values, ground.centres[0, :, 0], ground.centres[:, 0, 1])
 
 
 def densified(course: Course, spacing: float) -> Course:
