@@ -16,6 +16,7 @@ from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.hybrid import Hybrid
 from offpiste.dynamics.kernels.function import supports
+from offpiste.dynamics.kernels.threads import only_kernels_spread
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.mapping.replay import ReplaySettings
@@ -166,7 +167,8 @@ class Runtime:
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
             if judgement.mode != "stopping" or judgement.why in ("no plan", "empty map"):
-                self._plan(now, judgement)
+                with only_kernels_spread():
+                    self._plan(now, judgement)
                 judgement = self._judge(now)
         controls = self._follow(now, judgement)
         self._track.commanded(now, controls.command)
