@@ -14,10 +14,10 @@ from factories import COMMANDED, VEHICLE, coded, unsettled
 from offpiste.conventions import ACTUATORS
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.encoder import Compressor, Identity
-from offpiste.mapping.lookup import as_codes
+from offpiste.mapping.lookup import MapTerrain, as_codes
 from offpiste.planning.costs import Weights, driving_terms
 from offpiste.planning.course import Hazards
-from offpiste.planning.fused import coded_map, encode_map, fused_costs, fused_rollout
+from offpiste.planning.fused import coded_map, encode_map, fused_carry, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
 from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_carry
@@ -125,6 +125,20 @@ def test_backwards_most_samples_agree(kind):
     difference = (fused[1] - eager[1]).abs().amax(dim=(1, 2))
     assert difference.median() < 1e-4
     assert (difference < 1e-3).float().mean() > 0.9
+
+
+@pytest.mark.parametrize("kind", ["parametric", "dc", "hold"])
+@pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
+def test_what_is_carried_after_controls_equals_eager_steps(kind, vehicle):
+    at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model(kind, vehicle)
+    controls = commands(1)[0]
+    encoder, carry = getattr(dynamics, "encoder", None), start(dynamics, at)
+    found = fused_carry(dynamics, carry, controls[:8], at, encode_map(at.ground, encoder))
+    source = MapTerrain(at.ground, torch.zeros(1, dtype=torch.long), at.offset[None], at.wheels, encoder)
+    for t, control in enumerate(controls[:8]):
+        carry = dynamics.step(carry, control[None], source.at(t, carry.state))
+    for part in ("state", "actuators", "hidden", "cell"):
+        torch.testing.assert_close(getattr(found, part), getattr(carry, part), atol=1e-4, rtol=1e-4, equal_nan=True)
 
 
 def test_a_model_that_holds_is_another_than_one_that_looks_ahead():

@@ -6,6 +6,7 @@ written.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -116,9 +117,35 @@ def fused_rollout(
     return _bind(dynamics, carry, situation, weights, codes)(controls, states), states
 
 
+def fused_carry(
+    dynamics: Parametric | Hybrid,
+    carry: Carry,
+    controls: Float[Tensor, "T 3"],
+    situation: Situation,
+    codes: Codes,
+) -> Carry:
+    """What the model carries after controls; every step reads the ground where it is, also of models that hold codes.
+
+    Args:
+        controls: one step's at least.
+    """
+    packed = carry.pack()
+    after = torch.empty(1, len(controls), packed.shape[1])
+    _bind(dynamics, carry, situation, Weights(), codes, holds=False)(controls[None], after)
+    found = Carry.unpack(after[:, -1])
+    recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
+    return replace(found, actuators=found.actuators.where(recorded, carry.actuators))
+
+
 @torch.no_grad()
 def _bind(
-    dynamics: Parametric | Hybrid, carry: Carry, situation: Situation, weights: Weights, codes: Codes
+    dynamics: Parametric | Hybrid,
+    carry: Carry,
+    situation: Situation,
+    weights: Weights,
+    codes: Codes,
+    *,
+    holds: bool = True,
 ) -> Callable[[Tensor, Tensor], Tensor]:
     _check(dynamics, carry, codes)
     vehicle = dynamics.vehicle
@@ -133,7 +160,7 @@ def _bind(
         _ground(situation, codes),
         _raster(situation),
         _prices(weights),
-        isinstance(dynamics, Hybrid) and dynamics.holds,
+        holds and isinstance(dynamics, Hybrid) and dynamics.holds,
     )
     start = carry.pack()[0].contiguous().numpy()
 

@@ -135,7 +135,7 @@ def roll_out(
         ground, raster, prices: see there.
         holds: the codes of the start stay.
         costs: to fill [K].
-        states: to fill [K, T, 6], or empty.
+        states: to fill with the first numbers of the carry after each step [K, T, 6 ... P], or empty.
     """
     samples, steps, _ = controls.shape
     w = np.zeros((CODES + 4 * ground.codes.shape[1]) * LANES, f4)
@@ -160,7 +160,7 @@ def roll_out(
             price(w, before, after, sight.seen, prices, total)
             if len(states) > 0:
                 for i in range(min(LANES, samples - block * LANES)):
-                    for k in range(STATES):
+                    for k in range(states.shape[2]):
                         states[block * LANES + i, t, k] = after[k * LANES + i]
         for i in range(min(LANES, samples - block * LANES)):
             costs[block * LANES + i] = total[i]

@@ -5,7 +5,7 @@ messages give the same controls, however long they take to compute. A plan made 
 it starts from the state that the model predicts through the controls committed until then.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from offpiste.planning import mppi
 from offpiste.planning.area import Area, KnownGround, coded_area, cropped
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.course import Course, Hazards, cost_map
-from offpiste.planning.fused import fused_costs, fused_rollout
+from offpiste.planning.fused import fused_carry, fused_costs, fused_rollout
 from offpiste.planning.guide import Guide
 from offpiste.planning.modes import Ages, Controls, Event, Judgement, Patience, judge
 from offpiste.planning.one_foot import PEDAL_AND_WHEEL, controls_of, feet_of, with_one_foot
@@ -223,15 +223,18 @@ class Runtime:
             return
         with self.watch.of("encode map"):
             area = coded_area(near, self._encoder, self._ground)
-        with self.watch.of("start"):
-            offset = torch.from_numpy(state[:2].copy())
-            committed = self._committed(latest.time, now + settings.latency, rows)
-            carry = self._start(area, offset, rows, committed)
         with self.watch.of("cost map"):
             stretch = self.guide.stretch(at_most=settings.slow if judgement.slow else np.inf)
             costs = cost_map(near, stretch, settings.hazards)
-        last = torch.as_tensor(committed[-1] if len(committed) else rows.control[-2], dtype=torch.float32)
-        at = Situation(area.stack, costs, self._wheels, offset, carry.state[0], last)
+        with self.watch.of("start"):
+            offset = torch.from_numpy(state[:2].copy())
+            given = self._committed(latest.time, now + settings.latency, rows)
+            committed = torch.as_tensor(given, dtype=torch.float32)
+            last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
+            carry = self._start(area, offset, rows)
+            at = Situation(area.stack, costs, self._wheels, offset, carry.state[0], last)
+            carry = self._after(carry, committed, area, at)
+            at = replace(at, state=carry.state[0])
         with self.watch.of("plan"):
             self._improve(now, area, carry, at)
 
@@ -280,10 +283,8 @@ class Runtime:
             states[:, :2] += at.offset.numpy()
         self.predictions.append(Prediction(start, states))
 
-    def _start(
-        self, area: Area, offset: Float[Tensor, " 2"], rows: TrackRows, committed: Float[np.ndarray, "L 3"]
-    ) -> Carry:
-        """The state when a plan begins to act, in the frame at `offset`, and what the model remembers of the past."""
+    def _start(self, area: Area, offset: Float[Tensor, " 2"], rows: TrackRows) -> Carry:
+        """The latest state, in the frame at `offset`, and what the model remembers of the past."""
         shift = np.concatenate((offset.numpy(), np.zeros(4)))
         state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
         actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
@@ -292,8 +293,14 @@ class Runtime:
         under = area.terrain(offset, self._wheels, past).at(0, state[:past])
         terrain = Terrain(under.normal[None], under.latent[None])
         history = History(state[None, :past], actuators[None, :past], control[None, :past], terrain)
-        carry = self._dynamics.start(history, state[past:], actuators[past:])
-        source, step = area.terrain(offset, self._wheels, 1), self._dynamics.stepper()
-        for t, given in enumerate(torch.as_tensor(committed, dtype=torch.float32)):
+        return self._dynamics.start(history, state[past:], actuators[past:])
+
+    def _after(self, carry: Carry, controls: Float[Tensor, "L 3"], area: Area, at: Situation) -> Carry:
+        """The state when a plan begins to act, after what is committed until then."""
+        model = self._dynamics
+        if len(controls) and supports(model, carry.state.device, carry.state.dtype):
+            return fused_carry(model, carry, controls, at, area.codes)
+        source, step = area.terrain(at.offset, self._wheels, 1), model.stepper()
+        for t, given in enumerate(controls):
             carry = step(carry, given[None], source.at(t, carry.state))
         return carry
