@@ -59,3 +59,15 @@ def test_beyond_its_end_a_course_goes_straight_on():
     # But it is driven at its own end.
     guide.move(np.array((50.0, 45.0)))
     assert guide.progress == guide.length == pytest.approx(80.0)
+
+
+def test_beyond_its_end_a_course_goes_on_along_its_path():
+    path = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 30.0]])
+    course = Course(path, np.full(3, 5.0), end=40.0)
+    guide = Guide(course, Reach(back=5.0, ahead=20.0))
+    for x in range(0, 51, 10):
+        guide.move(np.array((float(x), 0.0)))
+    assert guide.progress == guide.length == pytest.approx(40.0)
+    assert guide.stretch().path[-1] == pytest.approx((50.0, 10.0), abs=0.3), "round the corner, not straight on"
+    np.testing.assert_array_equal(course.driven, path[:1])
+    np.testing.assert_array_equal(Course(path, np.full(3, 5.0)).driven, path)

@@ -50,10 +50,18 @@ class Course:
     Attributes:
         path: x, y of points along it [m].
         speed: wanted at each of them [m/s].
+        end: so far along the path the course is driven [m]; what lies beyond tells plans how it goes on.
     """
 
     path: Float[np.ndarray, "P 2"]
     speed: Float[np.ndarray, " P"]
+    end: float = math.inf
+
+    @property
+    def driven(self) -> Float[np.ndarray, "_ 2"]:
+        """The path without what lies beyond the end."""
+        step = np.linalg.norm(np.diff(self.path, axis=0), axis=-1)
+        return self.path[np.concatenate(([0.0], np.cumsum(step))) <= self.end]
 
 
 @dataclass(frozen=True)
@@ -151,7 +159,7 @@ def densified(course: Course, spacing: float) -> Course:
     length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(course.path, axis=0), axis=-1))))
     at = np.linspace(0, length[-1], max(int(np.ceil(length[-1] / spacing)) + 1, 2))
     x, y = (np.interp(at, length, column) for column in course.path.T)
-    return Course(np.stack((x, y), axis=-1), np.interp(at, length, course.speed))
+    return Course(np.stack((x, y), axis=-1), np.interp(at, length, course.speed), course.end)
 
 
 def toward(

@@ -33,14 +33,15 @@ class Guide:
 
     def __init__(self, course: Course, reach: Reach | None = None) -> None:
         dense, self._reach = densified(course, SPACING), reach or Reach()
-        self._course, self._end = _prolonged(dense, self._reach.ahead), len(dense.path) - 1
+        self._course = _prolonged(dense, self._reach.ahead)
         step = np.linalg.norm(np.diff(self._course.path, axis=0), axis=1)
         self._arc = np.concatenate(([0.0], np.cumsum(step)))
+        self._end = min(int(np.searchsorted(self._arc, course.end)), len(dense.path) - 1)
         self._next = 0
 
     @property
     def length(self) -> float:
-        """Of the whole course [m]."""
+        """Of the course, to its end [m]."""
         return float(self._arc[self._end])
 
     @property
@@ -62,7 +63,7 @@ class Guide:
         return float(away[nearest])
 
     def stretch(self, *, at_most: float = np.inf) -> Course:
-        """What lies a little behind and ahead; beyond its end the course goes straight on.
+        """What lies a little behind and ahead; beyond the last point of its path the course goes straight on.
 
         If it ended there, plans would lead no further: the vehicle would creep up to the end, and not get there.
 

@@ -60,7 +60,9 @@ def test_a_course_is_on_a_trail_and_the_same_for_a_seed(driven):
     away = np.linalg.norm(laid.course.path[:, None] - trails[None], axis=-1).min(axis=1)
     assert away.max() < 0.5
     assert np.linalg.norm(np.diff(laid.course.path, axis=0), axis=1) == pytest.approx(1.0, abs=0.05)
-    assert laid.surprise == pytest.approx(surprise_along(world, laid.course.path, ASKED.course.speed))
+    assert laid.surprise == pytest.approx(surprise_along(world, laid.course.driven, ASKED.course.speed))
+    assert laid.course.end == pytest.approx(driven[0].result["course_m"], abs=0.5)
+    assert len(laid.course.driven) < len(laid.course.path) - 50, "what lies beyond the end is known"
 
 
 def test_the_surprise_by_hand():
@@ -91,7 +93,7 @@ def test_the_traction_by_hand():
 
 def test_no_course_where_nobody_could_drive_off_again(driven):
     laid, world = driven[0].laid, driven[0].world
-    assert traction_along(world, laid.course.path).min() >= ASKED.course.traction
+    assert traction_along(world, laid.course.driven).min() >= ASKED.course.traction
     with pytest.raises(OffpisteError, match="no course can be laid"):
         lay_course(world, 3, replace(ASKED.course, traction=1.0))
 

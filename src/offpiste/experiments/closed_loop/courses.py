@@ -22,7 +22,10 @@ SMOOTH = 1.5
 """Deviation that friction and bends are smoothed with: a vehicle's length [m]."""
 
 APART = 20.0
-"""A course ends at least so far before it would meet its beginning [m]."""
+"""A path ends at least so far before it would meet its beginning [m]."""
+
+RUN_OUT = 60.0
+"""The path goes on so far beyond the end of a course: straight on there may be a tree, and plans would brake [m]."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class CourseSettings:
 
     Attributes:
         speed: wanted all along [m/s]: the sharpest bends allow it only on the ground that holds best.
-        length: [m].
+        length: at most [m].
         clearance: from the nearest trunk [m].
         steepest: slope along or across (rise over run).
         radius: of the sharpest bend [m].
@@ -70,12 +73,13 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
     settings, country = settings or CourseSettings(), Country.of(world)
     found: list[Laid] = []
     for number in range(settings.candidates):
-        path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length)
-        if _drivable(world, country, path, settings):
+        path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
+        course = Course(path, np.full(len(path), settings.speed), (len(path) - 1) * STEP - RUN_OUT)
+        holds = traction_along(world, course.driven).min() >= settings.traction
+        if holds and _drivable(world, country, path, settings):
             heading = np.arctan2(*(path[2] - path[0])[::-1])
             start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
-            surprise = surprise_along(world, path, settings.speed)
-            found.append(Laid(Course(path, np.full(len(path), settings.speed)), start, surprise))
+            found.append(Laid(course, start, surprise_along(world, course.driven, settings.speed)))
     if not found:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
         raise OffpisteError("no course can be laid along its trails", where=place, how="take another seed")
@@ -135,6 +139,4 @@ def _drivable(world: World, country: Country, path: Float[np.ndarray, "P 2"], se
             return False
     if max(country.steepest(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
         return False
-    if np.abs(_turn(path)).max() / STEP >= 1 / settings.radius:
-        return False
-    return bool(traction_along(world, path).min() >= settings.traction)
+    return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)

@@ -25,8 +25,8 @@ def course_picture(
     figure = Figure(figsize=(9, 8), dpi=130, layout="constrained")
     axes = figure.subplots()
     draw_top_view(world, axes)
-    axes.plot(*course.path.T, color="black", linewidth=3.0, alpha=0.55)
-    axes.plot(*course.path.T, color="white", linewidth=1.2, label="course")
+    axes.plot(*course.driven.T, color="black", linewidth=3.0, alpha=0.55)
+    axes.plot(*course.driven.T, color="white", linewidth=1.2, label="course")
     for number, prediction in enumerate(predictions[::every]):
         label = "plans, 5 s" if not number else None
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
@@ -44,7 +44,7 @@ def course_picture(
     axes.plot(
         *trace.place[0], marker="o", color="white", markeredgecolor="black", linestyle="", zorder=5, label="start"
     )
-    shown = np.concatenate((course.path, trace.place))
+    shown = np.concatenate((course.driven, trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.legend(loc="upper left", fontsize=8)

@@ -60,7 +60,7 @@ def _write(driven: Driven, path: Path) -> None:
     _add_ground(stream, rr, driven)
     stream.log(
         "world/course",
-        rr.LineStrips3D([_lifted(driven, driven.laid.course.path)], radii=0.06, colors=[255, 255, 255]),
+        rr.LineStrips3D([_lifted(driven, driven.laid.course.driven)], radii=0.06, colors=[255, 255, 255]),
         static=True,
     )
     for prediction in driven.runtime.predictions:
