@@ -10,12 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.hybrid import Hybrid
-from offpiste.dynamics.kernels.function import supports
 from offpiste.dynamics.kernels.threads import only_kernels_spread
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
@@ -24,16 +22,15 @@ from offpiste.planning import mppi
 from offpiste.planning.area import Area, KnownGround, coded_area, cropped
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.course import Course, Hazards, cost_map
-from offpiste.planning.fused import fused_carry, fused_costs, fused_rollout
 from offpiste.planning.guide import Guide
 from offpiste.planning.modes import Ages, Controls, Event, Judgement, Patience, judge
 from offpiste.planning.one_foot import PEDAL_AND_WHEEL, controls_of, feet_of, with_one_foot
-from offpiste.planning.rollouts import driving_costs
+from offpiste.planning.prediction import Prediction, carry_after, carry_of, costs_from, predicted
 from offpiste.planning.schedule import Schedule, TimedPlan
 from offpiste.planning.seeing import Seeing, Sight
 from offpiste.planning.stopwatch import Stopwatch
 from offpiste.planning.vehicle_track import TrackRows, VehicleReading, VehicleTrack
-from offpiste.trajectory import Carry, History, Terrain
+from offpiste.trajectory import Carry
 
 
 @dataclass(frozen=True)
@@ -79,19 +76,6 @@ class RuntimeSettings:
     standstill: float = 0.3
     arrived: float = 2.0
     margin: float = 8.0
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Where a plan would lead.
-
-    Attributes:
-        time: of its start [s].
-        state: after each step, in the world frame; empty where no kernel predicts it.
-    """
-
-    time: float
-    state: Float[np.ndarray, "T 6"]
 
 
 class Runtime:
@@ -231,9 +215,9 @@ class Runtime:
             given = self._committed(latest.time, now + settings.latency, rows)
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
-            carry = self._start(area, offset, rows)
+            carry = carry_of(self._dynamics, rows, area, self._wheels, offset)
             at = Situation(area.stack, costs, self._wheels, offset, carry.state[0], last)
-            carry = self._after(carry, committed, area, at)
+            carry = carry_after(self._dynamics, carry, committed, area, at)
             at = replace(at, state=carry.state[0])
         with self.watch.of("plan"):
             self._improve(now, area, carry, at)
@@ -251,15 +235,12 @@ class Runtime:
         return committed
 
     def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
+        """A new plan, and where it leads; with no good one the last stays."""
         settings, model = self._settings, self._dynamics
-        fused = supports(model, carry.state.device, carry.state.dtype)
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
         before = self._schedule.continued(start, HORIZON_STEPS, rest)
-        if fused:
-            cost_of = fused_costs(model, carry, at, settings.weights, area.codes)  # type: ignore[arg-type]
-        else:
-            cost_of = driving_costs(model, carry, at, settings.weights, area.encode)
+        cost_of = costs_from(model, carry, area, at, settings.weights)
         try:
             plan = mppi.improve(
                 feet_of(before),
@@ -276,31 +257,5 @@ class Runtime:
             return
         controls = controls_of(plan.controls)
         self._schedule.add(TimedPlan(start, now, controls))
-        states = np.zeros((0, 6))
-        if fused:
-            predicted = fused_rollout(model, carry, controls[None], at, settings.weights, area.codes)[1][0]  # type: ignore[arg-type]
-            states = predicted.double().numpy()
-            states[:, :2] += at.offset.numpy()
+        states = predicted(model, carry, controls, area, at, settings.weights)
         self.predictions.append(Prediction(start, states))
-
-    def _start(self, area: Area, offset: Float[Tensor, " 2"], rows: TrackRows) -> Carry:
-        """The latest state, in the frame at `offset`, and what the model remembers of the past."""
-        shift = np.concatenate((offset.numpy(), np.zeros(4)))
-        state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
-        actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
-        control = torch.as_tensor(rows.control, dtype=torch.float32)
-        past = len(state) - 1
-        under = area.terrain(offset, self._wheels, past).at(0, state[:past])
-        terrain = Terrain(under.normal[None], under.latent[None])
-        history = History(state[None, :past], actuators[None, :past], control[None, :past], terrain)
-        return self._dynamics.start(history, state[past:], actuators[past:])
-
-    def _after(self, carry: Carry, controls: Float[Tensor, "L 3"], area: Area, at: Situation) -> Carry:
-        """The state when a plan begins to act, after what is committed until then."""
-        model = self._dynamics
-        if len(controls) and supports(model, carry.state.device, carry.state.dtype):
-            return fused_carry(model, carry, controls, at, area.codes)
-        source, step = area.terrain(at.offset, self._wheels, 1), model.stepper()
-        for t, given in enumerate(controls):
-            carry = step(carry, given[None], source.at(t, carry.state))
-        return carry

@@ -11,7 +11,7 @@ from offpiste.experiments.closed_loop.lockstep import Driving, time_of
 from offpiste.planning.costs import Weights
 from offpiste.planning.course import Course
 from offpiste.planning.guide import Guide
-from offpiste.planning.runtime import Prediction
+from offpiste.planning.prediction import Prediction
 
 FINISH = 3.0
 """So far before its end the course counts as driven [m]."""

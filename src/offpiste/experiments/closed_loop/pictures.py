@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from offpiste.experiments.closed_loop.judged import Trace
 from offpiste.planning.course import Course
-from offpiste.planning.runtime import Prediction
+from offpiste.planning.prediction import Prediction
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world import World
 
