@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Int
 
 from offpiste.mapping.columns import drop_overhangs, read_columns, see_columns
-from offpiste.mapping.compiled import spread
 from offpiste.mapping.fill import fill_gaps, smooth_residuals, write_layers
 from offpiste.mapping.layers import TerrainLayers, empty_layers
 from offpiste.mapping.planes import fit_planes
 from offpiste.mapping.scratch import Layers, make_scratch, make_surface
 from offpiste.mapping.settings import FlattenSettings
 from offpiste.mapping.voxels import VoxelMap
+from offpiste.threads import spread
 
 
 def flatten(voxel_map: VoxelMap, settings: FlattenSettings | None = None) -> TerrainLayers:

@@ -7,7 +7,6 @@ when moving away from a location" (paper, "Mapping of Visual Features").
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.mapping.compiled import spread
 from offpiste.mapping.settings import RULES, VoxelSettings
 from offpiste.mapping.voxel_kernels import (
     EVER,
@@ -20,6 +19,7 @@ from offpiste.mapping.voxel_kernels import (
     forget_left_behind,
     insert_points,
 )
+from offpiste.threads import spread
 
 
 class VoxelMap:

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.mapping.compiled import map_loop, spread
+from offpiste.mapping.compiled import map_loop
 from offpiste.mapping.lookup import Found, MapStack
+from offpiste.threads import spread
 
 
 def look_up_wheels(

@@ -9,12 +9,13 @@ never hides itself, however steeply it is seen. The idea is that of Pintus et al
 unstructured raw point clouds using screen-space operators", VAST 2011.
 """
 
-import inspect
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from numba import njit
+
+from offpiste.compiled import entry
 
 SECTORS: Final = 8
 FREE: Final = 2
@@ -86,5 +87,4 @@ def _surrounded_loop(  # type: ignore[no-untyped-def]
     return hidden
 
 
-# Tests wrap every function of offpiste to check its types; Numba needs what is inside.
-_surrounded = njit(cache=True, nogil=True, error_model="numpy")(inspect.unwrap(_surrounded_loop))
+_surrounded = entry(_surrounded_loop, [Path(__file__)])

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.simulation.surface import compiled, height, read_grid
+from offpiste.simulation.compiled import scalar
+from offpiste.simulation.surface import height, read_grid
 from offpiste.simulation.world import World
 
 ARC_STEP = 0.6
@@ -119,7 +120,7 @@ def survey(
     return Prospect(out[:2].T, *out[2:])
 
 
-@compiled
+@scalar
 def _survey(elevation, x0, y0, resolution, trees, curvatures, x, y, yaw, length, wheelbase, track, nose, margin, out):  # type: ignore[no-untyped-def]
     high_x = x0 + (elevation.shape[1] - 1) * resolution - margin
     high_y = y0 + (elevation.shape[0] - 1) * resolution - margin

@@ -6,7 +6,8 @@ Touching is a soft penalty: nothing here is meant to be a crash test, only to ke
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.simulation.surface import compiled, height
+from offpiste.simulation.compiled import scalar
+from offpiste.simulation.surface import height
 from offpiste.simulation.vectors import add, cross, dot, turned
 from offpiste.simulation.world import World
 
@@ -45,7 +46,7 @@ def surroundings(
     return around
 
 
-@compiled
+@scalar
 def chassis_forces(q, around, body, qpos, qvel, elevation, x0, y0, resolution, touched, body_forces):  # type: ignore[no-untyped-def]
     """Add the forces on the chassis to row 1 of `body_forces`; arguments as of `forces.substep`."""
     velocity = (qvel[0], qvel[1], qvel[2])
@@ -72,7 +73,7 @@ def chassis_forces(q, around, body, qpos, qvel, elevation, x0, y0, resolution, t
         _touch_tree(q, around, com, body, qpos, qvel, touched, body_forces)
 
 
-@compiled
+@scalar
 def _push(force, point, com, body, body_forces):  # type: ignore[no-untyped-def]
     # A world-frame force at a body-frame point; MuJoCo wants its torque about the centre of mass.
     torque = cross(turned(add(point, com, -1.0), body[0], body[1], body[2]), force)
@@ -81,13 +82,13 @@ def _push(force, point, com, body, body_forces):  # type: ignore[no-untyped-def]
         body_forces[1, 3 + k] += torque[k]
 
 
-@compiled
+@scalar
 def _moving(point, body, qvel):  # type: ignore[no-untyped-def]
     turn = turned(cross((qvel[3], qvel[4], qvel[5]), point), body[0], body[1], body[2])
     return add((qvel[0], qvel[1], qvel[2]), turn, 1.0)
 
 
-@compiled
+@scalar
 def _touch_ground(point, com, body, qpos, qvel, elevation, x0, y0, resolution, body_forces):  # type: ignore[no-untyped-def]
     place = add((qpos[0], qpos[1], qpos[2]), turned(point, body[0], body[1], body[2]), 1.0)
     depth = height(elevation, x0, y0, resolution, place[0], place[1]) - place[2]
@@ -101,7 +102,7 @@ def _touch_ground(point, com, body, qpos, qvel, elevation, x0, y0, resolution, b
     return True
 
 
-@compiled
+@scalar
 def _touch_tree(q, around, com, body, qpos, qvel, touched, body_forces):  # type: ignore[no-untyped-def]
     # Circle against the body's footprint in the plane, pushed at bumper height.
     forward = body[0]

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from offpiste.simulation.surface import compiled, height
+from offpiste.simulation.compiled import scalar
+from offpiste.simulation.surface import height
 from offpiste.simulation.vectors import add, cross, dot, unit
 
 
-@compiled
+@scalar
 def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ignore[no-untyped-def]
     """The plane that a tyre feels: five heights under it, averaged as the tyre envelops unevenness.
 
@@ -32,7 +33,7 @@ def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ig
     return (2.0 * middle + front + back + left + right) / 6.0, normal
 
 
-@compiled
+@scalar
 def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
     """Compression of the tyre along its plane [m], negative in the air, and the point of contact, world frame.
 
@@ -49,7 +50,7 @@ def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
     return radius - reach, add(centre, radial, -reach)
 
 
-@compiled
+@scalar
 def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
     """Load of a tyre: spring, damper and rim, never pulling [N].
 
@@ -63,14 +64,14 @@ def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
     return max(p.tyre_stiffness * compression + p.tyre_damping * closing + rim, 0.0)
 
 
-@compiled
+@scalar
 def contact_axes(normal, axle):  # type: ignore[no-untyped-def]
     """Forward and left of a tyre in the contact plane, world frame."""
     forward = unit(cross(axle, normal))
     return forward, cross(normal, forward)
 
 
-@compiled
+@scalar
 def suspension_force(travel, rate, other, spring, damper, anti_roll, load, p):  # type: ignore[no-untyped-def]
     """Force of spring, damper, anti-roll bar and stops that pushes a wheel down and the chassis up [N].
 

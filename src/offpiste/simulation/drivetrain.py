@@ -8,13 +8,13 @@ and brakes are passive in it, so that a stiff one only slows things down, never 
 
 import numpy as np
 
-from offpiste.simulation.surface import compiled
+from offpiste.simulation.compiled import scalar
 
 COULOMB_SPEED = 1e-4
 """Below this wheel speed [rad/s] a brake holds like stiff oil instead of like dry friction."""
 
 
-@compiled
+@scalar
 def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
     """Torque of the engine with limiter and idle governor [N m].
 
@@ -30,7 +30,7 @@ def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
     return open_share * full - (1.0 - open_share) * drag + idle
 
 
-@compiled
+@scalar
 def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyped-def]
     """The belt's ratio one step later: it follows, with a lag, the ratio that holds the engine at its wanted speed.
 
@@ -43,7 +43,7 @@ def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyp
     return ratio + (wanted - ratio) * dt / (p.shift_time + dt)
 
 
-@compiled
+@scalar
 def clutch_rate(engine_speed, slip, p):  # type: ignore[no-untyped-def]
     """Torque over slip of the centrifugal clutch, so that its capacity is not exceeded [N m s/rad].
 
@@ -56,7 +56,7 @@ def clutch_rate(engine_speed, slip, p):  # type: ignore[no-untyped-def]
     return min(p.clutch_rate, capacity / max(abs(slip), 1e-6))
 
 
-@compiled
+@scalar
 def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: ignore[no-untyped-def]
     """Engine and wheels one step later.
 
@@ -88,7 +88,7 @@ def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: i
     speeds[0] = max(speeds[0], 0.0)
 
 
-@compiled
+@scalar
 def _couple(matrix, rate, engine, front_left, front_right, rear_left, rear_right):  # type: ignore[no-untyped-def]
     # A coupling whose slip is u . speeds and whose torques are -rate (u . speeds) u adds rate u u^T.
     u = (engine, front_left, front_right, rear_left, rear_right)
@@ -97,7 +97,7 @@ def _couple(matrix, rate, engine, front_left, front_right, rear_left, rear_right
             matrix[i, j] += rate * u[i] * u[j]
 
 
-@compiled
+@scalar
 def _solve(matrix, solution):  # type: ignore[no-untyped-def]
     # Gauss without pivoting: the matrix is symmetric and positive definite.
     for k in range(5):
@@ -112,13 +112,13 @@ def _solve(matrix, solution):  # type: ignore[no-untyped-def]
         solution[k] = value / matrix[k, k]
 
 
-@compiled
+@scalar
 def braked_pressure(pressure, command, dt, p):  # type: ignore[no-untyped-def]
     """Brake pressure one step later, a first-order lag behind the (delayed) command [0..1]."""
     return pressure + (command - pressure) * dt / (p.brake_time + dt)
 
 
-@compiled
+@scalar
 def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
     """Steering angle [rad] and its rate [rad/s] one step later: second order, both limited.
 
@@ -134,7 +134,7 @@ def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
     return moved, rate
 
 
-@compiled
+@scalar
 def wheel_angles(angle, p):  # type: ignore[no-untyped-def]
     """Angles of the front-left and front-right wheel after Ackermann, for the angle of one wheel between them [rad]."""
     curvature = np.tan(angle) / p.wheelbase

@@ -10,9 +10,10 @@ import numpy as np
 
 from offpiste.conventions import GRAVITY
 from offpiste.simulation.chassis import chassis_forces
+from offpiste.simulation.compiled import scalar
 from offpiste.simulation.contact import contact_axes, ground_under, normal_load, suspension_force, touch
 from offpiste.simulation.drivetrain import braked_pressure, shifted_ratio, spin, steered, wheel_angles
-from offpiste.simulation.surface import compiled, properties_at
+from offpiste.simulation.surface import properties_at
 from offpiste.simulation.tyre import brush_force, limit_deflection, limit_force, relax, standstill_fade
 from offpiste.simulation.vectors import add, axes, cross, dot, turned
 
@@ -26,7 +27,7 @@ MIN_SLIP_SPEED = 0.5
 """Slip ratios and angles are told over at least this ground speed [m/s]; no force depends on it but sinkage drag."""
 
 
-@compiled
+@scalar
 def substep(  # type: ignore[no-untyped-def]
     q, dt, command, around, elevation, properties, x0, y0, resolution,
     qpos, qvel, actuators, speeds, deflection, truth, touched, body_forces, joint_forces, scratch,
@@ -72,14 +73,14 @@ def substep(  # type: ignore[no-untyped-def]
     chassis_forces(q, around, body, qpos, qvel, elevation, x0, y0, resolution, touched, body_forces)
 
 
-@compiled
+@scalar
 def _axle(body, angle):  # type: ignore[no-untyped-def]
     forward, left, _ = body
     c, s = np.cos(angle), np.sin(angle)
     return (c * left[0] - s * forward[0], c * left[1] - s * forward[1], c * left[2] - s * forward[2])
 
 
-@compiled
+@scalar
 def _wheel_forces(  # type: ignore[no-untyped-def]
     q, dt, i, angle, body, qpos, qvel, elevation, properties, x0, y0, resolution,
     speed, deflection, truth, body_forces,
@@ -120,7 +121,7 @@ def _wheel_forces(  # type: ignore[no-untyped-def]
     return -x * q.rolling_radius
 
 
-@compiled
+@scalar
 def _tyre(q, dt, i, along, across, speed, load, deflection, row):  # type: ignore[no-untyped-def]
     # Force of the bristles and resistance of the ground, both (forward, left) in the contact plane.
     friction, stiffness = row[3], row[4]
@@ -142,7 +143,7 @@ def _tyre(q, dt, i, along, across, speed, load, deflection, row):  # type: ignor
     return x, y, -resistance * along, -resistance * across
 
 
-@compiled
+@scalar
 def _react(q, i, angle, body, qvel, acceleration, speed, body_forces):  # type: ignore[no-untyped-def]
     # The spin's angular momentum is not MuJoCo's: its change and its turning act back on the body.
     axle = _axle(body, angle)
@@ -152,7 +153,7 @@ def _react(q, i, angle, body, qvel, acceleration, speed, body_forces):  # type: 
         body_forces[2 + i, 3 + k] -= q.wheel_inertia * (acceleration * axle[k] + speed * gyroscopic[k])
 
 
-@compiled
+@scalar
 def _suspend(q, qpos, qvel, joint_forces):  # type: ignore[no-untyped-def]
     for i in range(4):
         front = i < 2

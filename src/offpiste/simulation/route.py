@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.simulation.arcs import Country
-from offpiste.simulation.surface import compiled
+from offpiste.simulation.compiled import scalar
 from offpiste.simulation.trails import SPACING
 
 _STRETCH = (40.0, 140.0)
@@ -159,7 +159,7 @@ def _distance(points: Float[np.ndarray, "n 2"], xy: Float[np.ndarray, " 2"]) -> 
     return np.asarray(np.hypot(points[:, 0] - xy[0], points[:, 1] - xy[1]))
 
 
-@compiled
+@scalar
 def _bend_speed(points, lateral, braking):  # type: ignore[no-untyped-def]
     lowest, distance = np.inf, 0.0
     for i in range(1, len(points) - 1):

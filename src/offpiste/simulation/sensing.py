@@ -13,7 +13,7 @@ from offpiste.simulation.lidar import Lidar
 from offpiste.simulation.pose import Motion, Pose
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.scene import world_scene
+from offpiste.simulation.scene import Scene, world_scene
 from offpiste.simulation.sensor_messages import camera_info_message, image_message, points_message
 from offpiste.simulation.sensors import SensorSuite
 from offpiste.simulation.world import World
@@ -25,11 +25,14 @@ class Sensing:
     Args:
         suite: the sensors; their rates must divide 50 Hz.
         rng: of noise, and of the light of the day.
+        scene: of the world, where it is built already.
     """
 
-    def __init__(self, world: World, suite: SensorSuite, rng: np.random.Generator) -> None:
-        self._scene = world_scene(world)
-        self._look = make_appearance(world, self._scene, int(rng.integers(2**31)))
+    def __init__(
+        self, world: World, suite: SensorSuite, rng: np.random.Generator, *, scene: Scene | None = None
+    ) -> None:
+        self._scene, day = scene or world_scene(world), int(rng.integers(2**31))
+        self._look = make_appearance(world, self._scene, day) if suite.cameras else None
         self._cameras = [Camera(settings) for settings in suite.cameras]
         self._lidars = [Lidar(settings) for settings in suite.lidars]
         self._rng = rng
@@ -50,6 +53,7 @@ class Sensing:
 
     def _picture(self, camera: Camera, sample: VehicleSample, recorder: Recorder) -> Iterator[tuple[str, Any]]:
         s = camera.settings
+        assert self._look is not None
         image = render(self._scene, self._look, camera, Pose(sample.position, sample.orientation), self._rng)
         stamp = recorder.sensor_stamp_ns(sample.time)
         yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)

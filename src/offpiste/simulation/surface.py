@@ -1,29 +1,16 @@
 """The world's grids read at one place: what lies under a wheel, thousands of times a second.
 
 Plain scalars in and out, compiled; a place beyond the border reads the border. `read_grid` is the same reading for many
-places at once, the plain reference in tests and the way for everything that is not in a hurry. Machine code that
-*calls* these functions is not rebuilt by Numba when this file changes: delete `__pycache__` then.
+places at once, the plain reference in tests and the way for everything that is not in a hurry.
 """
 
-import inspect
-from collections.abc import Callable
-from typing import Any
-
-import numba
 import numpy as np
 from jaxtyping import Float, Shaped
 
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Machine code of a scalar function, kept on disk where that is possible."""
-    function = inspect.unwrap(function)  # tests wrap functions to check their types; Numba needs what is inside
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
-    except RuntimeError:  # no folder to keep it in
-        return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+from offpiste.simulation.compiled import scalar
 
 
-@compiled
+@scalar
 def _cell(distance, resolution, nodes):  # type: ignore[no-untyped-def]
     # Index and fraction are both clamped; written so that NaN reads the border too instead of crashing.
     position = distance / resolution
@@ -35,7 +22,7 @@ def _cell(distance, resolution, nodes):  # type: ignore[no-untyped-def]
     return index, position - index
 
 
-@compiled
+@scalar
 def height(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
     """Elevation at (x, y), bilinear [m].
 
@@ -51,7 +38,7 @@ def height(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
     return near * (1.0 - v) + far * v
 
 
-@compiled
+@scalar
 def normal(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
     """Unit normal (nx, ny, nz), pointing up, of the bilinear surface at (x, y), in the world frame.
 
@@ -67,7 +54,7 @@ def normal(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
     return -slope_x * scale, -slope_y * scale, scale
 
 
-@compiled
+@scalar
 def properties_at(properties, x0, y0, resolution, x, y, out):  # type: ignore[no-untyped-def]
     """Properties of the ground at (x, y), bilinear.
 
@@ -83,7 +70,7 @@ def properties_at(properties, x0, y0, resolution, x, y, out):  # type: ignore[no
         out[p] = near * (1.0 - v) + far * v
 
 
-@compiled
+@scalar
 def main_kind(kinds, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
     """Index of the kind with the largest share at the node nearest to (x, y); the first of equals.
 

@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
+from offpiste.simulation.compiled import scalar
 from offpiste.simulation.noise import smooth_noise, smooth_step
 from offpiste.simulation.presets import Preset
-from offpiste.simulation.surface import compiled
 from offpiste.simulation.trails import HALF_WIDTH, resample
 
 STEEPEST = np.radians(39.0)
@@ -75,7 +75,7 @@ def _banks(
     return np.float32(height) * present * (smooth_step(from_line, -half, half) - np.float32(0.5))
 
 
-@compiled
+@scalar
 def _slump(elevation, rise):  # type: ignore[no-untyped-def]
     """Lower what stands more than `rise` above a neighbour, in place, until nothing does (a chamfer sweep)."""
     ny, nx = elevation.shape

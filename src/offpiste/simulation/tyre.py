@@ -7,10 +7,10 @@ sliding, as they do on soft ground; a tyre on asphalt would fall off again.
 
 import numpy as np
 
-from offpiste.simulation.surface import compiled
+from offpiste.simulation.compiled import scalar
 
 
-@compiled
+@scalar
 def brush_force(slip_x, slip_y, stiffness_x, stiffness_y, friction, load):  # type: ignore[no-untyped-def]
     """Force on the tyre in the contact plane (eqs. 3.36, 3.37): opposes slip, at most friction * load.
 
@@ -34,7 +34,7 @@ def brush_force(slip_x, slip_y, stiffness_x, stiffness_y, friction, load):  # ty
     return -scale * x, -scale * y
 
 
-@compiled
+@scalar
 def limit_deflection(slip_x, slip_y, stiffness_x, stiffness_y, friction):  # type: ignore[no-untyped-def]
     """Slip shrunk to where the whole patch slides: bristles that slide store no more deflection."""
     x, y = stiffness_x * slip_x, stiffness_y * slip_y
@@ -44,7 +44,7 @@ def limit_deflection(slip_x, slip_y, stiffness_x, stiffness_y, friction):  # typ
     return slip_x / excess, slip_y / excess
 
 
-@compiled
+@scalar
 def relax(deflection, sliding, rolling, length, dt):  # type: ignore[no-untyped-def]
     """Deflection of the bristles one step later, implicit in its decay (eq. 7.9): stable at any speed.
 
@@ -60,7 +60,7 @@ def relax(deflection, sliding, rolling, length, dt):  # type: ignore[no-untyped-
     return (deflection + sliding * dt) / (1.0 + abs(rolling) * dt / length)
 
 
-@compiled
+@scalar
 def standstill_fade(speed, fade_speed):  # type: ignore[no-untyped-def]
     """1 at standstill, 0 from `fade_speed` on: damping of a stopped tyre (ch. 8.6)."""
     if abs(speed) >= fade_speed:
@@ -68,7 +68,7 @@ def standstill_fade(speed, fade_speed):  # type: ignore[no-untyped-def]
     return 0.5 * (1.0 + np.cos(np.pi * speed / fade_speed))
 
 
-@compiled
+@scalar
 def limit_force(x, y, limit):  # type: ignore[no-untyped-def]
     """A force shortened to `limit` [N]."""
     size = np.sqrt(x * x + y * y)

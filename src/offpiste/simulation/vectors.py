@@ -2,35 +2,35 @@
 
 import numpy as np
 
-from offpiste.simulation.surface import compiled
+from offpiste.simulation.compiled import scalar
 
 
-@compiled
+@scalar
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@scalar
 def cross(a, b):  # type: ignore[no-untyped-def]
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@scalar
 def add(a, b, scale):  # type: ignore[no-untyped-def]
     """The vector a + scale b."""
     return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
 
 
-@compiled
+@scalar
 def unit(a):  # type: ignore[no-untyped-def]
     """The vector at length 1."""
     scale = 1.0 / np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + 1e-300)
     return a[0] * scale, a[1] * scale, a[2] * scale
 
 
-@compiled
+@scalar
 def axes(w, x, y, z):  # type: ignore[no-untyped-def]
     """Forward, left and up of a body with the quaternion (w, x, y, z), MuJoCo's order, in the world frame."""
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)
@@ -39,7 +39,7 @@ def axes(w, x, y, z):  # type: ignore[no-untyped-def]
     return forward, left, up
 
 
-@compiled
+@scalar
 def turned(v, forward, left, up):  # type: ignore[no-untyped-def]
     """A body-frame vector in the world frame."""
     return (

@@ -24,7 +24,7 @@ def driven(monkeypatch):
     """Drives that only say what they were asked for; `driven.bad` holds worlds without a course."""
     done = SimpleNamespace(drives=[], bad=set())
 
-    def drive_course(planner, asked, folder, *, world):
+    def drive_course(planner, asked, folder, *, world, scene):
         if asked.world.seed in done.bad:
             raise OffpisteError("no course can be laid")
         assert not folder.exists(), "what an interrupted drive left"

@@ -5,57 +5,43 @@ numbers are finite: a diverged rollout must say so. Loops neither make nor keep 
 to them (`_nrt`); nor can they, then, assign slices, which may need a copy: `matrix.copy` does.
 """
 
-import hashlib
-import inspect
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numba
+from offpiste import compiled
+from offpiste.compiled import Function
 
-Function = Callable[..., Any]
+_called = partial(compiled.called, fastmath={"contract"})
 
 
 def inlined(function: Function) -> Function:
     """A scalar function that becomes part of the loop that calls it."""
-    return _compile(function, forceinline=True, _nrt=False)
+    return _called(function, forceinline=True, _nrt=False)
 
 
 def lane_loop(function: Function) -> Function:
     """A function that does the same to every lane."""
-    return _compile(function, _nrt=False)
+    return _called(function, _nrt=False)
 
 
 def lane_sum(function: Function) -> Function:
     """A function that adds up lanes, in any order."""
-    return _compile(function, fastmath={"contract", "reassoc"}, _nrt=False)
+    return _called(function, fastmath={"contract", "reassoc"}, _nrt=False)
 
 
 def maker(function: Function) -> Function:
     """A function that makes arrays."""
-    return _compile(function)
+    return _called(function)
 
 
-def entry(function: Function) -> Function:
-    """A function that Python calls; it releases the GIL, and its machine code is kept on disk where that is possible.
+def entry(function: Function, *callees: Path) -> Function:
+    """A function that Python calls (`compiled.entry`).
 
-    Numba looks only at the file of the function itself to see whether what it kept is still valid, hence a digest of
-    the sources of all kernels in the name.
+    Args:
+        callees: files, beside those of this folder, of what it may call.
     """
-    function = inspect.unwrap(function)
-    function.__qualname__ += f"_{_sources()}"
-    try:
-        return _compile(function, nogil=True, cache=True)
-    except RuntimeError:  # no folder to keep it in
-        return _compile(function, nogil=True)
+    return compiled.entry(function, (*_sources(), *callees), fastmath={"contract"})
 
 
-def _compile(function: Function, **options: Any) -> Function:
-    options = {"fastmath": {"contract"}, "error_model": "numpy", **options}
-    # Tests wrap every function of offpiste to check its types; Numba needs what is inside.
-    return numba.njit(**options)(inspect.unwrap(function))  # type: ignore[no-any-return]
-
-
-def _sources() -> str:
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+def _sources() -> list[Path]:
+    return sorted(Path(__file__).parent.glob("*.py"))

@@ -24,6 +24,7 @@ from offpiste.planning.seeing import Sight
 from offpiste.rig import Rig, load_rig
 from offpiste.simulation.build import make_world
 from offpiste.simulation.parameters import load_vehicle
+from offpiste.simulation.scene import Scene
 from offpiste.simulation.sensors import SensorSuite, sensor_suite
 from offpiste.simulation.surface import read_grid
 from offpiste.simulation.world import World, WorldSettings
@@ -73,12 +74,13 @@ def drive_course(
     out: Path,
     *,
     world: World | None = None,
+    scene: Scene | None = None,
     tell: Callable[[object], None] = lambda said: None,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
 
     Args:
-        world: of `asked.world`, where it is made already.
+        world, scene: of `asked.world`, where they are made already.
 
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
@@ -101,7 +103,7 @@ def drive_course(
     out.mkdir(parents=True, exist_ok=True)
     driving = drive_planned(
         runtime, world, parameters, laid.start, suite, rig, out / "drive.mcap",
-        seconds=asked.seconds, seed=asked.world.seed, fault=fault,
+        seconds=asked.seconds, seed=asked.world.seed, fault=fault, scene=scene,
     )  # fmt: skip
     trace = trace_of(driving, laid.course)
     result = _result(planner, asked, laid, runtime, driving, trace)

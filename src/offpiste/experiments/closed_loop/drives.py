@@ -15,6 +15,7 @@ from offpiste.experiments.closed_loop.drive_course import CourseDrive, described
 from offpiste.experiments.closed_loop.planner import Planner
 from offpiste.parallel import run_all
 from offpiste.simulation.build import make_world
+from offpiste.simulation.scene import Scene, world_scene
 from offpiste.simulation.world import World, WorldSettings
 
 DEVELOPMENT, TEST = 1, 101
@@ -83,17 +84,18 @@ def _drive_rows(
     """Drive a course with several planners, one after the other."""
     (place, rows), said = course, []
     world = make_world(place)
+    scene = world_scene(world)
     for number, row in enumerate(rows):
         drive = replace(asked, world=place, runtime=replace(asked.runtime, latency=row.latency))
-        said.append(_driven(row, drive, _folder(row, place, out), world))
+        said.append(_driven(row, drive, _folder(row, place, out), world, scene))
         report((number + 1) / len(rows))
     return "\n".join(said)
 
 
-def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World) -> str:
+def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World, scene: Scene) -> str:
     shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
     with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        result = drive_course(row.planner, drive, folder, world=world).result
+        result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
     return f"{row.name}: {described(result)}"
 
 

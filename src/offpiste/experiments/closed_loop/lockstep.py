@@ -28,6 +28,7 @@ from offpiste.simulation.parameters import VehicleParameters
 from offpiste.simulation.pose import Pose
 from offpiste.simulation.recorder import START_NS, Recorder, events_message, stamp_ns
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.scene import Scene
 from offpiste.simulation.sensing import Sensing
 from offpiste.simulation.sensors import SensorSuite
 from offpiste.simulation.world import World
@@ -97,15 +98,17 @@ def drive_planned(
     seconds: float,
     seed: int,
     fault: Fault | None = None,
+    scene: Scene | None = None,
 ) -> Driving:
     """Let the run time drive, and write every message, its changes of mode among them, into a log.
 
     Args:
         fault: what the run time is made to suffer; the log has what the sensors sent.
         seed: of noise and light.
+        scene: of the world, where it is built already.
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
-    sensing, lidars = Sensing(world, suite, light), lidars_of(suite, rig)
+    sensing, lidars = Sensing(world, suite, light, scene=scene), lidars_of(suite, rig)
     commander, told, samples = PlannerCommander(runtime, own), 0, list[VehicleSample]()
     fault = fault or Fault()
     with McapWriter(out) as writer:
