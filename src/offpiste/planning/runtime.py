@@ -23,6 +23,7 @@ from offpiste.planning.area import Area, KnownGround, coded_area, cropped
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.course import Course, Hazards, cost_map
 from offpiste.planning.guide import Guide
+from offpiste.planning.launch import Launch, LaunchSettings
 from offpiste.planning.modes import Ages, Controls, Event, Judgement, Patience, judge
 from offpiste.planning.one_foot import PEDAL_AND_WHEEL, controls_of, feet_of, with_one_foot
 from offpiste.planning.prediction import Prediction, carry_after, carry_of, costs_from, predicted
@@ -44,6 +45,7 @@ class RuntimeSettings:
         weights, hazards: of the planner.
         replay: of images and scans, as the dataset was extracted with.
         patience: with late inputs.
+        launch: where the plan's throttle does not move the vehicle.
         slow: speed while scans are late [m/s].
         stop: brake of a controlled stop [0..1].
         forget: plans that ended their latency so long ago are not gone on from [s].
@@ -70,6 +72,7 @@ class RuntimeSettings:
     hazards: Hazards = field(default_factory=Hazards)
     replay: ReplaySettings = field(default_factory=ReplaySettings)
     patience: Patience = field(default_factory=Patience)
+    launch: LaunchSettings = field(default_factory=LaunchSettings)
     slow: float = 3.0
     stop: float = 0.5
     forget: float = 1.0
@@ -108,6 +111,7 @@ class Runtime:
         self.watch = Stopwatch()
         self.guide = Guide(course)
         self._track, self._schedule = VehicleTrack(), Schedule()
+        self._launch = Launch(self._settings.launch)
         encoder = None if ground is not None else self._encoder
         self._seeing = Seeing(sight, encoder, self._track, self._settings.replay, self.watch)
         self._plan_due, self._map_empty, self._stopping = -np.inf, False, False
@@ -179,6 +183,7 @@ class Runtime:
         if not bad and not (self._stopping and not stands):
             self._stopping = False
             assert planned is not None
+            planned[0] = self._launch.throttle(float(planned[0]), self._speed)
             return Controls(now, planned, judgement.mode, judgement.why)
         self._stopping = True
         # The wheels stay as they were planned: straight ahead may lead off the course.
@@ -187,9 +192,13 @@ class Runtime:
         why = judgement.why if bad or not self.events else self.events[-1].why
         return Controls(now, command, "stopped" if stands else "stopping", why)
 
-    def _stands(self) -> bool:
+    @property
+    def _speed(self) -> float:
         latest = self._track.latest
-        return latest is not None and float(np.hypot(*latest.velocity[:2])) < self._settings.standstill
+        return np.inf if latest is None else float(np.hypot(*latest.velocity[:2]))
+
+    def _stands(self) -> bool:
+        return self._speed < self._settings.standstill
 
     def _plan(self, now: float, judgement: Judgement) -> None:
         """Plan from the map as it is; a plan that fails leaves the last one."""
