@@ -224,11 +224,12 @@ def test_bounds_and_rates_hold_after_smoothing_too():
 
 def test_shares_of_samples():
     settings = Settings(FREE, (1.0,), samples=1000, noise=gaussian, wide=0.3, width=10.0, fresh=0.2, rest=(5.0,))
+    settings = replace(settings, fresh_width=4.0)
     plan = nothing(50) - 2
     samples = sample(plan, settings, generator())[..., 0]
     assert torch.equal(samples[0], plan[:, 0])
     assert torch.equal(samples[1], torch.full((50,), 5.0).double())
-    for part, mean, deviation in ((samples[2:201], 5, 1), (samples[201:501], -2, 10), (samples[501:], -2, 1)):
+    for part, mean, deviation in ((samples[2:201], 5, 4), (samples[201:501], -2, 10), (samples[501:], -2, 1)):
         assert part.mean().item() == pytest.approx(mean, abs=0.3)
         assert part.std().item() == pytest.approx(deviation, rel=0.05)
 

@@ -33,7 +33,7 @@ class Hazards:
         bump_length: wavelength of the bumps that roughness is made of [m].
     """
 
-    obstacle: float = 1000.0
+    obstacle: float = 200.0
     height: float = 0.25
     margin: float = 0.8
     unknown: float = 5.0

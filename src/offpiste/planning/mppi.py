@@ -37,6 +37,7 @@ class Settings:
         noise: unit noise (`noise`).
         wide, width: share of samples whose noise is `width` times as large.
         fresh: share of samples around `rest` instead of the plan; the first of them is `rest` without noise.
+        fresh_width: their noise is so many times as large: a way out of where the plan has led may be far from rest, too.
         rest: the controls when nothing is done; zeros if None.
         control_cost: gamma, weight of sum_t u_t Sigma^-1 (v_t - u_t); `temperature` for the likelihood ratio of white
             noise about zero (Williams et al., eq. 18), 0 for costs alone.
@@ -53,6 +54,7 @@ class Settings:
     wide: float = 0.1
     width: float = 3.0
     fresh: float = 0.05
+    fresh_width: float = 1.0
     rest: tuple[float, ...] | None = None
     control_cost: float = 0.0
     smoothing: int = 0
@@ -116,6 +118,7 @@ def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Genera
     rest = torch.zeros_like(deviation) if settings.rest is None else controls.new_tensor(settings.rest)
     samples = settings.noise((count, *controls.shape), generator, controls.dtype) * deviation
     samples[: 1 + min(fresh, 1)] = 0
+    samples[2 : 1 + fresh] *= settings.fresh_width
     samples[1 + fresh : 1 + fresh + wide] *= settings.width
     samples[0] += controls
     samples[1 : 1 + fresh] += rest

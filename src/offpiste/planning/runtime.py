@@ -65,6 +65,7 @@ class RuntimeSettings:
             iterations=2,
             wide=0.3,
             fresh=0.1,
+            fresh_width=5.0,
             rest=(0.4, 0.0),
         )
     )
