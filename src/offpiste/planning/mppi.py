@@ -37,7 +37,7 @@ class Settings:
         noise: unit noise (`noise`).
         wide, width: share of samples whose noise is `width` times as large.
         fresh: share of samples around `rest` instead of the plan; the first of them is `rest` without noise.
-        fresh_width: their noise is so many times as large: a way out of where the plan has led may be far from rest, too.
+        fresh_width: the noise of the others is so many times as large: ways out may be far from rest, too.
         rest: the controls when nothing is done; zeros if None.
         control_cost: gamma, weight of sum_t u_t Sigma^-1 (v_t - u_t); `temperature` for the likelihood ratio of white
             noise about zero (Williams et al., eq. 18), 0 for costs alone.

@@ -29,7 +29,7 @@ class ClosedLoop:
     """What runs with visual features were trained with."""
     courses: int = 20
     test: bool = False
-    """Courses of the test seeds (from 101) instead of those for development (from 1)."""
+    """Courses of the test seeds (from 201) instead of those for development (from 1)."""
     out: Path = Path("closed-loop")
     seconds: float = 40.0
     speed: float = 7.0

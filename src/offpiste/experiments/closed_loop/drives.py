@@ -18,7 +18,7 @@ from offpiste.simulation.build import make_world
 from offpiste.simulation.scene import Scene, world_scene
 from offpiste.simulation.world import World, WorldSettings
 
-DEVELOPMENT, TEST = 1, 101
+DEVELOPMENT, TEST = 1, 201
 """First seeds of the courses: everything is chosen on the first, and judged on the second."""
 
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
