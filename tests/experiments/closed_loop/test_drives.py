@@ -9,9 +9,11 @@ import pytest
 from offpiste.errors import OffpisteError, RunError
 from offpiste.experiments.closed_loop import drives
 from offpiste.experiments.closed_loop.courses import CourseSettings
-from offpiste.experiments.closed_loop.drive_course import CourseDrive
+from offpiste.experiments.closed_loop.drive_course import CourseDrive, settings_of
 from offpiste.experiments.closed_loop.drives import Entry, drive_all, entries, places
 from offpiste.experiments.closed_loop.planner import Planner
+from offpiste.planning.course import Hazards
+from offpiste.planning.runtime import RuntimeSettings
 from offpiste.simulation.build import make_world
 from offpiste.simulation.world import WorldSettings
 from planning.stream import parametric
@@ -30,7 +32,7 @@ def driven(monkeypatch):
         assert not folder.exists(), "what an interrupted drive left"
         folder.mkdir(parents=True)
         done.drives.append((planner.name, asked.world.preset, asked.world.seed, asked.runtime.latency))
-        result = {"run": str(planner.folder), "target_mps": asked.course.speed, "limit_s": asked.seconds}
+        result = settings_of(planner, asked)
         (folder / "result.json").write_text(json.dumps(result))
         return SimpleNamespace(result=result)
 
@@ -61,15 +63,17 @@ def test_a_course_that_cannot_be_laid_stops_no_other(driven, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "other",
+    ("other", "what"),
     [
-        {"rows": [Entry(Planner("b", Path("/runs/another"), parametric()))]},
-        {"asked": CourseDrive(course=CourseSettings(speed=3.0))},
-        {"asked": CourseDrive(seconds=10.0)},
+        ({"rows": [Entry(Planner("b", Path("/runs/another"), parametric()))]}, "run"),
+        ({"asked": CourseDrive(course=CourseSettings(speed=3.0))}, "course"),
+        ({"asked": CourseDrive(course=CourseSettings(traction=0.1))}, "course"),
+        ({"asked": CourseDrive(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
+        ({"asked": CourseDrive(seconds=10.0)}, "limit_s"),
     ],
 )
-def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other):
+def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
     given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path, "asked": CourseDrive()}
     drive_all(**given)
-    with pytest.raises(RunError, match="another run or course"):
+    with pytest.raises(RunError, match=f"another {what}"):
         drive_all(**given | other)

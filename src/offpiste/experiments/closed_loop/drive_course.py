@@ -170,12 +170,9 @@ def _result(
         "world": asked.world.preset,
         "seed": asked.world.seed,
         "planner": planner.name,
-        "run": str(planner.folder.resolve()),
         "latency_s": asked.runtime.latency,
         "target_mps": asked.course.speed,
-        "limit_s": asked.seconds,
         "surprise_mps": laid.surprise,
-        "fault": asked.fault,
         **summary(driving, trace, runtime.guide.length, asked.seconds, asked.runtime.weights),
         "plan_error_5s_m": {
             "mean": float(errors.mean()) if len(errors) else None,
@@ -186,13 +183,19 @@ def _result(
         "dropped": runtime.dropped,
         "failed_plans": len(runtime.failures),
         "stages": runtime.watch.summary(),
-        "runtime": _plain(asked.runtime),
-        "course": asdict(asked.course),
+        **settings_of(planner, asked),
     }
 
 
-def _plain(settings: RuntimeSettings) -> dict[str, Any]:
-    """What JSON can hold of them: all but the noise, which is a function."""
-    given = asdict(settings)
-    given["sampling"].pop("noise")
+def settings_of(planner: Planner, asked: CourseDrive) -> dict[str, Any]:
+    """What tells a drive from others on the same course, as a result holds it: all but the noise, a function."""
+    runtime = asdict(asked.runtime)
+    runtime["sampling"].pop("noise")
+    given = {
+        "run": str(planner.folder.resolve()),
+        "limit_s": asked.seconds,
+        "fault": asked.fault,
+        "runtime": runtime,
+        "course": asdict(asked.course),
+    }
     return dict(json.loads(json.dumps(given, default=str)))

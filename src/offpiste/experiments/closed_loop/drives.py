@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from offpiste.errors import RunError
-from offpiste.experiments.closed_loop.drive_course import CourseDrive, described, drive_course
+from offpiste.experiments.closed_loop.drive_course import CourseDrive, described, drive_course, settings_of
 from offpiste.experiments.closed_loop.planner import Planner
 from offpiste.parallel import run_all
 from offpiste.simulation.build import make_world
@@ -110,7 +110,8 @@ def _found(row: Entry, place: WorldSettings, out: Path, asked: CourseDrive) -> d
     if not path.exists():
         return None
     result: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    wanted = (str(row.planner.folder.resolve()), asked.course.speed, asked.seconds)
-    if (result["run"], result["target_mps"], result["limit_s"]) != wanted:
-        raise RunError("a drive of another run or course", where=folder, how="give another --out")
+    drive = replace(asked, runtime=replace(asked.runtime, latency=row.latency))
+    wanted = settings_of(row.planner, drive)
+    if other := [name for name, value in wanted.items() if result.get(name) != value]:
+        raise RunError(f"a drive with another {other[0]}", where=folder, how="give another --out")
     return result
