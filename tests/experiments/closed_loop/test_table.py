@@ -38,14 +38,22 @@ def result(row, seed, time, finished=True):
     }
 
 
+def test_costs_are_compared_course_by_course_in_percent():
+    rows = [result("b-100ms", seed, 10.0 ** (seed + 1)) for seed in range(3)]
+    rows += [result("dc-100ms", seed, 0.5 * 10.0 ** (seed + 1)) for seed in range(3)]
+    text = table(rows, limit=40.0)
+    assert "| b-100ms | 1000 |" in text, "the geometric mean of 100, 1000 and 10,000"
+    assert "| dc-100ms − b-100ms | -50 % [-50, -50] |" in text
+
+
 def test_the_table_counts_what_did_not_finish_with_the_limit():
     rows = [result("b-100ms", seed, 30.0) for seed in range(4)]
     rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
     rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 300.00 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
-    assert "| dc-100ms | 200.00 | 25.00 |" in text  # (40 + 3 * 20) / 4
+    assert "| b-100ms | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
+    assert "| dc-100ms | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
     lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
     assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
-    assert "-100.00 [" in lines[0]
+    assert "| -33 % [-33, -33] |" in lines[0]
     assert "-5.00 [" in lines[0]

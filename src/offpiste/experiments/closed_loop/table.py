@@ -19,6 +19,9 @@ MEASURES: Final = {
     "mean_speed_error_mps": "mean speed error [m/s]",
     "plan_error_5s_m": "plan's error after 5 s [m]",
 }
+RELATIVE: Final = ("driven_cost",)
+"""Spread over orders of magnitude, so their logarithms are averaged: geometric means, and differences in percent."""
+
 COUNTED: Final = {
     "finished": "finished",
     "rollover": "rolled over",
@@ -68,20 +71,21 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
     }
     lines = [
         f"{len(courses)} courses, means; a drive that does not finish counts with {limit:g} s, and standing until then."
-        " Driven cost: what planners minimise, of what was driven (squared errors of path and speed, over time).",
+        " Driven cost: what planners minimise, of what was driven (squared errors of path and speed, over time); geometric"
+        " means, so that each course counts alike.",
         "",
     ]
     lines += [_line(["planner", *MEASURES.values(), *COUNTED.values()]), _rule(1 + len(MEASURES) + len(COUNTED))]
     for row in rows:
         mine = [r for r in results if r["row"] == row]
-        cells = [_mean(values[row, key]) for key in MEASURES]
+        cells = [_mean(values[row, key], key) for key in MEASURES]
         lines.append(_line([row, *cells, *(f"{sum(bool(r[key]) for r in mine)}" for key in COUNTED)]))
     lines += ["", "Paired differences on the same courses, with 95 % intervals bootstrapped over courses.", ""]
     lines += [_line(["difference", *MEASURES.values()]), _rule(1 + len(MEASURES))]
     for row in rows:
         for other in (o for o in rows if o != row and _compared(row, o)):
-            found = [paired(values[row, k], values[other, k], np.random.default_rng(0)) for k in MEASURES]
-            lines.append(_line([f"{row} − {other}", *(_interval(d) for d in found)]))
+            found = {k: paired(values[row, k], values[other, k], np.random.default_rng(0)) for k in MEASURES}
+            lines.append(_line([f"{row} − {other}", *(_interval(d, k) for k, d in found.items())]))
     return "\n".join(lines) + "\n"
 
 
@@ -110,15 +114,25 @@ def _value(result: dict[str, Any] | None, key: str, limit: float) -> float:
     if key == "time_s" and not result["finished"]:
         return limit
     value = result[key]["mean"] if key == "plan_error_5s_m" else result[key]
-    return np.nan if value is None else float(value)
+    if value is None:
+        return np.nan
+    return float(np.log(value)) if key in RELATIVE else float(value)
 
 
-def _mean(values: Float[np.ndarray, " n"]) -> str:
-    return f"{np.nanmean(values):.2f}" if np.isfinite(values).any() else "–"
+def _mean(values: Float[np.ndarray, " n"], key: str) -> str:
+    if not np.isfinite(values).any():
+        return "–"
+    mean = np.nanmean(values)
+    return f"{np.exp(mean):.0f}" if key in RELATIVE else f"{mean:.2f}"
 
 
-def _interval(d: Difference | None) -> str:
-    return "–" if d is None else f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
+def _interval(d: Difference | None, key: str) -> str:
+    if d is None:
+        return "–"
+    if key in RELATIVE:
+        mean, low, high = (100 * np.expm1(value) for value in (d.mean, d.low, d.high))
+        return f"{mean:+.0f} % [{low:+.0f}, {high:+.0f}]"
+    return f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
 
 
 def _line(cells: Sequence[str]) -> str:
