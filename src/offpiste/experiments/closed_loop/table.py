@@ -71,8 +71,8 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
     }
     lines = [
         f"{len(courses)} courses, means; a drive that does not finish counts with {limit:g} s, and standing until then."
-        " Driven cost: what planners minimise, of what was driven (squared errors of path and speed, over time); geometric"
-        " means, so that each course counts alike.",
+        " Driven cost: what planners minimise, of what was driven (squared errors of path and speed, over time);"
+        " geometric means, so that each course counts alike.",
         "",
     ]
     lines += [_line(["planner", *MEASURES.values(), *COUNTED.values()]), _rule(1 + len(MEASURES) + len(COUNTED))]
