@@ -10,6 +10,7 @@ from offpiste.conventions import DT
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
+from offpiste.planning.launch import LaunchSettings
 from planning.stream import look, reading, scan, straight_drive
 
 
@@ -48,7 +49,7 @@ def test_the_same_messages_give_the_same_controls(driven):
 @pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
 def test_a_plan_starts_where_the_vehicle_then_is(latency):
     # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
-    stream = straight_drive(latency=latency)
+    stream = straight_drive(latency=latency, launch=LaunchSettings(rate=0.0))
     stream.run(1.5)
     checked = 0
     for prediction in stream.runtime.predictions:
@@ -62,6 +63,14 @@ def test_a_plan_starts_where_the_vehicle_then_is(latency):
     assert checked >= 6
     acting = [c.time for c in stream.controls if c.mode == "driving"]
     assert acting[0] == pytest.approx(0.1 + latency, abs=DT / 2)  # the first scan that counts comes at 0.1 s
+
+
+def test_a_standing_vehicle_gets_more_throttle_than_planned(driven):
+    planned = straight_drive(launch=LaunchSettings(rate=0.0))
+    planned.run(0.3)
+    first = next(row for row, command in enumerate(commands(planned)) if command[0] > 0.05)
+    more = commands(driven)[first, 0] - commands(planned)[first, 0]
+    assert more == pytest.approx(LaunchSettings().rate * DT)
 
 
 def test_without_scans_it_slows_down_and_stops():
