@@ -27,7 +27,6 @@ APART = 20.0
 RUN_OUT = 60.0
 """The path goes on so far beyond the end of a course: straight on there may be a tree, and plans would brake [m]."""
 
-
 LEAST = 0.7
 """Of a short path, so much is course."""
 
@@ -78,7 +77,7 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
     found: list[Laid] = []
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
-        length = (len(path) - 1) * STEP
+        length = (len(path) - 1) * STEP  # a closed trail may be shorter than what was asked for
         end = min(settings.length, max(length - RUN_OUT, LEAST * length))
         course = Course(path, np.full(len(path), settings.speed), end)
         holds = traction_along(world, course.driven).min() >= settings.traction
