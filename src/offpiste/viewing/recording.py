@@ -18,6 +18,7 @@ from offpiste.mapping.layers import TerrainLayers
 from offpiste.mapping.replay import Moment
 from offpiste.perception.pictures import colours
 from offpiste.perception.projection import View
+from offpiste.viewing.eye import eye_behind
 from offpiste.viewing.map_figure import STEEP, TALL
 from offpiste.viewing.mesh import Tile, cell_centres, grid_triangles, tiles
 
@@ -251,12 +252,18 @@ def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:
     """How a viewer arranges it: the world, and beside it images and their features. Slopes are there, but not shown."""
     import rerun.blueprint as rrb
 
-    world = rrb.Spatial3DView(origin="/world", name="world", contents=["+ /world/**", "- /world/map/slope/**"])
+    world = rrb.Spatial3DView(
+        origin="/world",
+        name="world",
+        contents=["+ /world/**", "- /world/map/slope/**"],
+        eye_controls=eye_behind("/world/vehicle", np.zeros(3)),
+        line_grid=False,
+    )
     images = [rrb.Spatial2DView(origin=f"/world/cameras/{name}", name=name) for name in cameras]
     if features:
         images += [rrb.Spatial2DView(origin=f"/features/{name}", name=f"features of {name}") for name in cameras]
     whole = rrb.Horizontal(world, rrb.Vertical(*images), column_shares=[3, 1]) if images else world
-    return rrb.Blueprint(whole, rrb.TimePanel(timeline="log"), collapse_panels=True)
+    return rrb.Blueprint(whole, rrb.TimePanel(timeline="log", state="collapsed"), collapse_panels=True)
 
 
 def _unbroken(path: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "_ 3"]]:

@@ -13,6 +13,9 @@ from offpiste.simulation.world import World
 MARGIN = 15.0
 """Around course and drive [m]."""
 
+SLIP_COLOURS, SLIP_LIMIT = "plasma", 0.4
+"""Colour map of the driven path, and the slip at its end."""
+
 
 def course_picture(
     world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, every: int = 30
@@ -32,13 +35,13 @@ def course_picture(
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
     pieces = LineCollection(
         list(np.stack((trace.place[:-1], trace.place[1:]), axis=1)),
-        cmap="plasma",
+        cmap=SLIP_COLOURS,
         linewidths=2.4,
         zorder=4,
         label="driven",
     )
     pieces.set_array((trace.slip[:-1] + trace.slip[1:]) / 2)
-    pieces.set_clim(0.0, 0.4)
+    pieces.set_clim(0.0, SLIP_LIMIT)
     axes.add_collection(pieces)
     figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
     axes.plot(
