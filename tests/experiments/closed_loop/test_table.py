@@ -57,3 +57,19 @@ def test_the_table_counts_what_did_not_finish_with_the_limit():
     assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
     assert "| -33 % [-33, -33] |" in lines[0]
     assert "-5.00 [" in lines[0]
+
+
+def test_how_they_drive_is_told_apart_from_how_often_they_stand():
+    rows = [result("b-100ms", seed, 20.0) for seed in range(4)]
+    rows += [result("dc-100ms", 0, 2000.0, finished=False), *(result("dc-100ms", seed, 10.0) for seed in (1, 2, 3))]
+    (line,) = (line for line in table(rows, limit=40.0).splitlines() if line.startswith("| dc-100ms − b"))
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    whole = 100 * ((100 * 0.5**3) ** 0.25 - 1)  # 100 times as dear once, half three times
+    assert cells[1].startswith(f"{whole:+.0f} %")
+    assert cells[-1] == "-50 % [-50, -50] (3)"
+
+
+def test_each_is_compared_with_who_knows_less_at_its_latency():
+    rows = [result(row, seed, 20.0) for row in ("b-100ms", "dc-300ms", "ceiling-300ms") for seed in range(3)]
+    lines = [line for line in table(rows, limit=40.0).splitlines() if "−" in line and line.startswith("|")]
+    assert [line.split("|")[1].strip() for line in lines] == ["ceiling-300ms − dc-300ms"]

@@ -1,7 +1,7 @@
 """What planners did on the same courses: means, counts, and paired differences with their intervals."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -29,7 +29,17 @@ COUNTED: Final = {
     "stuck": "stuck",
     "left_world": "left the world",
 }
+BOTH_FINISH: Final = "driven cost where both finish (courses)"
+ORDER: Final = ("parametric", "b", "dc", "ceiling")
+"""Each knows more than those before."""
+
 RESAMPLES: Final = 10_000
+
+Drive = dict[str, Any] | None
+"""What result.json holds, and its row; None: not driven."""
+
+Drives = Mapping[str, Sequence[Drive]]
+"""Of every row, course after course."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,7 @@ def paired(
 
 
 def table(results: Sequence[dict[str, Any]], limit: float) -> str:
-    """Markdown: every row's means and counts, and every row minus `parametric` and `b` at the same latency.
+    """Markdown: every row's means and counts, and paired differences between rows.
 
     Args:
         limit: of a drive's time: what did not finish counts with that [s].
@@ -64,29 +74,49 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
     rows = list(dict.fromkeys(r["row"] for r in results))
     courses = list(dict.fromkeys((r["world"], r["seed"]) for r in results))
     by = {(r["row"], r["world"], r["seed"]): r for r in results}
-    values = {
-        (row, key): np.array([_value(by.get((row, *course)), key, limit) for course in courses])
-        for row in rows
-        for key in MEASURES
-    }
+    drives = {row: [by.get((row, *course)) for course in courses] for row in rows}
+    return "\n".join([*_means(drives, limit), "", *_differences(drives, limit)]) + "\n"
+
+
+def _means(drives: Drives, limit: float) -> list[str]:
+    """A line for every planner."""
     lines = [
-        f"{len(courses)} courses, means; a drive that does not finish counts with {limit:g} s, and standing until then."
-        " Driven cost: what planners minimise, of what was driven (squared errors of path and speed, over time);"
-        " geometric means, so that each course counts alike.",
+        f"{len(next(iter(drives.values())))} courses, means; a drive that does not finish counts with {limit:g} s, and"
+        " standing until then. Driven cost: what planners minimise, of what was driven (squared errors of path and"
+        " speed, over time); geometric means, so that each course counts alike.",
         "",
+        _line(["planner", *MEASURES.values(), *COUNTED.values()]),
+        _rule(1 + len(MEASURES) + len(COUNTED)),
     ]
-    lines += [_line(["planner", *MEASURES.values(), *COUNTED.values()]), _rule(1 + len(MEASURES) + len(COUNTED))]
-    for row in rows:
-        mine = [r for r in results if r["row"] == row]
-        cells = [_mean(values[row, key], key) for key in MEASURES]
-        lines.append(_line([row, *cells, *(f"{sum(bool(r[key]) for r in mine)}" for key in COUNTED)]))
-    lines += ["", "Paired differences on the same courses, with 95 % intervals bootstrapped over courses.", ""]
-    lines += [_line(["difference", *MEASURES.values()]), _rule(1 + len(MEASURES))]
-    for row in rows:
-        for other in (o for o in rows if o != row and _compared(row, o)):
-            found = {k: paired(values[row, k], values[other, k], np.random.default_rng(0)) for k in MEASURES}
-            lines.append(_line([f"{row} − {other}", *(_interval(d, k) for k, d in found.items())]))
-    return "\n".join(lines) + "\n"
+    for row, driven in drives.items():
+        means = [_mean(_values(driven, key, limit), key) for key in MEASURES]
+        lines.append(_line([row, *means, *(f"{sum(bool(r and r[key]) for r in driven)}" for key in COUNTED)]))
+    return lines
+
+
+def _differences(drives: Drives, limit: float) -> list[str]:
+    """A line for every two planners that are compared."""
+    lines = [
+        "Paired differences on the same courses, with 95 % intervals bootstrapped over courses. The last column leaves"
+        " out courses that not both finish, and so tells how they drive, not how often they stand.",
+        "",
+        _line(["difference", *MEASURES.values(), BOTH_FINISH]),
+        _rule(2 + len(MEASURES)),
+    ]
+    for row in drives:
+        for other in (o for o in drives if o != row and _compared(row, o)):
+            found = {key: _paired(drives[row], drives[other], key, limit) for key in MEASURES}
+            both = [
+                pair for pair in zip(drives[row], drives[other], strict=True) if all(r and r["finished"] for r in pair)
+            ]
+            cost = _paired([pair[0] for pair in both], [pair[1] for pair in both], "driven_cost", limit)
+            cells = [_interval(d, key) for key, d in found.items()]
+            lines.append(_line([f"{row} − {other}", *cells, f"{_interval(cost, 'driven_cost')} ({len(both)})"]))
+    return lines
+
+
+def _paired(first: Sequence[Drive], second: Sequence[Drive], key: str, limit: float) -> Difference | None:
+    return paired(_values(first, key, limit), _values(second, key, limit), np.random.default_rng(0))
 
 
 def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> str:
@@ -99,16 +129,19 @@ def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> s
 
 
 def _compared(row: str, other: str) -> bool:
-    """Baselines at the same latency, and itself at 100 ms."""
+    """With those that know less at the same latency, and with itself at 100 ms."""
     (name, latency), (base, at) = row.rsplit("-", 1), other.rsplit("-", 1)
-    order = ("parametric", "b", "dc", "ceiling")
     if name == base:
         return at == "100ms" and latency != at
-    known = name in order and base in order
-    return latency == at == "100ms" and (order.index(base) < order.index(name) if known else base in ("b",))
+    known = name in ORDER and base in ORDER
+    return latency == at and (ORDER.index(base) < ORDER.index(name) if known else base == "b")
 
 
-def _value(result: dict[str, Any] | None, key: str, limit: float) -> float:
+def _values(driven: Sequence[Drive], key: str, limit: float) -> Float[np.ndarray, " n"]:
+    return np.array([_value(drive, key, limit) for drive in driven])
+
+
+def _value(result: Drive, key: str, limit: float) -> float:
     if result is None:
         return np.nan
     if key == "time_s" and not result["finished"]:
