@@ -192,8 +192,8 @@ def _raster(situation: Situation) -> Raster:
     return Raster(grid, _rows(costs.layers), np.float32(costs.outside))
 
 
-def _rows(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, "cells C"]:
-    return cells.float().flatten(0, 1).contiguous().numpy()
+def _rows(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
+    return cells.float().contiguous().numpy().reshape(-1)
 
 
 def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "ny nx _"]) -> Grid:

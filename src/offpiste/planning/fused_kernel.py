@@ -138,7 +138,7 @@ def roll_out(
         states: to fill with the first numbers of the carry after each step [K, T, 6 ... P], or empty.
     """
     samples, steps, _ = controls.shape
-    w = np.zeros((CODES + 4 * ground.codes.shape[1]) * LANES, f4)
+    w = np.zeros((CODES + 4 * len(ground.missing)) * LANES, f4)
     scratches = make_scratches(networks, f4(1))
     carries = np.zeros((2, len(start) * LANES), f4)
     commands = np.zeros((2, 3 * LANES), f4)

@@ -1,6 +1,7 @@
-"""What a block's wheels stand on: cells are found for all lanes at once, read lane by lane, and computed with at once.
+"""What a block's wheels stand on: cells are found for all lanes at once, numbers gathered from them, and computed with.
 
-Only reading is not vector code: 16 numbers a wheel at most. What reading needs is laid down in rows of lanes before.
+Without branches and with one index a lane, reading becomes the processor's gathering instructions: lanes off the map
+read cell 0, and do not use it.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,9 @@ from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
 
 HAZARD, LIMIT, DISTANCE, ALONG_X, ALONG_Y, TARGET, COS, SIN = range(8)
-"""Rows of what a block sees after a step."""
+"""Rows of what a block sees after a step; the first ones are the layers of the cost map."""
+
+LAYERS = TARGET + 1
 
 
 class Grid(NamedTuple):
@@ -32,11 +35,11 @@ class Grid(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """What the model reads, row after row of cells.
+    """What the model reads, cell after cell.
 
     Attributes:
-        slope: [ny * nx, 2], NaN where unknown.
-        codes: [ny * nx, E], the code for missing ones where there are no features.
+        slope: [ny * nx * 2], NaN where unknown.
+        codes: [ny * nx * E], the code for missing ones where there are no features.
         missing: code off the map [E].
         wheels: in the body frame [4, 2].
     """
@@ -49,7 +52,7 @@ class Ground(NamedTuple):
 
 
 class Raster(NamedTuple):
-    """What the cost reads: `course.CostMap`, [ny * nx, 6]."""
+    """What the cost reads: `course.CostMap`, [ny * nx * 6]."""
 
     grid: Grid
     layers: np.ndarray
@@ -63,6 +66,7 @@ class Sight(NamedTuple):
         seen: for the cost, rows of lanes.
         cell, square: of the ground and of the raster, nearest to each lane's wheel; -1 off the map.
         corner: of the four cells of the ground around it.
+        place: of the first number that is read.
         u, v: from the corner, in cells.
         slope: at the four cells, towards +x and +y, rows of lanes.
     """
@@ -71,6 +75,7 @@ class Sight(NamedTuple):
     cell: np.ndarray
     square: np.ndarray
     corner: np.ndarray
+    place: np.ndarray
     u: np.ndarray
     v: np.ndarray
     slope: np.ndarray
@@ -79,9 +84,9 @@ class Sight(NamedTuple):
 @maker
 def make_sight() -> Sight:
     """An empty one."""
-    cells = np.zeros((3, LANES), np.int32)
+    cells = np.zeros((4, LANES), np.int32)
     return Sight(
-        np.zeros(8 * LANES, f4), cells[0], cells[1], cells[2], np.zeros(LANES, f4), np.zeros(LANES, f4),
+        np.zeros(8 * LANES, f4), cells[0], cells[1], cells[2], cells[3], np.zeros(LANES, f4), np.zeros(LANES, f4),
         np.zeros(8 * LANES, f4),
     )  # fmt: skip
 
@@ -125,38 +130,50 @@ def find(carry: np.ndarray, sight: Sight, ground: Ground, raster: Raster, k: int
 
 
 @lane_loop
+def locate(cells: np.ndarray, size: int, place: np.ndarray) -> None:
+    """Where the numbers of cells begin that have so many each."""
+    for i in range(LANES):
+        place[i] = max(cells[i], np.int32(0)) * np.int32(size)
+
+
+@lane_loop
 def read(w: np.ndarray, sight: Sight, ground: Ground, raster: Raster, k: int, codes: bool) -> None:
     """What lies under wheel k."""
-    seen, quarter = sight.seen, f4(0.25)
-    right, up = (
-        np.uint64(min(ground.grid.columns - 1, 1)),
-        np.uint64(min(ground.grid.rows - 1, 1) * ground.grid.columns),
-    )
-    size = ground.codes.shape[1]
-    for i in range(LANES):
-        corner = np.uint64(sight.corner[i])
-        for d in range(2):
-            sight.slope[d * LANES + i] = ground.slope[corner, d]
-            sight.slope[(2 + d) * LANES + i] = ground.slope[corner + right, d]
-            sight.slope[(4 + d) * LANES + i] = ground.slope[corner + up, d]
-            sight.slope[(6 + d) * LANES + i] = ground.slope[corner + up + right, d]
-    for i in range(LANES):
-        if sight.square[i] >= 0:
-            square = np.uint64(sight.square[i])
-            seen[HAZARD * LANES + i] += quarter * raster.layers[square, 0]
-            limit, other = seen[LIMIT * LANES + i], raster.layers[square, 1]
-            seen[LIMIT * LANES + i] = other if other < limit else limit
-        else:
-            seen[HAZARD * LANES + i] += quarter * raster.outside
+    read_slope(sight, ground)
+    read_costs(sight, raster)
     if codes:
+        size = len(ground.missing)
+        locate(sight.cell, size, sight.place)
+        for e in range(size):
+            row, missing = w[(CODES + k * size + e) * LANES : (CODES + k * size + e + 1) * LANES], ground.missing[e]
+            for i in range(LANES):
+                code = ground.codes[np.uint64(sight.place[i] + e)]
+                row[i] = code if sight.cell[i] >= 0 else missing
+
+
+@lane_loop
+def read_slope(sight: Sight, ground: Ground) -> None:
+    """Of the four cells around a wheel."""
+    right, up = min(ground.grid.columns - 1, 1), min(ground.grid.rows - 1, 1) * ground.grid.columns
+    locate(sight.corner, 2, sight.place)
+    for n in range(8):
+        shift = np.int32(n % 2 + 2 * (right * (n // 2 % 2) + up * (n // 4)))
+        row = sight.slope[n * LANES : (n + 1) * LANES]
         for i in range(LANES):
-            if sight.cell[i] >= 0:
-                cell = np.uint64(sight.cell[i])
-                for e in range(size):
-                    w[(CODES + k * size + e) * LANES + i] = ground.codes[cell, e]
-            else:
-                for e in range(size):
-                    w[(CODES + k * size + e) * LANES + i] = ground.missing[e]
+            row[i] = ground.slope[np.uint64(sight.place[i] + shift)]
+
+
+@lane_loop
+def read_costs(sight: Sight, raster: Raster) -> None:
+    """Under a wheel."""
+    quarter = f4(0.25)
+    hazard, limit = sight.seen[HAZARD * LANES : (HAZARD + 1) * LANES], sight.seen[LIMIT * LANES : (LIMIT + 1) * LANES]
+    locate(sight.square, LAYERS, sight.place)
+    for i in range(LANES):
+        found, other = raster.layers[np.uint64(sight.place[i])], raster.layers[np.uint64(sight.place[i] + 1)]
+        inside = sight.square[i] >= 0
+        hazard[i] += quarter * (found if inside else raster.outside)
+        limit[i] = other if inside & (other < limit[i]) else limit[i]
 
 
 @lane_loop
@@ -194,9 +211,9 @@ def survey(w: np.ndarray, carry: np.ndarray, sight: Sight, ground: Ground, raste
     for i in range(LANES):
         x, y, _ = cell_at(raster.grid, carry[i], carry[LANES + i])
         sight.square[i] = number(raster.grid, x, y)
-    for i in range(LANES):
-        square = np.uint64(sight.square[i])
-        for k in range(DISTANCE, TARGET + 1):
-            seen[k * LANES + i] = raster.layers[square, k]
+    locate(sight.square, LAYERS, sight.place)
+    for k in range(DISTANCE, TARGET + 1):
+        for i in range(LANES):
+            seen[k * LANES + i] = raster.layers[np.uint64(sight.place[i] + k)]
     for i in range(LANES):
         seen[DISTANCE * LANES + i] += (carry[i] - carry[i]) + (carry[LANES + i] - carry[LANES + i])
