@@ -1,9 +1,13 @@
 """Faults of sensors, as they reach the run time."""
 
-import numpy as np
+from unittest.mock import Mock
 
-from offpiste.experiments.closed_loop.faults import Fault
+import numpy as np
+import pytest
+
+from offpiste.experiments.closed_loop.faults import KINDS, Fault
 from offpiste.logs.measurements import Cloud, Image
+from offpiste.planning.runtime import Runtime
 
 PIXELS = np.zeros((4, 4, 3), np.uint8)
 
@@ -60,3 +64,13 @@ def test_echoes_from_nowhere():
     fault = Fault("map-empty", 1.0)
     (found,) = fault.passed(cloud(1.5), 1.5)
     assert (found.points[:, 2] == 1000).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_an_empty_map_strikes_the_run_time_and_once(kind):
+    runtime, fault = Mock(spec=Runtime), Fault(kind, 1.0)
+    fault.strike(runtime, 0.98)
+    runtime.forget_map.assert_not_called()
+    for time in (1.0, 1.02, 5.0):
+        fault.strike(runtime, time)
+    assert runtime.forget_map.call_count == (1 if kind == "map-empty" else 0)
