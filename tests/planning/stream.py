@@ -107,6 +107,13 @@ class Stream:
         return [(event.mode, event.why) for event in self.runtime.events]
 
 
+class Held:
+    """A vehicle that nothing moves."""
+
+    def step(self, carry, command, terrain):
+        return carry
+
+
 def reading(t, x, y, yaw, vx, vy, rate):
     cos, sin = np.cos(yaw), np.sin(yaw)
     velocity = np.array((cos * vx - sin * vy, sin * vx + cos * vy, 0.0))
@@ -133,8 +140,9 @@ def course(length=60.0, speed=5.0):
     return Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), speed))
 
 
-def straight_drive(*, eyes=False, looking=look, length=60.0, seed=0, stream=None, **changed):
+def straight_drive(*, eyes=False, dynamics=None, looking=look, length=60.0, wanted=5.0, seed=0, stream=None, **changed):
     """A stream for a run time on a straight course."""
-    model = seeing_model() if eyes else parametric()
-    runtime = Runtime(model, sight(eyes=eyes, looking=looking), WHEELS, course(length), settings(**changed), seed=seed)
+    model = dynamics or (seeing_model() if eyes else parametric())
+    seen, there = sight(eyes=eyes, looking=looking), course(length, wanted)
+    runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed)
     return Stream(runtime, **(stream or {}))

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 import torch
 
+from offpiste.errors import PlanningError
 from offpiste.planning.course import (
     LAYERS,
     Course,
+    Goal,
     Hazards,
     cost_map,
     course_layers,
     densified,
+    goal_layers,
     hazard_layers,
     speed_limit,
-    toward,
 )
 from planning_grounds import layers, straight
 
@@ -87,10 +89,18 @@ def test_points_are_added_evenly():
 
 def test_a_goal_is_straight_ahead_from_everywhere():
     ground = layers(21, 1.0)
-    found = toward(ground, np.array([3.0, 4.0]), 6.0, braking=2.0)
+    found = goal_layers(ground, Goal(np.array([3.0, 4.0]), 6.0, braking=2.0))
     np.testing.assert_allclose(found[10, 10], [0, 0.6, 0.8, math.sqrt(20)], atol=1e-6)
     np.testing.assert_allclose(found[14, 13, 3], 0)
     assert found[0, 0, 3] == 6
+    costs = cost_map(ground, Goal(np.array([3.0, 4.0]), 6.0, braking=2.0), Hazards())
+    np.testing.assert_allclose(costs.layers[..., 2:].numpy(), found, rtol=1e-6)
+
+
+@pytest.mark.parametrize("path", [np.full((3, 2), 7.0), np.zeros((1, 2)), np.array([[0.0, 0.0], [np.nan, 1.0]])])
+def test_a_path_that_leads_nowhere_is_refused(path):
+    with pytest.raises(PlanningError, match="leads nowhere"):
+        Course(path, np.ones(len(path)))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

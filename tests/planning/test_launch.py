@@ -1,5 +1,6 @@
 """More throttle where the planned one does not move the vehicle."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,6 +26,16 @@ def test_who_wants_to_stand_is_left_alone():
         launch.throttle(0.4, 0.0)
     assert launch.throttle(0.0, 0.0) == 0.0
     assert launch.throttle(0.4, 0.0) == pytest.approx(0.4 + 0.3 * DT), "begins anew"
+
+
+def test_what_will_be_given_is_told_before_and_changes_nothing():
+    launch, planned = Launch(), np.array([0.4, 0.5, 0.0, 0.4, 0.9])
+    launch.throttle(0.4, 0.0)
+    told = launch.ahead(planned, 0.5)
+    np.testing.assert_array_equal(launch.ahead(planned, 0.5), told)
+    np.testing.assert_array_equal([launch.throttle(one, 0.5) for one in planned], told)
+    launch.reset()
+    assert launch.throttle(0.4, 2.0) == 0.4
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 10)), max_size=50))

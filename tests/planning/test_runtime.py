@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.conventions import DT
+from offpiste.conventions import CONTROL, DT
+from offpiste.dynamics import Parametric, Vehicle
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Image
-from offpiste.planning import mppi
+from offpiste.planning import mppi, prediction, runtime
 from offpiste.planning.launch import LaunchSettings
-from planning.stream import look, reading, scan, straight_drive
+from planning.stream import Held, look, reading, scan, seeing_model, settings, straight_drive
 
 
 def speed(stream):
@@ -52,13 +53,13 @@ def test_a_plan_starts_where_the_vehicle_then_is(latency):
     stream = straight_drive(latency=latency, launch=LaunchSettings(rate=0.0))
     stream.run(1.5)
     checked = 0
-    for prediction in stream.runtime.predictions:
-        first = round(prediction.time / DT)
+    for plan in stream.runtime.predictions:
+        first = round(plan.time / DT)
         rows = np.arange(first + 1, min(first + 6, len(stream.states)))
         # What acts from a plan's start on is that plan, until the next one made 0.1 s later.
-        if prediction.time > 0.5 and len(rows) == 5:
+        if plan.time > 0.5 and len(rows) == 5:
             met = np.array([stream.states[row] for row in rows])
-            np.testing.assert_allclose(prediction.state[:5], met, atol=2e-3)
+            np.testing.assert_allclose(plan.state[:5], met, atol=2e-3)
             checked += 1
     assert checked >= 6
     acting = [c.time for c in stream.controls if c.mode == "driving"]
@@ -71,6 +72,101 @@ def test_a_standing_vehicle_gets_more_throttle_than_planned(driven):
     first = next(row for row, command in enumerate(commands(planned)) if command[0] > 0.05)
     more = commands(driven)[first, 0] - commands(planned)[first, 0]
     assert more == pytest.approx(LaunchSettings().rate * DT)
+
+
+def test_plans_know_of_the_throttle_that_is_added():
+    stream = straight_drive(latency=0.3)
+    stream.run(1.5)
+    met = []
+    for plan in stream.runtime.predictions:
+        row = round(plan.time / DT)
+        if 0.5 < plan.time < 1.0:  # made when more was given
+            met.append(speed_of(plan.state[0]) - speed_of(stream.states[row + 1]))
+    assert len(met) >= 4
+    np.testing.assert_allclose(met, 0.0, atol=0.02)
+
+
+def test_throttle_that_was_added_does_not_outlive_a_stop():
+    held = straight_drive(stream={"reads": lambda t: not 1.2 <= t < 1.5, "truth": Held()}, wanted=1.0)
+    held.run(1.2)
+    assert held.runtime._launch._more > 0.2, "more and more, since it does not move"
+    held.run(0.4)
+    brake = commands(held)[:, 1]
+    since = len(brake) - 1 - np.flatnonzero(brake == 0.5)[-1]
+    assert 0 < since < 10
+    assert held.runtime._launch._more == pytest.approx(since * LaunchSettings().rate * DT)
+    assert commands(held)[-1, 0] < 0.9
+
+
+def test_a_stamp_ahead_of_the_clock_is_not_believed():
+    stream = straight_drive()
+    stream.run(1.5)
+    x, *rest = stream.states[-1]
+    stream.runtime.vehicle(reading(11.5, x + 40, *rest))
+    stream.runtime.scan(scan(11.5))
+    stream.run(0.5)
+    assert stream.modes()[-1] == ("driving", "")
+    assert stream.runtime.dropped["readings of the vehicle: stamps ahead of the clock"] == 1
+    assert stream.runtime.dropped["lidar: stamps ahead of the clock"] == 1
+
+
+def test_a_clock_that_goes_back_begins_all_anew():
+    stream = straight_drive()
+    stream.run(1.5)
+    for row in range(60):  # the same runtime on another clock, 1 s behind
+        t = 0.5 + row * DT
+        stream.runtime.vehicle(reading(t, *stream.states[-1][:3], 0.0, 0.0, 0.0))
+        if row % 5 == 0:
+            stream.runtime.scan(scan(t))
+        stream.runtime.command(t)
+    modes = stream.modes()
+    assert ("stopping", "the clock went back") in modes
+    assert modes[-1] == ("driving", "")
+
+
+def test_readings_without_the_actuators_that_a_model_reads_count_as_none():
+    stream = straight_drive(dynamics=Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ("engine_rpm",))))
+    stream.run(0.5)
+    assert stream.modes() == [("stopping", "no state of the vehicle")]
+    assert stream.runtime.dropped["readings of the vehicle that are not finite"] == 25
+
+
+def test_settings_that_do_not_fit_the_steps_are_refused():
+    with pytest.raises(PlanningError, match=r"latency of 0\.05"):
+        settings(latency=0.05)
+    for rate in (0.0, 1.0, 15.0):
+        with pytest.raises(PlanningError, match="plans a second"):
+            settings(plan_rate=rate)
+    settings(plan_rate=25.0)
+
+
+def test_a_model_of_features_wants_something_that_looks():
+    with pytest.raises(PlanningError, match="look"):
+        straight_drive(dynamics=seeing_model())
+
+
+def test_predictions_step_by_step_are_those_of_the_kernel(monkeypatch):
+    found = []
+
+    def both(*given):
+        found.append(prediction.predicted(*given))
+        with monkeypatch.context() as slow:
+            slow.setattr(prediction, "_by_kernel", lambda *_: False)
+            found.append(prediction.predicted(*given))
+        return found[-1]
+
+    monkeypatch.setattr(runtime, "predicted", both)
+    straight_drive().run(0.3)
+    assert len(found) >= 2
+    np.testing.assert_allclose(found[0], found[1], atol=2e-3)
+
+
+def test_predictions_of_long_ago_are_forgotten():
+    stream = straight_drive(remember=0.5)
+    stream.run(1.2)
+    times = [p.time for p in stream.runtime.predictions]
+    assert len(times) == 5
+    assert times[-1] == pytest.approx(1.2, abs=0.11)
 
 
 def test_without_scans_it_slows_down_and_stops():
@@ -199,25 +295,27 @@ def test_features_that_are_not_finite_count_as_no_image():
 def test_what_is_no_use_is_dropped_and_counted():
     stream = straight_drive(eyes=True)
     stream.run(2.0)
-    runtime, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
-    runtime.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
-    runtime.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
-    assert runtime._seeing.image_time == 1.9
-    runtime.image(Image(7.0, "eye", pixels))  # from the future
-    before = runtime._seeing.scan_time
+    driver, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
+    driver.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
+    driver.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
+    assert driver._seeing.image_time == 1.9
+    driver.image(Image(2.05, "eye", pixels))  # a little ahead of poses
+    driver.image(Image(7.0, "eye", pixels))  # from the future
+    before = driver._seeing.scan_time
     broken = scan(1.95)
-    runtime.scan(type(broken)(1.95, "lidar", np.full_like(broken.points, np.nan), None, broken.intensity))
-    assert runtime._seeing.scan_time == before
+    driver.scan(type(broken)(1.95, "lidar", np.full_like(broken.points, np.nan), None, broken.intensity))
+    assert driver._seeing.scan_time == before
     points = np.where(broken.points[:, :1] > 0, np.nan, broken.points)  # only what lies behind is finite
-    runtime.scan(type(broken)(1.96, "lidar", points, None, broken.intensity))
-    assert runtime._seeing.scan_time == 1.96
-    runtime.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
-    runtime.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
-    assert runtime.dropped == {
+    driver.scan(type(broken)(1.96, "lidar", points, None, broken.intensity))
+    assert driver._seeing.scan_time == 1.96
+    driver.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
+    driver.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
+    assert driver.dropped == {
         "eye: before the first poses": 1,
         "lidar: before the first poses": 1,
         "eye: stamps repeat or go back": 1,
         "eye: stamped when the pose is not known": 1,
+        "eye: stamps ahead of the clock": 1,
         "scans without a finite point": 1,
         "readings of the vehicle that are not finite": 1,
         "readings of the vehicle whose stamps repeat or go back": 1,

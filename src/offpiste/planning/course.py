@@ -10,9 +10,13 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
+from offpiste.errors import PlanningError
 from offpiste.mapping.flatten import neighbour_offsets
 from offpiste.mapping.layers import TerrainLayers
 from offpiste.planning.nearest import along_path
+
+SHORTEST: Final = 0.01
+"""Of a path [m]."""
 
 LAYERS: Final = ("hazard", "speed_limit", "distance", "direction_x", "direction_y", "target_speed")
 """Cost of a wheel [1/s]; [m/s]; to the path [m]; along it, a unit vector; along it [m/s]."""
@@ -44,18 +48,41 @@ class Hazards:
 
 
 @dataclass(frozen=True)
+class Goal:
+    """Where to go, whichever way: everywhere straight to it, slowing down to stop there.
+
+    Attributes:
+        place: x, y in the world frame [m].
+        speed: far from it [m/s].
+        braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
+    """
+
+    place: Float[np.ndarray, " 2"]
+    speed: float
+    braking: float = 2.0
+
+
+@dataclass(frozen=True)
 class Course:
-    """Where to go: along a path, or (with `toward`) to a goal.
+    """Where to go along a path.
 
     Attributes:
         path: x, y of points along it [m].
         speed: wanted at each of them [m/s].
         end: so far along the path the course is driven [m]; what lies beyond tells plans how it goes on.
+
+    Raises:
+        PlanningError: the path leads nowhere.
     """
 
     path: Float[np.ndarray, "P 2"]
     speed: Float[np.ndarray, " P"]
     end: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(np.diff(self.path, axis=0), axis=-1).sum() > SHORTEST:
+            how = f"give finite places, {SHORTEST} m of path at least; or a `Goal`"
+            raise PlanningError(f"a path of {len(self.path)} points that leads nowhere", how=how)
 
     @property
     def driven(self) -> Float[np.ndarray, "_ 2"]:
@@ -101,9 +128,10 @@ class CostMap:
         return found
 
 
-def cost_map(ground: TerrainLayers, course: Course, hazards: Hazards) -> CostMap:
-    """The raster of a map and a course, on the map's grid."""
-    layers = np.concatenate((hazard_layers(ground, hazards), course_layers(ground, course)), -1, dtype=np.float32)
+def cost_map(ground: TerrainLayers, course: Course | Goal, hazards: Hazards) -> CostMap:
+    """The raster of a map and a course or a goal, on the map's grid."""
+    wanted = goal_layers(ground, course) if isinstance(course, Goal) else course_layers(ground, course)
+    layers = np.concatenate((hazard_layers(ground, hazards), wanted), -1, dtype=np.float32)
     return CostMap(
         torch.as_tensor(ground.origin, dtype=torch.float64),
         ground.resolution,
@@ -162,18 +190,10 @@ def densified(course: Course, spacing: float) -> Course:
     return Course(np.stack((x, y), axis=-1), np.interp(at, length, course.speed), course.end)
 
 
-def toward(
-    ground: TerrainLayers, goal: Float[np.ndarray, " 2"], speed: float, *, braking: float = 2.0
-) -> Float[np.ndarray, "ny nx 4"]:
-    """Layers like those of a path, for a goal: everywhere straight to it, slowing down to stop there.
-
-    Args:
-        goal: x, y in the world frame [m].
-        speed: far from the goal [m/s].
-        braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
-    """
-    there = goal - ground.centres
+def goal_layers(ground: TerrainLayers, goal: Goal) -> Float[np.ndarray, "ny nx 4"]:
+    """Layers like those of a path; no place is off it."""
+    there = goal.place - ground.centres
     distance = np.linalg.norm(there, axis=-1)
     direction = there / np.maximum(distance, 1e-9)[..., None]
-    wanted = np.minimum(speed, np.sqrt(2 * braking * distance))
+    wanted = np.minimum(goal.speed, np.sqrt(2 * goal.braking * distance))
     return np.concatenate((np.zeros_like(distance)[..., None], direction, wanted[..., None]), axis=-1)

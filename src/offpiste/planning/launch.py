@@ -4,7 +4,11 @@ Models learn from windows that start above `conventions.MIN_JUDGED_SPEED`, and e
 throttle. A torque that does not overcome the resistance of soft ground moves nothing, however often it is planned anew.
 """
 
+from copy import copy
 from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
 
 from offpiste.conventions import DT
 
@@ -40,8 +44,17 @@ class Launch:
         """
         settings = self._settings
         if planned < settings.wanted:
-            self._more = 0.0
+            self.reset()
             return planned
         rise = settings.rate * DT * (1 if speed < settings.below else -1)
         self._more = min(max(self._more + rise, 0.0), 1.0 - planned)
         return planned + self._more
+
+    def ahead(self, planned: Float[np.ndarray, " N"], speed: float) -> Float[np.ndarray, " N"]:
+        """What will be given for steps to come, while the speed stays on its side of `LaunchSettings.below`."""
+        later = copy(self)
+        return np.array([later.throttle(float(throttle), speed) for throttle in planned])
+
+    def reset(self) -> None:
+        """Give what is planned: it begins anew."""
+        self._more = 0.0

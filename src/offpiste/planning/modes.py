@@ -19,6 +19,7 @@ class Patience:
         scan_limit: older than this: controlled stop.
         image: older images: the vehicle goes on without looking, on what the map holds, and says so.
         plan: data that the plan which is followed was made from, beyond its latency; older: controlled stop.
+        ahead: stamps further ahead of the clock are not believed.
     """
 
     state: float = 0.1
@@ -26,6 +27,7 @@ class Patience:
     scan_limit: float = 1.0
     image: float = 1.5
     plan: float = 0.5
+    ahead: float = 0.1
 
 
 @dataclass(frozen=True)

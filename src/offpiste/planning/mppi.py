@@ -60,6 +60,10 @@ class Settings:
     smoothing: int = 0
     dt: float = DT
 
+    def __post_init__(self) -> None:
+        if self.smoothing and self.smoothing % 2 == 0:
+            raise ValueError(f"smoothing over {self.smoothing} steps; it has to be odd")
+
 
 @dataclass(frozen=True)
 class Plan:

@@ -1,5 +1,6 @@
 """What a model predicts on the ground that a plan can come to: by the kernel where there is one, else step by step."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TypeGuard
 
@@ -26,7 +27,7 @@ class Prediction:
 
     Attributes:
         time: of its start [s].
-        state: after each step, in the world frame; empty where no kernel predicts it.
+        state: after each step, in the world frame.
     """
 
     time: float
@@ -56,9 +57,8 @@ def carry_after(model: Dynamics, carry: Carry, controls: Float[Tensor, "L 3"], a
     """
     if len(controls) and _by_kernel(model, carry):
         return fused_carry(model, carry, controls, at, area.codes)
-    source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
-    for t, given in enumerate(controls):
-        carry = step(carry, given[None], source.at(t, carry.state))
+    for after in _stepped(model, carry, controls, area, at):
+        carry = after
     return carry
 
 
@@ -72,12 +72,24 @@ def costs_from(model: Dynamics, carry: Carry, area: Area, at: Situation, weights
 def predicted(
     model: Dynamics, carry: Carry, controls: Float[Tensor, "T 3"], area: Area, at: Situation, weights: Weights
 ) -> Float[np.ndarray, "T 6"]:
-    """The states that a plan leads through, in the world frame; none where only slow steps could tell."""
-    if not _by_kernel(model, carry):
-        return np.zeros((0, 6))
-    states = fused_rollout(model, carry, controls[None], at, weights, area.codes)[1][0].double().numpy()
+    """The states that a plan leads through, in the world frame."""
+    if _by_kernel(model, carry):
+        found = fused_rollout(model, carry, controls[None], at, weights, area.codes)[1][0]
+    else:
+        found = torch.cat([after.state for after in _stepped(model, carry, controls, area, at)])
+    states = found.double().numpy()
     states[:, :2] += at.offset.numpy()
     return states
+
+
+def _stepped(
+    model: Dynamics, carry: Carry, controls: Float[Tensor, "T 3"], area: Area, at: Situation
+) -> Iterator[Carry]:
+    """After each step, one by one."""
+    source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
+    for t, given in enumerate(controls):
+        carry = step(carry, given[None], source.at(t, carry.state))
+        yield carry
 
 
 def _by_kernel(model: Dynamics, carry: Carry) -> TypeGuard[Parametric | Hybrid]:

@@ -5,13 +5,14 @@ messages give the same controls, however long they take to compute. A plan made 
 it starts from the state that the model predicts through the controls committed until then.
 """
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.hybrid import Hybrid
 from offpiste.dynamics.kernels.threads import only_kernels_spread
@@ -52,6 +53,10 @@ class RuntimeSettings:
         standstill: slower than this the vehicle stands [m/s].
         arrived: so far before its end the course counts as driven [m].
         margin: the map is read so far beyond what the plan can reach [m].
+        remember: predictions of so long are kept, 120 kB a second [s].
+
+    Raises:
+        PlanningError: rate and latency do not fit the steps of the controls.
     """
 
     plan_rate: float = 10.0
@@ -80,16 +85,32 @@ class RuntimeSettings:
     standstill: float = 0.3
     arrived: float = 2.0
     margin: float = 8.0
+    remember: float = 600.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
+            raise PlanningError(f"a latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
+        longest = self.patience.plan
+        if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
+            how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (patience.plan)"
+            raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
+
+
+def _is_steps(seconds: float) -> bool:
+    return abs(seconds / DT - round(seconds / DT)) < 1e-6
 
 
 class Runtime:
     """Drives a vehicle along a course.
 
     Args:
-        dynamics: that plans are made with.
+        dynamics: that plans are made with; it is set to evaluate, without gradients.
         wheels: in the body frame, from the pose point [m].
         ground: known features of the ground, instead of what cameras see.
         seed: of the sampled controls.
+
+    Raises:
+        PlanningError: the model reads features, and nothing looks for them.
     """
 
     def __init__(
@@ -107,6 +128,9 @@ class Runtime:
         self._dynamics = dynamics.eval().requires_grad_(False)
         self._encoder = dynamics.encoder if isinstance(dynamics, Hybrid) else None
         self._ground = ground
+        if self._encoder is not None and ground is None and sight.look is None:
+            raise PlanningError("the model reads features, and no `look` gives any", how="give Sight(…, look=…)")
+        self._needed = np.isin(ACTUATORS, dynamics.vehicle.actuators)
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._generator = torch.Generator().manual_seed(seed)
         self.watch = Stopwatch()
@@ -115,10 +139,15 @@ class Runtime:
         self._launch = Launch(self._settings.launch)
         encoder = None if ground is not None else self._encoder
         self._seeing = Seeing(sight, encoder, self._track, self._settings.replay, self.watch)
-        self._plan_due, self._map_empty, self._stopping = -np.inf, False, False
+        self._now, self._plan_due, self._map_empty, self._stopping = np.inf, -np.inf, False, False
+        self._predictions: deque[Prediction] = deque(maxlen=round(self._settings.remember * self._settings.plan_rate))
         self.events: list[Event] = []
-        self.predictions: list[Prediction] = []
         self.failures: list[str] = []
+
+    @property
+    def predictions(self) -> list[Prediction]:
+        """Where plans led, the latest last."""
+        return list(self._predictions)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -126,9 +155,11 @@ class Runtime:
         return dict(self._seeing.dropped)
 
     def vehicle(self, reading: VehicleReading) -> None:
-        """Take in what the vehicle says of itself; readings that are not finite or go back in time count as none."""
+        """Take in what the vehicle says of itself; readings that are no use count as none (`dropped`)."""
         latest = self._track.latest
-        if not reading.finite:
+        if self._ahead("readings of the vehicle", reading.time):
+            return
+        if not reading.finite or not np.isfinite(reading.actuators[self._needed]).all():
             self._seeing.dropped["readings of the vehicle that are not finite"] += 1
         elif latest is not None and reading.time <= latest.time:
             self._seeing.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
@@ -139,11 +170,13 @@ class Runtime:
 
     def image(self, image: Image) -> None:
         """Take in an image."""
-        self._seeing.image(image)
+        if not self._ahead(image.camera, image.time):
+            self._seeing.image(image)
 
     def scan(self, scan: Cloud) -> None:
         """Take in a scan."""
-        self._seeing.scan(scan)
+        if not self._ahead(scan.lidar, scan.time):
+            self._seeing.scan(scan)
 
     def forget_map(self) -> None:
         """Begin the map anew."""
@@ -151,7 +184,11 @@ class Runtime:
 
     @torch.no_grad()
     def command(self, now: float) -> Controls:
-        """What to do for the next `conventions.DT`; to be asked that often, with time that rises [s]."""
+        """What to do for the next `conventions.DT`; to be asked that often. If the clock goes back, all begins anew."""
+        if now < self._now < np.inf:
+            self._begin_anew()
+            self.events.append(Event(now, "stopping", "the clock went back"))
+        self._now = now
         judgement = self._judge(now)
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
@@ -164,6 +201,20 @@ class Runtime:
         if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
             self.events.append(Event(now, controls.mode, controls.why))
         return controls
+
+    def _ahead(self, what: str, time: float) -> bool:
+        """Whether a stamp is ahead of the clock, and a note: taken in, it would make all that follows look old."""
+        ahead = time > self._now + self._settings.patience.ahead
+        if ahead:
+            self._seeing.dropped[f"{what}: stamps ahead of the clock"] += 1
+        return ahead
+
+    def _begin_anew(self) -> None:
+        self._track.clear()
+        self._schedule.clear()
+        self._seeing.begin_anew()
+        self._launch.reset()
+        self._plan_due = -np.inf
 
     def _judge(self, now: float) -> Judgement:
         seen, latest, followed = self._seeing, self._track.latest, self._schedule.acting(now)
@@ -187,6 +238,7 @@ class Runtime:
             planned[0] = self._launch.throttle(float(planned[0]), self._speed)
             return Controls(now, planned, judgement.mode, judgement.why)
         self._stopping = True
+        self._launch.reset()
         # The wheels stay as they were planned: straight ahead may lead off the course.
         steer = 0.0 if planned is None else float(planned[2])
         command = np.array((0.0, self._settings.stop, steer))
@@ -242,6 +294,8 @@ class Runtime:
         committed = self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
         if self._stopping and not self._stands():  # the wheels follow the plan, the pedals do not
             committed[:, :2] = stop[:2]
+        else:
+            committed[:, 0] = self._launch.ahead(committed[:, 0], self._speed)
         return committed
 
     def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
@@ -268,4 +322,4 @@ class Runtime:
         controls = controls_of(plan.controls)
         self._schedule.add(TimedPlan(start, now, controls))
         states = predicted(model, carry, controls, area, at, settings.weights)
-        self.predictions.append(Prediction(start, states))
+        self._predictions.append(Prediction(start, states))

@@ -53,8 +53,6 @@ class Seeing:
         self._layers: TerrainLayers | None = None
         self.looks = encoder is not None and sight.look is not None
         self._channels = encoder.size if encoder is not None and self.looks else 0
-        self._latest: dict[str, float] = {}
-        self.image_time = self.scan_time = -np.inf
         self.dropped: Counter[str] = Counter()
         self.begin_anew()
 
@@ -64,6 +62,7 @@ class Seeing:
         cameras = self._sight.cameras if self.looks else {}
         self._mapper = Mapper(cameras, self._sight.lidars, look, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
+        self._latest: dict[str, float] = {}
 
     def image(self, image: Image) -> None:
         """Look at an image, if it is any use; it counts with its own stamp, however late it comes."""

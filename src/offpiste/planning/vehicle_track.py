@@ -93,6 +93,11 @@ class VehicleTrack:
             self._readings.popleft()
         return jumped
 
+    def clear(self) -> None:
+        """Forget all."""
+        self._readings.clear()
+        self._commands.clear()
+
     def commanded(self, time: float, control: Float[np.ndarray, " 3"]) -> None:
         """Note what is commanded from now on."""
         self._commands.append((time, control))
