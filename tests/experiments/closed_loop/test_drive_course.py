@@ -11,6 +11,7 @@ from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.errors import OffpisteError, RunError
 from offpiste.experiments.closed_loop.courses import CourseSettings, lay_course, surprise_along, traction_along
 from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
+from offpiste.experiments.closed_loop.drives import NEEDED
 from offpiste.experiments.closed_loop.planner import Planner, load_planner
 from offpiste.logs.drive import read_drive
 from offpiste.rig import load_rig
@@ -42,7 +43,9 @@ def test_it_drives_along_the_course(driven):
 
 def test_what_is_written_can_be_read(driven):
     _, out = driven
-    assert json.loads((out / "result.json").read_text())["planner"] == "parametric"
+    result = json.loads((out / "result.json").read_text())
+    assert (result["planner"], result["fault_start"], result["sensors"]) == ("parametric", 10.0, "light")
+    assert set(NEEDED) <= set(result), "what resuming asks of a result"
     assert (out / "drive.png").stat().st_size > 10_000
     drive = read_drive(out / "drive.mcap", load_rig("proving_ground"))
     recorded = drive.channels["throttle"]
@@ -102,12 +105,29 @@ def test_no_course_where_nobody_could_drive_off_again(driven):
     ("changed", "message"),
     [
         ({"seconds": 0.0}, "a drive of 0 s"),
-        ({"runtime": settings(latency=0.03)}, "a latency of 0.03 s"),
+        ({"seconds": float("nan")}, "a drive of nan s"),
+        *(
+            ({"course": CourseSettings(speed=speed)}, f"a wanted speed of {speed:g} m/s")
+            for speed in (float("nan"), float("inf"), 0.0, -7.0, 31.0)
+        ),
+        *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), float("inf"), -1.0)),
+        ({"sensors": "heavy"}, "no sensor profile"),
     ],
 )
 def test_what_cannot_be_driven_is_told_at_once(changed, message, tmp_path):
     with pytest.raises(OffpisteError, match=message):
         drive_course(PLANNER, replace(ASKED, **changed), tmp_path)
+
+
+def test_a_latency_between_steps_is_told_at_once(tmp_path):
+    with pytest.raises(OffpisteError, match=r"a latency of 0\.03 s"):
+        drive_course(PLANNER, replace(ASKED, runtime=settings(latency=0.03)), tmp_path)
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OffpisteError, match="file: is a file"):
+        drive_course(PLANNER, ASKED, tmp_path / "file")
 
 
 def test_no_run_no_planner(tmp_path):

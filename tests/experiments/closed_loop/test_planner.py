@@ -91,3 +91,10 @@ def test_an_oracle_is_known_by_its_features(tmp_path):
 def test_models_without_features_need_nothing(tmp_path):
     planner = load_planner(run_folder(tmp_path / "b", "b", [f"pca_{i}" for i in range(4)], "abc"))
     assert (planner.name, planner.told, planner.looking) == ("b", False, None)
+
+
+def test_a_planner_tells_its_weights_from_others(tmp_path):
+    first, other = (load_planner(run_folder(tmp_path / m, m, [], None)).weights for m in ("b", "parametric"))
+    assert len(first) == len(other) == 16
+    assert first != other
+    assert load_planner(tmp_path / "b").weights == first

@@ -45,7 +45,15 @@ class ClosedLoop:
     """Courses that are driven at a time; 0: one a core."""
 
     def run(self) -> None:
-        """Drive, write, print."""
+        """Drive, write, print.
+
+        Raises:
+            OffpisteError: nothing to drive, a setting is out of range, or a drive fails.
+        """
+        if not self.runs:
+            raise OffpisteError("no run is given", where="--runs", how="give one run folder or more")
+        if self.courses < 1:
+            raise OffpisteError(f"{self.courses} courses", where="--courses", how="give 1 or more")
         planners = [load_planner(run, self.pca) for run in self.runs]
         asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
@@ -62,8 +70,16 @@ class ClosedLoop:
                 tell(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
 
 
-if __name__ == "__main__":
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command: exit 1 when the input or a drive failed, 130 when interrupted, each with one line on stderr."""
     try:
-        tyro.cli(ClosedLoop).run()
+        tyro.cli(ClosedLoop, args=arguments).run()
     except OffpisteError as error:
         sys.exit(str(error))
+    except KeyboardInterrupt:
+        print("interrupted; drives that were finished are kept", file=sys.stderr)  # noqa: T201
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

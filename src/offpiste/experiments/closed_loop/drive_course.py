@@ -1,6 +1,7 @@
 """One course, one planner: driven, judged, drawn and kept."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,6 +29,9 @@ from offpiste.simulation.scene import Scene
 from offpiste.simulation.sensors import SensorSuite, sensor_suite
 from offpiste.simulation.surface import read_grid
 from offpiste.simulation.world import World, WorldSettings
+
+FASTEST = 30.0
+"""Speed that may be wanted [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,11 @@ def drive_course(
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
     """
-    _check(asked, out)
+    check_settings(asked)
+    check_folder(out)
+    for name in ("drive.mcap", "result.json"):
+        if (out / name).exists():
+            raise OffpisteError("exists already", where=out / name, how="give another --out, or remove it")
     rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(asked.world)
     laid, suite = lay_course(world, asked.world.seed, asked.course), sensor_suite(asked.sensors)
     if planner.looking is None and not asked.keep_log:
@@ -131,17 +139,37 @@ def described(result: dict[str, Any]) -> str:
     )
 
 
-def _check(asked: CourseDrive, out: Path) -> None:
+def check_settings(asked: CourseDrive) -> None:
+    """Refuse what could only fail after minutes.
+
+    Raises:
+        OffpisteError: a setting is out of range.
+    """
     if not 1.0 <= asked.seconds <= 3600:
         raise OffpisteError(f"a drive of {asked.seconds:g} s", how="give --seconds from 1 to 3600")
     latency = asked.runtime.latency
     if not 0 <= latency <= 1 or abs(latency / DT - round(latency / DT)) > 1e-6:
         raise OffpisteError(f"a latency of {latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
+    if not 0 < asked.course.speed <= FASTEST:
+        raise OffpisteError(
+            f"a wanted speed of {asked.course.speed:g} m/s", how=f"give --speed above 0, and at most {FASTEST:g}"
+        )
     if asked.fault not in KINDS:
         raise OffpisteError(f"no fault is called {asked.fault!r}", how=f"choose one of {', '.join(KINDS)}")
-    for name in ("drive.mcap", "result.json"):
-        if (out / name).exists():
-            raise OffpisteError("exists already", where=out / name, how="give another --out, or remove it")
+    if not 0 <= asked.fault_start < math.inf:
+        raise OffpisteError(f"a fault from {asked.fault_start:g} s on", how="give --fault-start of 0 or more")
+    sensor_suite(asked.sensors)  # complains itself
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder that cannot be one.
+
+    Raises:
+        OffpisteError: it is, or lies in, a file.
+    """
+    for place in (out, *out.parents):
+        if place.exists() and not place.is_dir():
+            raise OffpisteError("is a file", where=place, how="give a folder as --out")
 
 
 def _sight(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> Sight:
@@ -195,6 +223,9 @@ def settings_of(planner: Planner, asked: CourseDrive) -> dict[str, Any]:
         "run": str(planner.folder.resolve()),
         "limit_s": asked.seconds,
         "fault": asked.fault,
+        "fault_start": asked.fault_start,
+        "sensors": asked.sensors,
+        "weights_sha256": planner.weights,
         "runtime": runtime,
         "course": asdict(asked.course),
     }

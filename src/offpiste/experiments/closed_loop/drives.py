@@ -10,9 +10,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from offpiste.errors import RunError
-from offpiste.experiments.closed_loop.drive_course import CourseDrive, described, drive_course, settings_of
+from offpiste.errors import OffpisteError, RunError
+from offpiste.experiments.closed_loop.drive_course import (
+    CourseDrive,
+    check_folder,
+    check_settings,
+    described,
+    drive_course,
+    settings_of,
+)
 from offpiste.experiments.closed_loop.planner import Planner
+from offpiste.experiments.closed_loop.table import COUNTED, MEASURES
 from offpiste.parallel import run_all
 from offpiste.simulation.build import make_world
 from offpiste.simulation.scene import Scene, world_scene
@@ -23,6 +31,12 @@ DEVELOPMENT, TEST = 1, 201
 
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 """Course after course."""
+
+NEEDED: Final = ("world", "seed", "modes", "final_speed_mps", *MEASURES, *COUNTED)
+"""What is read from results."""
+
+NEWER: Final = ("fault_start", "sensors", "weights_sha256")
+"""Older results lack these; they are compared where they are known, so that no drive is lost."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +53,22 @@ class Entry:
 
 
 def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)) -> list[Entry]:
-    """All at 0.1 s; those that know the ground ahead at other latencies too."""
-    wide = [Entry(p, latency) for p in planners if p.name in ("dc", "ceiling") for latency in latencies]
+    """All at 0.1 s; those that know the ground ahead at other latencies too, each once.
+
+    Raises:
+        OffpisteError: two planners have one name, and so one folder.
+    """
+    named: dict[str, Planner] = {}
+    for planner in planners:
+        if (first := named.setdefault(planner.name, planner)) is not planner:
+            raise OffpisteError(
+                f"both are '{planner.name}', and would drive into one folder",
+                where=f"{first.folder} and {planner.folder}",
+                how="give one run of a kind, and the other in a command of its own with another --out",
+            )
+    others = dict.fromkeys(round(latency, 6) for latency in latencies)
+    others.pop(Entry.latency, None)
+    wide = [Entry(p, latency) for p in planners if p.name in ("dc", "ceiling") for latency in others]
     return [*(Entry(p) for p in planners), *wide]
 
 
@@ -65,9 +93,13 @@ def drive_all(
 
     Raises:
         RunError: the folder holds drives of other settings or runs.
-        OffpisteError: a course cannot be driven; the others are.
+        OffpisteError: a setting is out of range, the folder is a file, or a result in it is broken: nothing is driven
+            then. Or a course cannot be driven; the others are.
     """
     asked = asked or CourseDrive()
+    check_folder(out)
+    for row in rows:
+        check_settings(_at_latency(asked, row))
     courses = [(world, [row for row in rows if _found(row, world, out, asked) is None]) for world in worlds]
     failed = run_all(
         partial(_drive_rows, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses", tell
@@ -86,7 +118,7 @@ def _drive_rows(
     world = make_world(place)
     scene = world_scene(world)
     for number, row in enumerate(rows):
-        drive = replace(asked, world=place, runtime=replace(asked.runtime, latency=row.latency))
+        drive = replace(_at_latency(asked, row), world=place)
         said.append(_driven(row, drive, _folder(row, place, out), world, scene))
         report((number + 1) / len(rows))
     return "\n".join(said)
@@ -99,6 +131,10 @@ def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World, scene: S
     return f"{row.name}: {described(result)}"
 
 
+def _at_latency(asked: CourseDrive, row: Entry) -> CourseDrive:
+    return replace(asked, runtime=replace(asked.runtime, latency=row.latency))
+
+
 def _folder(row: Entry, place: WorldSettings, out: Path) -> Path:
     return out / row.name / f"{place.preset}-{place.seed}"
 
@@ -109,9 +145,29 @@ def _found(row: Entry, place: WorldSettings, out: Path, asked: CourseDrive) -> d
     path = folder / "result.json"
     if not path.exists():
         return None
-    result: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    drive = replace(asked, runtime=replace(asked.runtime, latency=row.latency))
-    wanted = settings_of(row.planner, drive)
-    if other := [name for name, value in wanted.items() if result.get(name) != value]:
+    wanted = settings_of(row.planner, _at_latency(asked, row))
+    result = _read(path, [*NEEDED, *(name for name in wanted if name not in NEWER)])
+    if other := [name for name, value in wanted.items() if name in result and not _agree(result[name], value)]:
         raise RunError(f"a drive with another {other[0]}", where=folder, how="give another --out")
+    return result
+
+
+def _agree(known: Any, wanted: Any) -> bool:
+    """Whether settings are the same, as far as both tell them: a setting that came later costs nobody their drives."""
+    if isinstance(known, dict) and isinstance(wanted, dict):
+        return all(_agree(known[name], value) for name, value in wanted.items() if name in known)
+    return bool(known == wanted)
+
+
+def _read(path: Path, needed: Sequence[str]) -> dict[str, Any]:
+    """What a drive wrote, if all that is needed is there."""
+    how = "remove it, and the course is driven again"
+    try:
+        result = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise OffpisteError(f"cannot be read: {error}", where=path, how=how) from error
+    if not isinstance(result, dict):
+        raise OffpisteError("is not the result of a drive", where=path, how=how)
+    if lacking := [name for name in needed if name not in result]:
+        raise OffpisteError(f"lacks {lacking[0]!r}", where=path, how=how)
     return result

@@ -1,5 +1,6 @@
 """A trained run as a planner: its model, what its features come from, and the PCA that belongs to it."""
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +23,14 @@ class Planner:
         name: of the model; "ceiling" for one that is told the simulator's own ground properties.
         folder: of the run.
         looking: backbone and PCA; None where the model reads no visual features.
+        weights: hash of their file, since a run may be trained anew in its folder.
     """
 
     name: str
     folder: Path
     dynamics: Dynamics
     looking: Looking | None = None
+    weights: str = ""
 
     @property
     def told(self) -> bool:
@@ -46,11 +49,12 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
         PerceptionError: not a PCA, or its backbone cannot be had.
     """
     run = load_run(folder)
+    weights = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()[:16]
     if encoder_of(run.dynamics) is None:
-        return Planner(run.model, folder, run.dynamics)
+        return Planner(run.model, folder, run.dynamics, weights=weights)
     identity = run.pca or _pca_of_dataset(folder)
     if identity is None:
-        return Planner("ceiling", folder, run.dynamics)
+        return Planner("ceiling", folder, run.dynamics, weights=weights)
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
     looking = load_looking(pca)
@@ -60,7 +64,7 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
             where=folder,
             how="give the file that its dataset was extracted with",
         )
-    return Planner(run.model, folder, run.dynamics, looking)
+    return Planner(run.model, folder, run.dynamics, looking, weights)
 
 
 def _pca_of_dataset(folder: Path) -> str | None:
