@@ -73,3 +73,10 @@ def test_each_is_compared_with_who_knows_less_at_its_latency():
     rows = [result(row, seed, 20.0) for row in ("b-100ms", "dc-300ms", "ceiling-300ms") for seed in range(3)]
     lines = [line for line in table(rows, limit=40.0).splitlines() if "−" in line and line.startswith("|")]
     assert [line.split("|")[1].strip() for line in lines] == ["ceiling-300ms − dc-300ms"]
+
+
+def test_the_header_says_what_counts_for_a_drive_that_does_not_finish():
+    head = table([result("b-100ms", 0, 20.0)], limit=40.0).splitlines()[0]
+    assert "counts with 40 s, and in its driven cost as standing on its course until then" in head
+    assert "errors are of what was driven" in head
+    assert "the terms of path and speed of what planners minimise" in head

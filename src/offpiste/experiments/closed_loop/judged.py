@@ -87,11 +87,16 @@ def summary(driving: Driving, trace: Trace, length: float, limit: float, weights
 
 
 def driven_cost(trace: Trace, rows: int, limit: float | None, weights: Weights) -> float:
-    """What planners minimise, of what was driven: their costs of path and speed, summed over time as they sum them.
+    """Squared distance from the course and squared error of the speed, weighted and summed over time.
+
+    These are the terms of path and speed of what planners minimise, but with the vehicle's speed whichever way it
+    goes, where planners take its part along the course. Their terms of rough ground, hazards, rolling over, effort
+    and jerk are left out.
 
     Args:
         rows: that count.
-        limit: where the course was not driven to its end, the vehicle counts as standing from `rows` until then [s].
+        limit: where the course was not driven to its end, the vehicle counts as standing on it, without an error of
+            path, from `rows` until then [s].
     """
     path = weights.path * trace.off[:rows] ** 2
     speed = weights.speed * (trace.speed - trace.target)[:rows] ** 2

@@ -81,9 +81,10 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
 def _means(drives: Drives, limit: float) -> list[str]:
     """A line for every planner."""
     lines = [
-        f"{len(next(iter(drives.values())))} courses, means; a drive that does not finish counts with {limit:g} s, and"
-        " standing until then. Driven cost: what planners minimise, of what was driven (squared errors of path and"
-        " speed, over time); geometric means, so that each course counts alike.",
+        f"{len(next(iter(drives.values())))} courses, means. A drive that does not finish counts with {limit:g} s, and"
+        " in its driven cost as standing on its course until then; errors are of what was driven. Driven cost: the"
+        " terms of path and speed of what planners minimise (squared errors, over time), of what was driven; geometric"
+        " means, so that each course counts alike.",
         "",
         _line(["planner", *MEASURES.values(), *COUNTED.values()]),
         _rule(1 + len(MEASURES) + len(COUNTED)),
