@@ -133,3 +133,8 @@ def test_a_file_is_no_folder(tmp_path):
 def test_no_run_no_planner(tmp_path):
     with pytest.raises(RunError, match="no such folder"):
         load_planner(tmp_path / "none")
+
+
+def test_a_fault_that_would_never_begin_is_refused(tmp_path):
+    with pytest.raises(OffpisteError, match=r"a fault from 10 s on.*before the drive's end"):
+        drive_course(PLANNER, replace(ASKED, fault="late-image"), tmp_path)
