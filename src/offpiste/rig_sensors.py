@@ -1,7 +1,7 @@
 """The part of a rig that says where its cameras and LiDARs sit, and which topics carry what they see."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -14,6 +14,9 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest x, y, z [m]."""
 Polygon = tuple[tuple[float, float], ...]
 """Corners x, y [px]."""
+
+TIME_FIELDS: Final = ("t", "time", "timestamp", "time_stamp", "offset_time")
+"""What drivers call the time of a point."""
 
 
 class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

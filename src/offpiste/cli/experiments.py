@@ -92,7 +92,7 @@ class Drive:
     pca: Path | None = None
     """Of runs with visual features: the file that their dataset was extracted with."""
     speed: float = 7.0
-    """Wanted along the course [m/s]."""
+    """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
     latency: float = 0.1
     """From the data of a plan to its first control [s]."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"

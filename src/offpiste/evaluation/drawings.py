@@ -16,7 +16,7 @@ def worst_plot(worst: Sequence[WorstWindow], *, title: str = "") -> Figure:
     """Recorded and predicted paths of windows, in a grid of five columns.
 
     Every panel starts at the origin and looks up, a metre ahead as long as a metre aside; its title gives the distance
-    error after 5 s, speed and heading in the world at the start, and the time in the drive.
+    error after 5 s, speed and heading in the world at the start, the drive and the time in it.
     """
     lines = max(1, -(-len(worst) // COLUMNS))
     figure = Figure(figsize=(11, 0.9 + 3.6 * lines), dpi=150, layout="constrained")
@@ -55,7 +55,8 @@ def _draw(axes: Axes, window: WorstWindow, colours: dict[str, str]) -> None:
     axes.tick_params(labelsize=7)
     axes.set_title(
         f"error {_metres(window.error)}\n"
-        f"{window.speed:.1f} m/s, heading {np.degrees(window.heading) % 360:.0f}°\nat {window.time:.1f} s",
+        f"{window.speed:.1f} m/s, heading {np.degrees(window.heading) % 360:.0f}°\n"
+        f"{window.drive}, at {window.time:.1f} s",
         fontsize=8,
     )
 

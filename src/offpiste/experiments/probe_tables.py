@@ -27,7 +27,8 @@ def distance_table(rows: Rows, title: str) -> Table:
 def flaw_table(rows: Rows) -> Table:
     """R² by flaw, probe and feature set."""
     sets = list(dict.fromkeys(row["feature_set"] for row in rows))
-    table = Table("target", "probe", "degrees", "axis", "late [ms]", *sets, title="Under flaws: R² (rank correlation)")
+    names = ("target", "probe", "degrees", "axis", r"late \[ms]", *sets)
+    table = Table(*names, title="Under flaws: R² (rank correlation)")
     lines: dict[tuple[str, ...], dict[str, str]] = {}
     for row in rows:
         numbers = (f"{row['degrees']:g}", str(row["direction"]), f"{1000 * row['late']:g}")

@@ -129,8 +129,8 @@ def tabulate(found: Sequence[Outcome]) -> Table:
     table = Table(box=None)
     for name in ("fault", "logs", "said to be turned", "said late or early", "another accused"):
         table.add_column(name)
-    table.add_column("turn's error, median / worst [deg]")
-    table.add_column("lateness's error, median / worst [ms]")
+    table.add_column(r"turn\'s error, median / worst \[deg]")
+    table.add_column(r"lateness\'s error, median / worst \[ms]")
     for fault in faults():
         rows = [one for one in found if one.fault == fault]
         said = [f"{sum(flags)}/{len(rows)}" for flags in zip(*((r.turned, r.late, r.other) for r in rows), strict=True)]

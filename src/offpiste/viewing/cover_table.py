@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from offpiste.conventions import FEATURE_SETS
@@ -27,11 +28,12 @@ class TextTable:
 
     def rich(self) -> Table:
         """For the terminal."""
-        table = Table(title=self.title, title_justify="left")
+        # Unescaped, rich takes a unit in brackets for a style.
+        table = Table(title=escape(self.title), title_justify="left")
         for column, name in enumerate(self.names):
-            table.add_column(name, justify="right" if column else "left", no_wrap=True)
+            table.add_column(escape(name), justify="right" if column else "left", no_wrap=True)
         for line in self.lines:
-            table.add_row(*line)
+            table.add_row(*map(escape, line))
         return table
 
 

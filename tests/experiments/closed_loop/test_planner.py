@@ -98,3 +98,11 @@ def test_a_planner_tells_its_weights_from_others(tmp_path):
     assert len(first) == len(other) == 16
     assert first != other
     assert load_planner(tmp_path / "b").weights == first
+
+
+def test_a_run_that_never_saw_a_throttle_is_refused(tmp_path):
+    vehicle = Vehicle(1150.0, 2.06, 0.5, ("brake", "steer"), ())
+    folder = run_folder(tmp_path, "b", (), None, vehicle=asdict(vehicle))
+    save_tensors(folder / "model.safetensors", build("b", vehicle, seed=0).state_dict())
+    with pytest.raises(RunError, match="without the throttle that a planner would choose"):
+        load_planner(folder)

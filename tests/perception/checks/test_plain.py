@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
 import seen_world as world
 from offpiste.logs import open_log
+from offpiste.logs.sensors import sensor_source
 from offpiste.perception.checks import check_sensors
 from offpiste.perception.checks.gather import Grey, driving, pairs
-from offpiste.perception.checks.plain import check_frozen, check_own_body, check_sensor_stamps
+from offpiste.perception.checks.plain import check_frozen, check_own_body, check_sensor_stamps, untimed_points
 from sensor_bags import IMAGE, cloud, compressed, info, opened, record, sensor_rig, tree
 
 WHEELS = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
@@ -90,3 +92,12 @@ def test_no_sensors_nothing_to_say(tmp_path):
     (finding,) = check_sensors(open_log(path), sensor_rig('[lidars.top]\ntopic = "/none"\n'))
     assert finding.severity == "warning"
     assert "no messages on topic '/none'" in finding.what
+
+
+def test_points_with_times_that_the_rig_does_not_name(tmp_path):
+    path = record(tmp_path / "drive.mcap")
+    sensors = opened(path)
+    source, (lidar,) = sensor_source(open_log(path), sensor_rig()), sensors.lidars.values()
+    bare = replace(lidar, source=structs.replace(lidar.source, time_field=""))
+    assert untimed_points(source, {"top": lidar}) == {}
+    assert untimed_points(source, {"top": bare}) == {"top": "t"}

@@ -1,5 +1,7 @@
 """What becomes a warning, what a note, and what the mends say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,11 @@ def test_mends_are_rig_lines():
     assert f"orientation = [0.0, 0.0, {np.sin(half):.6f}, {np.cos(half):.6f}]" in turn.mend
     assert turn.mend.startswith("calibrate it again; or lidars.top.body_from_lidar = { position = [0.0, 0.0, 0.0]")
     assert late.mend == "lidars.top.delay = 0.05"  # on top of the 20 ms that the rig has already
+
+
+def test_points_without_their_times_are_no_reason_for_a_delay():
+    (late,) = findings_of([replace(judged((0, 0, 0, 30)), untimed="t")])
+    assert late.mend.startswith('lidars.top.time_field = "t", with its time_unit;')
 
 
 def test_if_all_sensors_say_the_same_it_may_be_the_pose():

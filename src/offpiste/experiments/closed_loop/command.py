@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
@@ -47,8 +48,8 @@ def drive_and_show(
         fault_start=fault_start,
     )
     driven = drive_course(planner, asked, out, tell=tell)
-    tell(_modes(driven))
-    tell(_stages(driven))
+    tell(modes_table(driven.result))
+    tell(stages_table(driven.result))
     written = ["drive.mcap", "drive.png", "result.json"]
     if recording:
         from offpiste.experiments.closed_loop.recording import record_drive
@@ -59,16 +60,19 @@ def drive_and_show(
     return driven
 
 
-def _modes(driven: Driven) -> Table:
-    table = Table("at [s]", "mode", "why", title="changes of mode")
-    for time, mode, why in driven.result["modes"]:
+def modes_table(result: dict[str, Any]) -> Table:
+    """When the mode changed, and why."""
+    table = Table(r"at \[s]", "mode", "why", title="changes of mode")
+    for time, mode, why in result["modes"]:
         table.add_row(f"{time:.2f}", mode, why)
     return table
 
 
-def _stages(driven: Driven) -> Table:
-    table = Table("stage", "times", "median [ms]", "95 % [ms]", "all [s]", title="what it took, by the wall clock")
-    for stage, took in driven.result["stages"].items():
+def stages_table(result: dict[str, Any]) -> Table:
+    """What the stages of the run time took."""
+    names = ("stage", "times", r"median \[ms]", r"95 % \[ms]", r"all \[s]")  # what is not escaped is a style
+    table = Table(*names, title="what it took, by the wall clock")
+    for stage, took in result["stages"].items():
         numbers = (f"{took[key]:.1f}" for key in ("median_ms", "p95_ms", "total_s"))
         table.add_row(stage, f"{took['count']:.0f}", *numbers)
     return table

@@ -49,6 +49,13 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
         PerceptionError: not a PCA, or its backbone cannot be had.
     """
     run = load_run(folder)
+    missing = [name for name in ("throttle", "steer") if name not in run.dynamics.vehicle.control]
+    if missing:
+        raise RunError(
+            f"was trained without the {' and the '.join(missing)} that a planner would choose",
+            where=folder,
+            how="give a run trained on commands of both",
+        )
     weights = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()[:16]
     if encoder_of(run.dynamics) is None:
         return Planner(run.model, folder, run.dynamics, weights=weights)

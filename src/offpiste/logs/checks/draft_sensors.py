@@ -11,6 +11,7 @@ from offpiste.logs.bags import BagLog
 from offpiste.logs.log import Log
 from offpiste.logs.mountings import between
 from offpiste.logs.sensor_source import Transform
+from offpiste.rig_sensors import TIME_FIELDS
 
 BODY = "base_link"
 """The usual name of the body frame (REP 105)."""
@@ -120,7 +121,7 @@ def _lidar(source: BagSensors, topic: str, name: str, body: str, transforms: lis
     lines = [f"[lidars.{name}]", f"topic = {_toml(topic)}"]
     lines += _mounting(source, topic, name, body, transforms, "body_from_lidar")
     fields = [field.name for field in getattr(_first(source.log, topic), "fields", ())]
-    times = [field for field in fields if field in ("t", "time", "timestamp", "time_stamp", "offset_time")]
+    times = [field for field in fields if field in TIME_FIELDS]
     if times:
         lines.append(
             f"# MISSING: time of the points of {name}: they have '{times[0]}'; give time_field and time_unit, unless"

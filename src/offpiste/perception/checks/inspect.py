@@ -1,17 +1,18 @@
 """All checks of cameras and LiDARs, in turn."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from offpiste.errors import OffpisteError
 from offpiste.logs.checks import Finding
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
-from offpiste.logs.sensors import open_sensors
+from offpiste.logs.sensors import open_sensors, sensor_source
 from offpiste.perception.checks.camera import check_camera
 from offpiste.perception.checks.gather import Gathered, SmallCamera, gather, small_camera
 from offpiste.perception.checks.lidar import check_lidar
-from offpiste.perception.checks.plain import check_frozen, check_own_body, check_sensor_stamps, refused
+from offpiste.perception.checks.plain import check_frozen, check_own_body, check_sensor_stamps, refused, untimed_points
 from offpiste.perception.checks.verdict import Judged, findings_of
 from offpiste.progress import track
 from offpiste.rig import Rig
@@ -43,7 +44,11 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
         findings.append(
             Finding("note", "cameras and LiDARs", "are there in part", said, "nothing where the rest is enough")
         )
-    judged = judge_lidars(sensors.lidars, gathered, sensors.poses)
+    untimed = untimed_points(sensor_source(log, rig), sensors.lidars)
+    judged = [
+        replace(one, untimed=untimed.get(one.sensor.name, ""))
+        for one in judge_lidars(sensors.lidars, gathered, sensors.poses)
+    ]
     return findings + findings_of(judged + judge_cameras(cameras, judged, gathered, sensors.poses))
 
 

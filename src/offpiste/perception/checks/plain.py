@@ -1,6 +1,6 @@
 """What is wrong with images and clouds before any geometry: stamps, spans, repeats, the vehicle's own body."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -15,9 +15,11 @@ from offpiste.logs.checks.recorded import Recorded
 from offpiste.logs.checks.stamps import check_spans, check_stamps
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
+from offpiste.logs.sensor_source import SensorSource
 from offpiste.logs.sensors import SensorLog, sensor_source
 from offpiste.perception.checks.gather import Grey, Scan
 from offpiste.rig import Rig
+from offpiste.rig_sensors import TIME_FIELDS
 
 _PAUSE: Final = 1.0
 """A sensor is silent for longer than this in a gap [s]; images come at some Hz, and are not interpolated."""
@@ -47,6 +49,17 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     for finding in check_spans(recorded, pose, used=True):
         said.append(replace(finding, severity="note" if finding.score < _HALF else "warning"))
     return [*said, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose]))]
+
+
+def untimed_points(source: SensorSource, lidars: Mapping[str, Lidar]) -> dict[str, str]:
+    """LiDARs whose points have a field of times that the rig does not name: from the LiDAR's name to the field's."""
+    found: dict[str, str] = {}
+    for name, lidar in lidars.items():
+        first = None if lidar.source.time_field else next(source.clouds(lidar.source.topic), None)
+        times = [field for field in TIME_FIELDS if first is not None and field in (first.points.dtype.names or ())]
+        if times:
+            found[name] = times[0]
+    return found
 
 
 def _recorded(log: Log, topic: str, rig: Rig) -> Recorded:

@@ -29,10 +29,16 @@ _AXES: Final = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class Judged:
-    """A sensor and what was found; `misfit` is None where nothing could be."""
+    """A sensor and what was found.
+
+    Attributes:
+        misfit: None where nothing could be.
+        untimed: a field with the time of its points that the rig does not name, if there is one.
+    """
 
     sensor: Camera | Lidar
     misfit: Misfit | None
+    untimed: str = ""
 
     @property
     def key(self) -> str:
@@ -108,7 +114,9 @@ def _late(one: Judged, misfit: Misfit, alike: bool) -> Finding:
     what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
     said = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
     mend = f"{one.key}.delay = {number(round(one.sensor.source.delay + late, 3))}"
-    if alike:
+    if one.untimed:
+        mend = f'{one.key}.time_field = "{one.untimed}", with its time_unit; only if its scans are compensated: {mend}'
+    elif alike:
         mend += "; as all sensors say the same, the pose's stamps may be what is off: mend its delay instead"
     return Finding("warning", one.sensor.name, what, said, mend, min(1.0, abs(late) / 0.2))
 
