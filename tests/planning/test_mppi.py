@@ -277,3 +277,8 @@ def test_a_gpu_reaches_the_optimum_too():
     draw = torch.Generator("cuda").manual_seed(0)
     found = improve(nothing(20).cuda(), cost_of, settings, draw).controls
     assert cost_of(found[None]).item() == pytest.approx(cost_of(riccati(20).cuda()[None]).item(), rel=0.02)
+
+
+def test_smoothing_over_an_even_length_is_refused():
+    with pytest.raises(ValueError, match="6 steps; it has to be odd"):
+        Settings(Limits((0.0,), (1.0,)), (0.1,), smoothing=6)

@@ -180,8 +180,8 @@ def _ground(situation: Situation, codes: Codes) -> Ground:
     cells, missing = codes
     return Ground(
         _grid(situation.offset - maps.origin[0], maps.resolution, cells),
-        _rows(maps.slope[0]),
-        _rows(cells),
+        _numbers(maps.slope[0]),
+        _numbers(cells),
         *(part.float().contiguous().numpy() for part in (missing, situation.wheels)),
     )
 
@@ -189,10 +189,10 @@ def _ground(situation: Situation, codes: Codes) -> Ground:
 def _raster(situation: Situation) -> Raster:
     costs = situation.costs
     grid = _grid(situation.offset - costs.origin, costs.resolution, costs.layers)
-    return Raster(grid, _rows(costs.layers), np.float32(costs.outside))
+    return Raster(grid, _numbers(costs.layers), np.float32(costs.outside))
 
 
-def _rows(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
+def _numbers(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
     return cells.float().contiguous().numpy().reshape(-1)
 
 

@@ -16,7 +16,8 @@ from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
 HAZARD, LIMIT, DISTANCE, ALONG_X, ALONG_Y, TARGET, COS, SIN = range(8)
 """Rows of what a block sees after a step; the first ones are the layers of the cost map."""
 
-LAYERS = TARGET + 1
+COST_NUMBERS = TARGET + 1
+"""Of a cell of the cost map."""
 
 
 class Grid(NamedTuple):
@@ -168,7 +169,7 @@ def read_costs(sight: Sight, raster: Raster) -> None:
     """Under a wheel."""
     quarter = f4(0.25)
     hazard, limit = sight.seen[HAZARD * LANES : (HAZARD + 1) * LANES], sight.seen[LIMIT * LANES : (LIMIT + 1) * LANES]
-    locate(sight.square, LAYERS, sight.place)
+    locate(sight.square, COST_NUMBERS, sight.place)
     for i in range(LANES):
         found, other = raster.layers[np.uint64(sight.place[i])], raster.layers[np.uint64(sight.place[i] + 1)]
         inside = sight.square[i] >= 0
@@ -211,7 +212,7 @@ def survey(w: np.ndarray, carry: np.ndarray, sight: Sight, ground: Ground, raste
     for i in range(LANES):
         x, y, _ = cell_at(raster.grid, carry[i], carry[LANES + i])
         sight.square[i] = number(raster.grid, x, y)
-    locate(sight.square, LAYERS, sight.place)
+    locate(sight.square, COST_NUMBERS, sight.place)
     for k in range(DISTANCE, TARGET + 1):
         for i in range(LANES):
             seen[k * LANES + i] = raster.layers[np.uint64(sight.place[i] + k)]

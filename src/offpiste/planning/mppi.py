@@ -43,6 +43,9 @@ class Settings:
             noise about zero (Williams et al., eq. 18), 0 for costs alone.
         smoothing: odd length of a Savitzky-Golay filter of third order over the plan [steps]; 0 for none.
         dt: a step [s], for the rates.
+
+    Raises:
+        ValueError: `smoothing` is even.
     """
 
     limits: Limits

@@ -9,7 +9,7 @@ OFFSET: Final = np.array([-14.0, -14.0, 11.0])
 """Of the eye from the vehicle's first place [m]."""
 
 
-def eye_behind(vehicle: str, start: Float[np.ndarray, " 3"]) -> Any:
+def following_eye(vehicle: str, start: Float[np.ndarray, " 3"]) -> Any:
     """An eye above and beside a vehicle, that goes along with it.
 
     Args:

@@ -18,7 +18,7 @@ from offpiste.mapping.layers import TerrainLayers
 from offpiste.mapping.replay import Moment
 from offpiste.perception.pictures import colours
 from offpiste.perception.projection import View
-from offpiste.viewing.eye import eye_behind
+from offpiste.viewing.eye import following_eye
 from offpiste.viewing.map_figure import STEEP, TALL
 from offpiste.viewing.mesh import Tile, cell_centres, grid_triangles, tiles
 
@@ -256,7 +256,7 @@ def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:
         origin="/world",
         name="world",
         contents=["+ /world/**", "- /world/map/slope/**"],
-        eye_controls=eye_behind("/world/vehicle", np.zeros(3)),
+        eye_controls=following_eye("/world/vehicle", np.zeros(3)),
         line_grid=False,
     )
     images = [rrb.Spatial2DView(origin=f"/world/cameras/{name}", name=name) for name in cameras]

@@ -16,7 +16,7 @@ from offpiste.geometry import rotation_from_quaternion
 from offpiste.planning.modes import Mode
 from offpiste.simulation.surface import read_grid
 from offpiste.simulation.top_view import shaded_colours
-from offpiste.viewing.eye import eye_behind
+from offpiste.viewing.eye import following_eye
 from offpiste.viewing.mesh import grid_triangles
 from offpiste.viewing.recording import MissingRerun, rerun_is_there
 
@@ -90,11 +90,11 @@ def _write(driven: Driven, path: Path) -> None:
 
 
 def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
-    """How a viewer arranges it: the world from behind the vehicle, and beside it what was driven."""
+    """How a viewer arranges it: the world from above the vehicle, and beside it what was driven."""
     import rerun.blueprint as rrb
 
     world = rrb.Spatial3DView(
-        origin="/world", name="world", eye_controls=eye_behind("/world/vehicle", start), line_grid=False
+        origin="/world", name="world", eye_controls=following_eye("/world/vehicle", start), line_grid=False
     )
     plots = [
         rrb.TimeSeriesView(origin=f"/{origin}", name=name, plot_legend=rrb.Corner2D.RightTop)
