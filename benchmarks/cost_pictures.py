@@ -13,14 +13,14 @@ from matplotlib.figure import Figure
 
 from offpiste.conventions import CONTROL, GRAVITY
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.mapping.layers import TerrainLayers, empty_layers
-from offpiste.mapping.lookup import stack_maps
-from offpiste.planning import terms
+from offpiste.mapping.terrain_lookup import stack_maps
+from offpiste.mapping.terrain_map import TerrainLayers, empty_layers
+from offpiste.planning import costs
+from offpiste.planning.cost_map import Course, Hazards, cost_map, speed_limit
 from offpiste.planning.costs import Situation, Weights
-from offpiste.planning.course import Course, Hazards, cost_map, speed_limit
-from offpiste.planning.fused import encode_map, fused_costs, fused_rollout
+from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, sample
-from offpiste.trajectory import Carry
+from offpiste.state import Carry
 
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
 LINE, LABEL = "#2a6f97", 8
@@ -83,11 +83,11 @@ def main() -> None:
     grid = figure.add_gridspec(4, 3, height_ratios=(1, 1, 1, 2.2))
     axes = [figure.add_subplot(grid[i // 3, i % 3]) for i in range(9)]
     x = np.linspace(-3, 3, 201)
-    curve(axes[0], x, terms.path_term(x, w.path), "off the path", "distance [m]")
+    curve(axes[0], x, costs.path_term(x, w.path), "off the path", "distance [m]")
     v = np.linspace(0, 12, 201)
-    along = terms.speed_term((1.0, 0.0), v, 0 * v, (1.0, 0.0), 6.0, w.speed)
+    along = costs.speed_term((1.0, 0.0), v, 0 * v, (1.0, 0.0), 6.0, w.speed)
     curve(axes[1], v, along, "along the course (target 6 m/s)", "speed along [m/s]")
-    over = terms.overspeed_term(v, 4.0, w.overspeed, np.maximum)
+    over = costs.overspeed_term(v, 4.0, w.overspeed, np.maximum)
     curve(axes[2], v, over, "over the ground's limit (4 m/s)", "speed [m/s]")
     h = Hazards()
     rough = np.linspace(0.01, 0.3, 201)
@@ -96,7 +96,7 @@ def main() -> None:
     curve(axes[4], rise, h.steep * np.maximum(rise - h.steepest, 0), "steep ground, each wheel / 4", "rise over run")
     a, level = np.linspace(-12, 12, 201), np.linspace(-0.6, 0.6, 5)
     for angle in level[1:4]:
-        ratio = terms.lateral_ratio(a, np.sin(angle), np.cos(angle), GRAVITY, w.least_vertical, np.maximum)
+        ratio = costs.lateral_ratio(a, np.sin(angle), np.cos(angle), GRAVITY, w.least_vertical, np.maximum)
         axes[5].plot(a, ratio, linewidth=1.8, label=f"side slope {np.degrees(angle):.0f}°")
     axes[5].axhline(w.lateral_limit, color="black", linewidth=0.8, linestyle=":")
     axes[5].legend(fontsize=7)
@@ -105,11 +105,11 @@ def main() -> None:
     axes[5].tick_params(labelsize=LABEL)
     axes[5].grid(alpha=0.3)
     r = np.linspace(0, 1.5, 601)
-    curve(axes[6], r, terms.rollover_term(r, w.lateral_limit, w.rollover, np.maximum), "rollover", "ratio")
+    curve(axes[6], r, costs.rollover_term(r, w.lateral_limit, w.rollover, np.maximum), "rollover", "ratio")
     u = np.linspace(-1, 1, 201)
-    curve(axes[7], u, terms.effort_term(u, w.effort[2]), "effort: steering", "command")
+    curve(axes[7], u, costs.effort_term(u, w.effort[2]), "effort: steering", "command")
     rate = np.linspace(-4, 4, 201)
-    curve(axes[8], rate, terms.jerk_term(rate * 0.02, 0.0, 0.02, w.jerk[2]), "jerk: steering", "change [1/s]")
+    curve(axes[8], rate, costs.jerk_term(rate * 0.02, 0.0, 0.02, w.jerk[2]), "jerk: steering", "change [1/s]")
     draw_plan(figure.add_subplot(grid[3, :]))
     figure.savefig(folder / "planning-costs.png", dpi=90)
 

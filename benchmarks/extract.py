@@ -17,16 +17,16 @@ import tyro
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.extract import Rows, extract_rows
-from offpiste.dataset.make import make_dataset
-from offpiste.dataset.visual import with_visual_features
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.open import open_log
-from offpiste.logs.sensors import SensorLog, open_sensors
+from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import ReplaySettings, replay
-from offpiste.perception.looking import Looking, load_looking
-from offpiste.rig import Rig, load_rig
+from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.rig.rig import Rig, load_rig
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,12 @@ from functools import partial
 import numpy as np
 import torch
 
-from offpiste.mapping import reference
+import mapping_reference
 from offpiste.mapping.flatten import Flattener
-from offpiste.mapping.layers import TerrainLayers
-from offpiste.mapping.lookup import look_up, stack_maps
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.voxels import VoxelMap
-from offpiste.mapping.wheels import look_up_wheels
+from offpiste.mapping.terrain_lookup import look_up, look_up_wheels, stack_maps
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.voxel_map import VoxelMap
 
 RINGS, TURN = 64, 1563
 SCANS = 40
@@ -68,7 +67,7 @@ def mapping(channels: int, threads: int) -> None:
     """Insertion, flattening and lookup."""
     rng = np.random.default_rng(0)
     settings, flat = VoxelSettings(threads=threads), FlattenSettings()
-    held, plain = VoxelMap(channels, settings), reference.empty_reference(channels, settings)
+    held, plain = VoxelMap(channels, settings), mapping_reference.empty_reference(channels, settings)
     flattener, layers = Flattener(held, flat), None
     points, distance = scan(rng)
     features, has = rng.normal(size=(len(points), channels)).astype(np.float32), rng.random(len(points)) < 0.8
@@ -81,10 +80,10 @@ def mapping(channels: int, threads: int) -> None:
         inserting.append(timed(partial(held.insert, seen, features, has, distance)))
         layers = flattener.layers(layers) if number == 0 else layers
         flattening.append(timed(partial(flattener.layers, layers)))
-        plain = reference.recentred(plain, place, 0.0)
+        plain = mapping_reference.recentred(plain, place, 0.0)
         if number % 5 == 4:  # NumPy gets every fifth scan, to keep this short
-            plainly = timed(partial(reference.inserted, plain, seen, features, has, distance))
-            plain = reference.inserted(plain, seen, features, has, distance)
+            plainly = timed(partial(mapping_reference.inserted, plain, seen, features, has, distance))
+            plain = mapping_reference.inserted(plain, seen, features, has, distance)
     assert layers is not None
     layers = flattener.layers(layers)
     voxel = held.voxels.seen.strides[0]
@@ -94,7 +93,7 @@ def mapping(channels: int, threads: int) -> None:
     print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
     touched = points.nbytes + features.nbytes + distance.nbytes + len(points) * (64 + voxel)
     report("insert", inserting[2:], plainly, touched)
-    plainly = timed(partial(reference.flattened, plain, flat))
+    plainly = timed(partial(mapping_reference.flattened, plain, flat))
     report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
     print(summary("insert + flatten", both))

@@ -11,19 +11,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from offpiste.conventions import DT
-from offpiste.simulation.appearance import make_appearance
-from offpiste.simulation.build import make_world
-from offpiste.simulation.camera import Camera, render
 from offpiste.simulation.drive import drive, with_driver
-from offpiste.simulation.lidar import Lidar
-from offpiste.simulation.parameters import load_vehicle
-from offpiste.simulation.pictures import overlay
-from offpiste.simulation.pose import Pose, standing
-from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.scene import world_scene
-from offpiste.simulation.sensors import full_suite
-from offpiste.simulation.top_view import draw_top_view
-from offpiste.simulation.world import World, WorldSettings
+from offpiste.simulation.sample import Pose, VehicleSample, standing
+from offpiste.simulation.sensors.camera import Camera, render
+from offpiste.simulation.sensors.lidar import Lidar
+from offpiste.simulation.sensors.scene import world_scene
+from offpiste.simulation.sensors.suite import full_suite
+from offpiste.simulation.top_view import draw_top_view, overlay
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.appearance import make_appearance
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
 
 PRESETS = ("mojave", "halter-ranch", "dunes", "coastal-scrub")
 

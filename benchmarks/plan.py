@@ -27,14 +27,14 @@ from torch import Tensor
 from offpiste.conventions import CONTROL, DT, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.dynamics.encoder import Compressor
-from offpiste.mapping.layers import TerrainLayers
-from offpiste.mapping.lookup import MapTerrain, as_codes, stack_maps
+from offpiste.mapping.terrain_lookup import MapTerrain, as_codes, stack_maps
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning.cost_map import Course, Hazards, cost_map
 from offpiste.planning.costs import Situation, Weights, terms_after
-from offpiste.planning.course import Course, Hazards, cost_map
-from offpiste.planning.fused import coded_map, encode_map, fused_costs
+from offpiste.planning.kernel import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
 from offpiste.planning.rollouts import driving_costs
-from offpiste.trajectory import Carry
+from offpiste.state import Carry
 
 FEATURES = 40
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
@@ -205,8 +205,8 @@ def encoding(model: Hybrid, at: Situation) -> None:
 
 def cycle(run: Path, pca: Path | None, seconds: float) -> None:
     """Drive a course and print the stages of the run time; the simulator's own sensors are listed too."""
-    from offpiste.experiments.closed_loop.drive_course import CourseDrive, drive_course
-    from offpiste.experiments.closed_loop.planner import load_planner
+    from offpiste.closed_loop.drive_course import CourseDrive, drive_course
+    from offpiste.closed_loop.planner import load_planner
 
     with TemporaryDirectory() as folder:
         driven = drive_course(load_planner(run, pca), CourseDrive(seconds=seconds), Path(folder) / "drive")

@@ -16,14 +16,14 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.logs.writer import McapWriter
-from offpiste.simulation.build import make_world
 from offpiste.simulation.drive import drive, with_driver
-from offpiste.simulation.parameters import load_vehicle
 from offpiste.simulation.recorder import Recorder
-from offpiste.simulation.sensing import Sensing
-from offpiste.simulation.sensors import sensor_suite
-from offpiste.simulation.vehicle import VehicleSimulation
-from offpiste.simulation.world import World, WorldSettings
+from offpiste.simulation.sensors.sensing import Sensing
+from offpiste.simulation.sensors.suite import sensor_suite
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.vehicle.vehicle import VehicleSimulation
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
 
 
 def physics(world: World, seconds: float, *, sampled: bool) -> float:

@@ -22,18 +22,18 @@ import torch
 import tyro
 from torch import Tensor, nn
 
+from offpiste.dataset.feature_sets import per_trajectory
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
 from offpiste.dynamics.base import Step
-from offpiste.dynamics.kernels.function import rollout_recorded
+from offpiste.dynamics.kernels.autograd import rollout_recorded
+from offpiste.state import Carry, RecordedTerrain, Terrain, Trajectory
 from offpiste.training.config import TrainConfig
-from offpiste.training.drawing import per_trajectory
-from offpiste.training.ground import encoded
 from offpiste.training.losses import summed_loss
 from offpiste.training.run import build, vehicle_of
+from offpiste.training.terrain_sources import encoded
 from offpiste.training.train import kinematic_scale, standardise
-from offpiste.trajectory import Carry, RecordedTerrain, Terrain, Trajectory
 
 Mark = Callable[[str], None]
 """Says that the part of this name has just ended."""

@@ -15,8 +15,8 @@ from torch import Tensor
 from offpiste.conventions import CONTROL, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, rollout
 from offpiste.dynamics.encoder import Identity
-from offpiste.dynamics.kernels.function import rollout_recorded
-from offpiste.trajectory import Carry, RecordedTerrain, Terrain, Trajectory
+from offpiste.dynamics.kernels.autograd import rollout_recorded
+from offpiste.state import Carry, RecordedTerrain, Terrain, Trajectory
 
 
 def inputs(model: Hybrid, batch: int) -> tuple[Carry, Tensor, Terrain]:

@@ -18,10 +18,10 @@ import tyro
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT, FEATURE_SETS
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.extract import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import add_drive, create, drive_names
-from offpiste.rig import load_rig
+from offpiste.rig.rig import load_rig
 
 ROWS, CELLS, FEATURES = 100_000, 130_000, 40
 """Of a drive: 2000 s at 5 m/s, and as many cells as the proving ground's drives have for it."""
@@ -81,8 +81,8 @@ def read_and_train(path: Path, seconds: float, batch: int) -> None:
     """Draw windows for some seconds, then take a few whole steps."""
     from train import by_kernel, make_trainer
 
-    from offpiste.training.drawing import per_trajectory
-    from offpiste.training.ground import encoded
+    from offpiste.dataset.feature_sets import per_trajectory
+    from offpiste.training.terrain_sources import encoded
 
     began = time.perf_counter()
     trainer = make_trainer(path, batch)

@@ -10,9 +10,9 @@ from pytorch_mppi import MPPI
 from torch import Tensor
 
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
-from offpiste.mapping.lookup import MapTerrain, stack_maps
-from offpiste.mapping.terrain import TerrainMap
-from offpiste.trajectory import Carry
+from offpiste.mapping.terrain_lookup import MapTerrain, stack_maps
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.state import Carry
 
 SAMPLES, STEPS, RADIUS, SPEED = 200, 75, 20.0, 5.0
 

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT
-from offpiste.dataset.extract import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dynamics import Hybrid, Vehicle
 from offpiste.dynamics.encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
-from offpiste.rig import Rig, parse_rig
-from offpiste.trajectory import History, RecordedTerrain, Terrain
+from offpiste.rig.rig import Rig, parse_rig
+from offpiste.state import History, RecordedTerrain, Terrain
 
 torch.set_num_threads(1)
 """Tensors here are small: threads cost more than they bring."""

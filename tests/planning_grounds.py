@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
-from offpiste.mapping.layers import TerrainLayers
-from offpiste.mapping.lookup import stack_maps
+from offpiste.mapping.terrain_lookup import stack_maps
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning.cost_map import Course, Hazards, cost_map
 from offpiste.planning.costs import Situation
-from offpiste.planning.course import Course, Hazards, cost_map
 
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
 

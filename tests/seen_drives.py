@@ -9,10 +9,10 @@ import numpy as np
 from factories import circle_rows, small_rig
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.extract import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
-from offpiste.mapping.terrain import TerrainMap
+from offpiste.mapping.terrain_map import TerrainMap
 
 FEATURES = 5
 PARTS = ("train", "train", "validation", "test")

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.camera_model import CameraModel
+from offpiste.inspection.sensor_samples import Grey, Scan, SmallCamera, small_camera
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
-from offpiste.perception.checks.gather import Grey, Scan, SmallCamera, small_camera
-from offpiste.rig_sensors import CameraSource, LidarSource
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.sensors import CameraSource, LidarSource
 
 SECONDS = 8.0
 MATRIX = np.array([[150.0, 0, 99.5], [0, 150, 74.5], [0, 0, 1]])

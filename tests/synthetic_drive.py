@@ -6,11 +6,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from offpiste.rig import load_rig
-from offpiste.simulation.parameters import load_vehicle
+from offpiste.rig.rig import load_rig
 from offpiste.simulation.sample import VehicleSample, WheelTruth
-from offpiste.simulation.vehicle import VehicleSimulation
-from offpiste.simulation.world import Bushes, Trees, World, WorldSettings
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.vehicle.vehicle import VehicleSimulation
+from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
 
 DT = 0.02
 

@@ -4,22 +4,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from offpiste.dataset.extract import Rows, extract_rows
+    from offpiste.dataset.resample import Rows, extract_rows
     from offpiste.dataset.store import Dataset, open_dataset
     from offpiste.dataset.windows import Windows
     from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
     from offpiste.errors import OffpisteError
     from offpiste.logs import Drive, open_log, read_drive
-    from offpiste.rig import Rig, load_rig
+    from offpiste.rig.rig import Rig, load_rig
+    from offpiste.state import RecordedTerrain
     from offpiste.training.config import TrainConfig
-    from offpiste.training.ground import encoded
     from offpiste.training.run import Run, load_run
+    from offpiste.training.terrain_sources import encoded
     from offpiste.training.train import train
-    from offpiste.trajectory import RecordedTerrain
 
 _HOME = {
-    "Rows": "offpiste.dataset.extract",
-    "extract_rows": "offpiste.dataset.extract",
+    "Rows": "offpiste.dataset.resample",
+    "extract_rows": "offpiste.dataset.resample",
     "Dataset": "offpiste.dataset.store",
     "open_dataset": "offpiste.dataset.store",
     "Windows": "offpiste.dataset.windows",
@@ -32,14 +32,14 @@ _HOME = {
     "Drive": "offpiste.logs",
     "open_log": "offpiste.logs",
     "read_drive": "offpiste.logs",
-    "Rig": "offpiste.rig",
-    "load_rig": "offpiste.rig",
+    "Rig": "offpiste.rig.rig",
+    "load_rig": "offpiste.rig.rig",
     "TrainConfig": "offpiste.training.config",
-    "encoded": "offpiste.training.ground",
+    "encoded": "offpiste.training.terrain_sources",
     "Run": "offpiste.training.run",
     "load_run": "offpiste.training.run",
     "train": "offpiste.training.train",
-    "RecordedTerrain": "offpiste.trajectory",
+    "RecordedTerrain": "offpiste.state",
 }
 
 __all__ = [  # noqa: RUF022  (the order of the stages)

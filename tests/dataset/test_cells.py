@@ -6,10 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.dataset.cells import Cells, CellTable
-from offpiste.dataset.normals import Normals
-from offpiste.dataset.slabs import Slabs
-from offpiste.dataset.views import Views, same_view, set_number
+from offpiste.dataset.cells import Cells, CellTable, Normals, Slabs
+from offpiste.dataset.feature_sets import Views, same_view, set_number
 from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2

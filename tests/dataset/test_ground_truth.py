@@ -13,9 +13,9 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.errors import DatasetError, RunError
-from offpiste.mapping.terrain import TerrainMap, wheel_places
-from offpiste.training.ground import encoded, on_map
+from offpiste.mapping.terrain_map import TerrainMap, wheel_places
 from offpiste.training.run import build, vehicle_of
+from offpiste.training.terrain_sources import encoded, on_map
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 NAMES = ("column", "row", "constant")

@@ -13,11 +13,11 @@ from offpiste.dataset import store
 from offpiste.dataset.ground_truth import with_ground_truth
 from offpiste.dataset.snapshots import CHUNK, Due, SnapshotSettings, SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.dataset.starts import judged_starts
+from offpiste.dataset.window_starts import judged_starts
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.mapping.lookup import MapTerrain
-from offpiste.mapping.terrain import TerrainMap
+from offpiste.mapping.terrain_lookup import MapTerrain
+from offpiste.mapping.terrain_map import TerrainMap
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 NAMES = ("column", "row")

@@ -10,7 +10,7 @@ import torch
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
-from offpiste.trajectory import Carry, RecordedTerrain, Terrain, TerrainSource, Trajectory
+from offpiste.state import Carry, RecordedTerrain, Terrain, TerrainSource, Trajectory
 
 CODES = {"df": 3, "hold": 3, "cf": 4, "dc": 4, "dc-step": 4, "cf-masked": 4, "dc-hold": 4}
 """Two features and a flag, or their compression."""

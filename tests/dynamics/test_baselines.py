@@ -9,7 +9,7 @@ import torch
 from factories import COMMANDED, Situation, flat, unsettled
 from offpiste.conventions import DT
 from offpiste.dynamics import ConstantMotion, Kinematic, Recurrent, rollout
-from offpiste.trajectory import Carry, RecordedTerrain
+from offpiste.state import Carry, RecordedTerrain
 
 
 def drive(model, state: list[float], control: list[float], steps: int = 100) -> torch.Tensor:

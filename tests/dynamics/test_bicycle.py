@@ -12,8 +12,16 @@ from torch.func import functional_call, jacfwd, vmap
 from factories import COMMANDED
 from offpiste.conventions import DT
 from offpiste.dynamics.actuators import TORCH
-from offpiste.dynamics.bicycle import STANDSTILL, Constants, Elementary, Force, forces, rates, slip_angles
-from offpiste.dynamics.constants import BicycleConstants
+from offpiste.dynamics.bicycle import (
+    STANDSTILL,
+    BicycleConstants,
+    Constants,
+    Elementary,
+    Force,
+    forces,
+    rates,
+    slip_angles,
+)
 
 SCALARS = Elementary(math.sin, math.cos, math.tanh, math.atan, max)
 COUNT = BicycleConstants(COMMANDED).raw.numel()

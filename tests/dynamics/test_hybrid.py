@@ -9,9 +9,8 @@ from torch import Tensor
 from factories import COMMANDED, VEHICLE, Situation, coded, flat, ground, unsettled
 from offpiste.conventions import DT, GRAVITY
 from offpiste.dynamics import Hybrid, Parametric, rollout
-from offpiste.dynamics.bicycle import Constants
-from offpiste.dynamics.constants import _RANGES
-from offpiste.trajectory import Carry, RecordedTerrain, Terrain
+from offpiste.dynamics.bicycle import _RANGES, Constants
+from offpiste.state import Carry, RecordedTerrain, Terrain
 
 
 def run(model, state: Tensor, controls: Tensor, terrain: Terrain) -> Tensor:

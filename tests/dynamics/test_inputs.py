@@ -9,7 +9,7 @@ import torch
 from factories import COMMANDED, VEHICLE, ground
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.errors import DatasetError
-from offpiste.trajectory import Terrain
+from offpiste.state import Terrain
 
 STATE = torch.tensor([[1.0, 2.0, 0.3, -5.0, 0.1, 0.2]])
 ACTUATORS = torch.tensor([[0.6, 0.2, 0.0, 3.0]])

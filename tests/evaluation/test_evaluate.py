@@ -10,22 +10,21 @@ from rich.console import Console
 
 from factories import COMMANDED, RIG, circle_rows
 from offpiste.conventions import DT
-from offpiste.dataset.extract import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.errors import RunError
+from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation, _usual_step, evaluate_models
-from offpiste.evaluation.judge import Errors
 from offpiste.evaluation.models import Judged
 from offpiste.evaluation.page import headline_text, render_html
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.results import Headline, ResultRow, pooled_rows, read_metrics, run_rows
-from offpiste.evaluation.table import render_table
-from offpiste.evaluation.tabulate import Sampling
-from offpiste.evaluation.worst import worst_windows
-from offpiste.rig import parse_rig
-from offpiste.trajectory import Carry
+from offpiste.evaluation.tables import Sampling, render_table
+from offpiste.evaluation.worst_windows import worst_windows
+from offpiste.rig.rig import parse_rig
+from offpiste.state import Carry
 
 SCALE = torch.ones(5)
 QUICK = {"scale": SCALE, "stride": 50, "sampling": Sampling(block_seconds=6.0)}

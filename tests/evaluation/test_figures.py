@@ -3,11 +3,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from offpiste.evaluation.drawings import worst_plot
 from offpiste.evaluation.figures import MEAN, MEDIAN, box_plot, distribution_plot, growth_plot, speed_plot, styles
-from offpiste.evaluation.metrics import Statistics
+from offpiste.evaluation.intervals import Statistics
 from offpiste.evaluation.results import ResultRow
-from offpiste.evaluation.worst import WorstWindow
+from offpiste.evaluation.worst_windows import WorstWindow, worst_plot
 
 VALUES = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 11.0, 30.0])
 """Quartiles 3, 5, 7; IQR 4; whiskers reach to the last values within -3 ... 13: 0 and 11."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import RunError
-from offpiste.evaluation.metrics import PairedDifference, Statistics
+from offpiste.evaluation.intervals import PairedDifference, Statistics
 from offpiste.evaluation.results import (
     Headline,
     LossUnits,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from experiments.fusion import MEASURES, Ridden, between_kinds, compare, medians, table_of
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.cells import Cells
-from offpiste.experiments.fusion import MEASURES, Ridden, between_kinds, compare, medians, table_of
 
 SETS = len(FEATURE_SETS)
 

@@ -1,4 +1,4 @@
-from offpiste.experiments.gate import verdict
+from experiments.gate import verdict
 
 
 def row(model: str, error: float, loss: float, minus: dict, *, seed: int | None = None, lookup: str | None = "map"):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from experiments.map_picture import map_picture
+from experiments.marv import CAMERAS, Frame, edge_scores, fit_looking, overlays, read_frame, terrain
 from offpiste.errors import LogError
-from offpiste.experiments.map_picture import map_picture
-from offpiste.experiments.marv import CAMERAS, Frame, edge_scores, fit_looking, overlays, read_frame, terrain
-from offpiste.perception.backbone import open_backbone
+from offpiste.perception.backbones.backbone import open_backbone
 from offpiste.perception.projection import project
 
 FRONT, LEFT = CAMERAS.index("camera_front"), CAMERAS.index("camera_left")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from experiments.photographs import fit_on_photographs, main, read_photographs
 from offpiste.errors import PerceptionError
-from offpiste.experiments.photographs import fit_on_photographs, main, read_photographs
-from offpiste.perception.backbone import open_backbone
-from offpiste.perception.looking import Looking
+from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.feature_extractor import Looking
 
 TRAIL = {
     "run0": [(440, 300, 900, 470)],

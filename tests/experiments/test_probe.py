@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 import torch
 
+from experiments.probe.__main__ import Probe
+from experiments.probe.cells import GROUND, SeenCells, load_cells, save_cells, see_cells, with_colour
+from experiments.probe.scores import INPUTS, NEARBY, drawn_blocks, fit_probe, judge, judged, pool, probe_rows
+from experiments.sensor_faults import Flaw
 from offpiste.conventions import FEATURE_SETS, GROUND_PROPERTIES
 from offpiste.errors import PerceptionError
-from offpiste.experiments.perturbed import Flaw
-from offpiste.experiments.probe import Probe
-from offpiste.experiments.probe_cells import GROUND, SeenCells, load_cells, save_cells, see_cells, with_colour
-from offpiste.experiments.probe_scores import INPUTS, NEARBY, drawn_blocks, fit_probe, judge, judged, pool, probe_rows
-from offpiste.logs.truth import read_truth
-from offpiste.perception.backbone import open_backbone
-from offpiste.perception.looking import Looking
-from offpiste.perception.pca import Moments, fit
-from offpiste.perception.pca_file import save_pca
-from offpiste.rig import load_rig
+from offpiste.logs.ground_truth import read_truth
+from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.pca import Moments, fit, save_pca
+from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
-from offpiste.simulation.world import WorldSettings
+from offpiste.simulation.world.world import WorldSettings
 
 FRICTION = np.array([0.6, 0.45, 0.65, 0.55, 0.3, 0.5, 0.35])
 """Of the made-up ground kinds."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from offpiste.evaluation.metrics import resampling
-from offpiste.experiments.ridge import PENALTIES, fit_ridge, score
+from experiments.ridge import PENALTIES, fit_ridge, score
+from offpiste.evaluation.intervals import resampling
 
 N = 4000
 

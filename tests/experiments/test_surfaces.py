@@ -5,14 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factories import circle_rows, small_rig
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.splits import PARTS, Split
-from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
-from offpiste.dataset.windows import Windows
-from offpiste.errors import LogError
-from offpiste.evaluation.judge import Errors
-from offpiste.experiments.surface_labels import (
+from experiments.surfaces.__main__ import Trial, train_once
+from experiments.surfaces.labels import (
     FLOORS,
     extract_floors,
     formats,
@@ -23,8 +17,14 @@ from offpiste.experiments.surface_labels import (
     relabelled,
     shuffled,
 )
-from offpiste.experiments.surface_tables import tables
-from offpiste.experiments.surfaces import Trial, train_once
+from experiments.surfaces.tables import tables
+from factories import circle_rows, small_rig
+from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.dataset.splits import PARTS, Split
+from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.errors import LogError
+from offpiste.evaluation.errors import Errors
 from offpiste.training.config import TrainConfig
 
 NAMES = [f"recording{number}" for number in range(10)]

@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
 from offpiste.logs import open_log, read_drive
-from offpiste.logs.kitti import KittiLog, pose_from_oxts
-from offpiste.logs.kitti_sensors import time_in_sweep
+from offpiste.logs.kitti import KittiLog, pose_from_oxts, time_in_sweep
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.logs.sensors import SensorLog, open_sensors
-from offpiste.rig import load_rig
+from offpiste.logs.sensor_log import SensorLog, open_sensors
+from offpiste.rig.rig import load_rig
 
 DRIVE = "kitti_raw/2011_09_26/2011_09_26_drive_0013_sync"
 RIG = load_rig("kitti")

@@ -8,7 +8,7 @@ from factories import RIG
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import driven_slope, estimate_motion
-from offpiste.rig import parse_rig
+from offpiste.rig.rig import parse_rig
 
 SPEED, RATE, AHEAD = 4.0, 0.5, 1.1  # of the rear axle [m/s, rad/s]; the pose point lies AHEAD of it [m]
 

@@ -5,9 +5,9 @@ import pytest
 from mcap.writer import Writer
 
 from offpiste.errors import LogError
-from offpiste.logs.bags import BagLog
+from offpiste.logs.bag import BagLog
 from offpiste.logs.open import open_log
-from offpiste.logs.tables import TableLog
+from offpiste.logs.table import TableLog
 from offpiste.logs.tartandrive import TartanDriveLog
 
 

@@ -12,9 +12,8 @@ from rosbags.highlevel import AnyReader
 
 from offpiste.errors import LogError
 from offpiste.logs import open_log
-from offpiste.logs.bags import BagLog
-from offpiste.logs.message_types import header, make, message_types
-from offpiste.logs.writer import McapWriter
+from offpiste.logs.bag import BagLog
+from offpiste.logs.writer import McapWriter, header, make, message_types
 
 START = 1_700_000_000 * 10**9
 PERIOD = 20_000_000

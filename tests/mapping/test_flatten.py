@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.mapping.flatten import Flattener, flatten, neighbour_offsets
-from offpiste.mapping.lookup import MapTerrain, look_up, stack_maps
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.voxels import VoxelMap
-from offpiste.mapping.wheels import look_up_wheels
+from offpiste.mapping.terrain_lookup import MapTerrain, look_up, look_up_wheels, stack_maps
+from offpiste.mapping.voxel_map import VoxelMap
 
 SMALL = VoxelSettings(reach=6.0, capacity=20_000)
 N = 30

@@ -7,9 +7,9 @@ from offpiste.logs.measurements import Image, Lidar
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import Mapper, ReplaySettings
 from offpiste.mapping.settings import VoxelSettings
-from offpiste.planning.vehicle_track import VehicleTrack
-from offpiste.rig_sensors import LidarSource
-from planning.stream import FEATURES, camera, look, reading, scan
+from offpiste.rig.sensors import LidarSource
+from offpiste.runtime.estimator import VehicleTrack
+from runtime.stream import FEATURES, camera, look, reading, scan
 
 SETTINGS = ReplaySettings(0.5, map=MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1)))
 MEMORY = SETTINGS.memory

@@ -8,7 +8,7 @@ import pytest
 
 from offpiste.errors import PerceptionError
 from offpiste.perception.masks import free_patches, mask_from_png, mask_from_polygons, outside_body, within_range
-from offpiste.perception.patches import PatchGrid
+from offpiste.perception.patch_grid import PatchGrid
 
 
 def test_a_painted_mask(tmp_path: Path):

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from offpiste.errors import PerceptionError
-from offpiste.perception.filterbank import Filterbank
-from offpiste.perception.patches import PatchGrid
-from offpiste.perception.pca import Moments, PrincipalComponents, fit
-from offpiste.perception.pca_file import load_pca, save_pca
+from offpiste.perception.backbones.filterbank import Filterbank
+from offpiste.perception.patch_grid import PatchGrid
+from offpiste.perception.pca import Moments, PrincipalComponents, fit, load_pca, save_pca
 
 BACKBONE = Filterbank()
 

@@ -5,14 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from offpiste.errors import PerceptionError
-from offpiste.logs.camera_model import CameraModel
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Cloud, Lidar
 from offpiste.logs.poses import Poses
-from offpiste.perception.cameras import PinholeCamera, make_pinhole_camera
-from offpiste.perception.carry import inverse, points_in_world, transformed
+from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
+from offpiste.perception.motion_compensation import inverse, points_in_world, transformed
 from offpiste.perception.projection import ProjectionSettings, View, project, project_to_pinhole, view_at
-from offpiste.rig_sensors import CameraSource, LidarSource
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.sensors import CameraSource, LidarSource
 
 AHEAD = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """`body_from_camera` of a camera at the pose point that looks ahead."""

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from offpiste.conventions import DT, GRAVITY
+from offpiste.planning.cost_map import Hazards
 from offpiste.planning.costs import Weights, driving_cost, driving_terms
-from offpiste.planning.course import Hazards
-from offpiste.trajectory import Trajectory
+from offpiste.state import Trajectory
 from planning_grounds import layers, situation
 
 STEPS = 50

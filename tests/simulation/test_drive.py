@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from offpiste.simulation.build import make_world
 from offpiste.simulation.drive import Replay, Start, drive, on_other_ground, with_driver
-from offpiste.simulation.parameters import load_vehicle
-from offpiste.simulation.world import WorldSettings
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
 from simulation.drives import flat_world
 
 VEHICLE = load_vehicle()

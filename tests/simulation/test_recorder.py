@@ -11,18 +11,17 @@ from rosbags.highlevel import AnyReader
 
 from offpiste.conventions import GRAVITY, GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.errors import LogError
+from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.logs import Drive, open_log, read_drive
-from offpiste.logs.bags import BagLog
-from offpiste.logs.checks import Inspection, inspect_log
-from offpiste.logs.message_types import header
-from offpiste.logs.truth import read_truth
-from offpiste.logs.writer import McapWriter
-from offpiste.rig import load_rig
-from offpiste.simulation.imperfections import Imperfections, Noise, with_noise
-from offpiste.simulation.parameters import load_vehicle
+from offpiste.logs.bag import BagLog
+from offpiste.logs.ground_truth import read_truth
+from offpiste.logs.writer import McapWriter, header
+from offpiste.rig.rig import load_rig
 from offpiste.simulation.recorder import START_NS, Recorder, stamp_ns, vehicle_messages
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.sensor_messages import Mounting, image_message
+from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
+from offpiste.simulation.sensors.messages import Mounting, image_message
+from offpiste.simulation.vehicle.parameters import load_vehicle
 from synthetic_drive import DT, samples, simulated, small_world
 
 RIG = load_rig("proving_ground")

@@ -9,16 +9,16 @@ import pytest
 from mcap.reader import make_reader
 
 from offpiste.cli import main
-from offpiste.dataset.make import make_dataset
+from offpiste.dataset.extract import make_dataset
 from offpiste.errors import LogError, OffpisteError
 from offpiste.logs import read_drive
-from offpiste.logs.truth import read_truth
-from offpiste.rig import load_rig
+from offpiste.logs.ground_truth import read_truth
+from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
-from offpiste.simulation.build import make_world
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import Driven, DriveSettings, simulate
-from offpiste.simulation.world import WorldSettings
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
 
 RIG = load_rig("proving_ground")
 WORLD = WorldSettings("mojave", seed=1, size=100.0, resolution=0.5)

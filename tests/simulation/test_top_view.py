@@ -2,9 +2,9 @@ from io import BytesIO
 
 import numpy as np
 
-from offpiste.simulation.build import make_world
 from offpiste.simulation.top_view import shaded_colours, top_view
-from offpiste.simulation.world import WorldSettings
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
 
 
 def test_a_world_and_a_drive_are_drawn():

@@ -15,7 +15,7 @@ from offpiste.dynamics import Hybrid
 from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training import optimise
 from offpiste.training.config import TrainConfig
-from offpiste.training.folds import fold_folders, train_folds
+from offpiste.training.cross_validation import fold_folders, train_folds
 from offpiste.training.run import load_run, refuse_seen
 from offpiste.training.train import predict, train
 

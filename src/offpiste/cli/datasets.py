@@ -33,12 +33,11 @@ class FitPca:
 
     def run(self) -> int:
         """Choose, look, fit, write."""
-        from offpiste.dataset.fit_pca import fit_pca
-        from offpiste.dataset.image_list import read_image_list, write_image_list
+        from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
-        from offpiste.perception.backbone import open_backbone
-        from offpiste.perception.pca_file import save_pca
-        from offpiste.rig import load_rig
+        from offpiste.perception.backbones.backbone import open_backbone
+        from offpiste.perception.pca import save_pca
+        from offpiste.rig.rig import load_rig
 
         images = read_image_list(self.images) if isinstance(self.images, Path) else self.images
         fitted = fit_pca(
@@ -90,10 +89,10 @@ class Extract:
 
     def run(self) -> int:
         """Read, resample, write."""
-        from offpiste.dataset.make import make_dataset
+        from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.snapshots import SnapshotSettings
         from offpiste.mapping.replay import ReplaySettings
-        from offpiste.rig import load_rig
+        from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig)
         make_dataset(

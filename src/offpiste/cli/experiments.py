@@ -23,7 +23,7 @@ class Demo:
 
     def run(self) -> int:
         """Simulate, inspect, look, extract, train, judge, drive."""
-        from offpiste.experiments.demo import DemoSettings, run_demo
+        from offpiste.demo import DemoSettings, run_demo
 
         run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=tell)
         return 0
@@ -57,8 +57,8 @@ class Reproduce:
 
     def run(self) -> int:
         """Drive, extract, train, judge, draw."""
-        from offpiste.experiments.reproduce.reproduce import reproduce
-        from offpiste.experiments.reproduce.settings import Reproduction, sized
+        from offpiste.reproduction.reproduce import reproduce
+        from offpiste.reproduction.settings import Reproduction, sized
 
         asked = Reproduction(
             self.figure,
@@ -104,7 +104,7 @@ class Drive:
 
     def run(self) -> int:
         """Load, drive, judge, draw."""
-        from offpiste.experiments.closed_loop.command import drive_and_show
+        from offpiste.closed_loop.command import drive_and_show
 
         drive_and_show(
             self.run_folder,

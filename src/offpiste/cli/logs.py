@@ -44,9 +44,9 @@ class Simulate:
 
     def run(self) -> int:
         """Make a world, drive through it, record."""
-        from offpiste.simulation.imperfections import Imperfections
+        from offpiste.simulation.sensors.imperfections import Imperfections
         from offpiste.simulation.simulate import DriveSettings, simulate
-        from offpiste.simulation.world import WorldSettings
+        from offpiste.simulation.world.world import WorldSettings
 
         world = WorldSettings(self.world, self.seed, self.grip_contrast, self.appearance_noise)
         flaws = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
@@ -74,9 +74,11 @@ class Inspect:
         from json import dumps
 
         from offpiste.files import write_text
+        from offpiste.inspection.draft_rig import draft_rig
+        from offpiste.inspection.draft_sensors import missing
+        from offpiste.inspection.inspect import inspect_log, render
         from offpiste.logs import open_log
-        from offpiste.logs.checks import draft_rig, inspect_log, missing, render
-        from offpiste.rig import Clock, load_rig
+        from offpiste.rig.rig import Clock, load_rig
 
         rig = load_rig(self.rig) if self.rig else None
         clock = rig.clock if rig else Clock()
@@ -90,7 +92,7 @@ class Inspect:
                 print(line, file=sys.stderr)  # noqa: T201
         inspection = inspect_log(log, rig)
         if rig is not None and inspection.usable:
-            from offpiste.perception.checks import check_sensors
+            from offpiste.inspection.sensors import check_sensors
 
             inspection = inspection.with_findings(check_sensors(log, rig))
         tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
@@ -118,7 +120,7 @@ class View:
 
     def run(self) -> int:
         """Play back or open, draw, write."""
-        from offpiste.viewing.view import view
+        from offpiste.visualization.view import view
 
         written = view(
             self.path,

@@ -33,8 +33,8 @@ class Train:
     def run(self) -> int:
         """Open, train, save."""
         from offpiste.dataset.store import open_dataset
-        from offpiste.training.folds import train_folds
-        from offpiste.training.processes import ALONE, joined
+        from offpiste.training.cross_validation import train_folds
+        from offpiste.training.distributed import ALONE, joined
         from offpiste.training.train import train
 
         dataset = open_dataset(self.dataset)
@@ -74,7 +74,7 @@ class Evaluate:
 
     def run(self) -> int:
         """Load, judge, report."""
-        from offpiste.experiments.judge_runs import judge_runs
+        from offpiste.evaluation.evaluate_runs import judge_runs
 
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
         judge_runs(

@@ -1,143 +1,207 @@
-"""From a drive to rows at 50 Hz: what every model reads, with nothing guessed and nothing filled."""
+"""One drive from its log into a dataset: read, bring to 50 Hz, look at the ground, write whole or not at all.
 
+Logs in, dataset out: split once, every drive extracted by itself, several at a time.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from offpiste.conventions import ACTUATORS, CONTROL, DT
-from offpiste.dataset.cells import Cells
-from offpiste.errors import LogError
-from offpiste.geometry import local_polynomial
-from offpiste.logs.channel import Channel
-from offpiste.logs.drive import Drive, common_span
-from offpiste.logs.jumps import find_jumps
-from offpiste.logs.motion import driven_slope, estimate_motion
-from offpiste.rig import ACTUATOR_CHANNELS, CONTROL_CHANNELS, Rig
+from offpiste.conventions import DT, FEATURE_SETS, MIN_JUDGED_SPEED
+from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
+from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
+from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, scratch
+from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
+from offpiste.dataset.window_starts import MIN_HINDSIGHT, judged_starts
+from offpiste.errors import DatasetError, OffpisteError
+from offpiste.logs.drive import drive_from_log, drive_name
+from offpiste.logs.open import open_log
+from offpiste.logs.sensor_log import open_sensors
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.parallel import Report, run_all, usable_cores
+from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.rig.rig import Rig
 
 
 @dataclass(frozen=True)
-class Rows:
-    """A drive on an even grid of `conventions.DT` (DESIGN.md, "Files").
+class Job:
+    """What a process needs to know to extract one drive (`dataset.make.make_dataset`)."""
 
-    Attributes:
-        time: [s], by the pose's clock.
-        origin: what was subtracted from px, py [m], so that float32 is fine.
-        state, state_causal: targets, and the estimate from the past only (`conventions.STATE`).
-        actuators: brake [0..1], steer [rad], steer rate [rad/s], engine [1000 rev/min]; NaN where absent.
-        control: throttle [0..1], brake [0..1], steer [-1..1]; NaN where absent.
-        normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel.
-        valid: rows where nothing that the log should have is missing.
-        cells: the ground cells under the wheels and their features, where a map gave them.
-    """
-
-    time: Float[np.ndarray, " N"]
-    origin: Float[np.ndarray, " 2"]
-    state: Float[np.ndarray, "N 6"]
-    state_causal: Float[np.ndarray, "N 6"]
-    actuators: Float[np.ndarray, "N 4"]
-    control: Float[np.ndarray, "N 3"]
-    normal: Float[np.ndarray, "D N 4 3"]
-    valid: Bool[np.ndarray, " N"]
-    cells: Cells | None = None
-
-    @property
-    def distance(self) -> float:
-        """Metres driven over the valid rows."""
-        return float(np.hypot(*self.state[self.valid, 3:5].T).sum() * DT)
+    log: Path
+    name: str
+    rig: Rig
+    out: Path
+    split: Split
+    features: FeatureSource = "none"
+    pca: Path | None = None
+    device: str = "cpu"
+    min_hindsight: float = 0.0
+    snapshots: SnapshotSettings | None = None
+    replay: ReplaySettings | None = None
 
 
-def extract_rows(drive: Drive) -> Rows:
-    """Bring a drive to 50 Hz.
+def extract_drive(job: Job, report: Report) -> str:
+    """Extract a drive; says what it has become.
 
     Raises:
-        LogError: the channels have no common time, or no second of it is complete.
+        LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
     """
-    start, end = common_span(list(drive.channels.values()), drive.name)
-    time = start + DT * np.arange(int((end - start) / DT) + 1)
-    motion = estimate_motion(drive, time)
-    control = np.column_stack([_column(drive, name, time) for name in CONTROL_CHANNELS])
-    actuators = np.column_stack([_column(drive, name, time) for name in ACTUATOR_CHANNELS])
-    slope = _slope(drive, time, motion.state)
+    log = open_log(job.log, clock_column=job.rig.clock.column, clock_unit=job.rig.clock.unit)
+    drive = drive_from_log(log, job.rig)
+    rows, notes = extract_rows(drive), drive.notes
+    if job.pca is not None:
+        sensors = open_sensors(log, job.rig)
+        notes += sensors.coverage()
+        looking = load_looking(job.pca, job.device)
+        notes += _seen_by_pca(looking, rows, job)
+        replay = job.replay or ReplaySettings()
+        with scratch(job.out, job.name) as folder:
+            writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, looking.channels)
+            settings = job.snapshots or SnapshotSettings()
+            keeper = SnapshotKeeper(writer, Due(_starts(rows, job, settings.parts), settings), settings.margin)
+            rows = with_visual_features(rows, sensors, job.rig, looking, replay, snapshots=keeper, report=report)
+            writer.close()
+            stored = add_drive(
+                job.out, job.name, rows, job.split, notes + sensors.notes, snapshots=folder / "snapshots"
+            )
+        return described(stored, job.split, job.min_hindsight)
+    terrain = None
+    if job.features != "none":
+        rows, terrain = with_ground_truth(rows, truth_map(job.log, LAYERS[job.features]), job.rig)
+    return described(add_drive(job.out, job.name, rows, job.split, notes, terrain), job.split)
 
-    given = np.isfinite(motion.state).all(axis=1) & np.isfinite(motion.state_causal).all(axis=1)
-    given &= np.isfinite(control[:, [name in present_control(drive.rig) for name in CONTROL]]).all(axis=1)
-    given &= np.isfinite(actuators[:, [name in present_actuators(drive.rig) for name in ACTUATORS]]).all(axis=1)
-    given &= np.isfinite(slope)
-    given &= ~_across_jumps(drive, time)
-    if given.sum() * DT < 1.0:
-        raise LogError(
-            f"no second of it has all channels of the rig ({given.sum()} complete rows of {len(given)})",
-            where=drive.name,
-            how="run `offpiste inspect` on it; widen clock.max_gap or motion.window, or declare a channel absent",
+
+def _seen_by_pca(looking: Looking, rows: Rows, job: Job) -> tuple[str, ...]:
+    """A warning if the PCA was fitted on what shall validate or test."""
+    about = looking.pca.fitted_on
+    if job.name not in about.get("logs", ()) or about.get("split") == job.split.text:
+        return ()
+    position = rows.state[:, :2] + rows.origin
+    try:
+        fitted = parse_split(str(about.get("split"))).label(job.name, position) == 0
+    except DatasetError:
+        fitted = np.ones(len(position), bool)
+    seen = float((fitted & (job.split.label(job.name, position) > 0)).sum() * DT)
+    if not seen:
+        return ()
+    return (f"warning: the PCA may have seen {seen:.0f} s that validate or test here; give fit-pca the same --split",)
+
+
+def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray, " N"]]:
+    """For each of some parts, the rows at which windows start."""
+    part = job.split.label(job.name, rows.state[:, :2] + rows.origin)
+    found = []
+    for number in (PARTS.index(name) for name in parts):
+        starts = np.zeros(len(part), bool)
+        starts[judged_starts(rows, part == number)] = True
+        found.append(starts)
+    return found
+
+
+def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> str:
+    """A drive as stored, in a few lines."""
+    rows = drive.rows
+    mine = [drive.part == number for number in range(len(PARTS))]
+    windows = [len(judged_starts(rows, part, min_hindsight)) for part in mine]
+    share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
+    lines = [
+        f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
+        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_JUDGED_SPEED} m/s: {share}"
+    ]
+    wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
+    if split.kind in ("blocks", "fold") and min(wanted) == 0:
+        lines.append(
+            f"  warning: too short or slow for {split.text}: a part has no window, so nothing can be trained on it"
+            " alone; record two minutes or more, or keep whole drives apart (--split drives:FILE)"
         )
-    origin = motion.state[np.flatnonzero(given)[0], :2].copy()
-    shift = np.concatenate((origin, np.zeros(4)))
-    return Rows(
-        time=time,
-        origin=origin,
-        state=(motion.state - shift).astype(np.float32),
-        state_causal=(motion.state_causal - shift).astype(np.float32),
-        actuators=actuators.astype(np.float32),
-        control=control.astype(np.float32),
-        normal=_normals(slope, motion.state[:, 2]).astype(np.float32),
-        valid=given,
+    if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
+        rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)
+        lines.append("  valid by distance: " + ", ".join(f"{name} {rate:.2f}" for name, rate in rates))
+        unseen = sum(len(judged_starts(rows, part)) for part in mine) - sum(windows)
+        if unseen:
+            lines.append(f"  {unseen} windows left out: less than {min_hindsight:.0%} of their ground was ever seen")
+    if drive.snapshots is not None and len(drive.snapshots.row):
+        lines.append(f"  {len(drive.snapshots.row)} snapshots of the map")
+    return "\n".join(lines + [f"  {note}" for note in drive.notes])
+
+
+def make_dataset(
+    logs: Sequence[str | Path],
+    rig: Rig,
+    out: Path,
+    *,
+    split: str = "blocks:0.7,0.1,0.2",
+    features: FeatureSource = "none",
+    pca: Path | None = None,
+    device: str = "cpu",
+    min_hindsight: float = MIN_HINDSIGHT,
+    snapshots: SnapshotSettings | None = None,
+    replay: ReplaySettings | None = None,
+    processes: int = 1,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Dataset:
+    """Extract drives into a dataset; drives that are in it already are left as they are.
+
+    Args:
+        features: what a simulator says of the ground under the wheels (`dataset.ground_truth.LAYERS`).
+        pca: instead, visual features: a file of `fit-pca`, which names its backbone.
+        device: that the backbone runs on.
+        min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).
+        snapshots, replay: of visual features.
+        processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
+
+    Raises:
+        LogError, RigError: a log cannot be read with this rig, or has no ground truth; the others are extracted.
+        DatasetError: two logs of one name, another dataset at `out`, or several logs that cannot be extracted.
+    """
+    if not logs:
+        raise DatasetError("no log is given", how="name one or more logs")
+    names = [drive_name(log) for log in logs]
+    for name in names:
+        if names.count(name) > 1:
+            raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
+    parts = parse_split(split)
+    if empty := empty_parts(parts):
+        tell(f"warning: the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
+    if pca is not None and features != "none":
+        raise DatasetError(f"both a PCA and '{features}' features are asked for", how="leave out one of them")
+    if not 0 <= min_hindsight <= 1:
+        raise DatasetError(f"min-hindsight is {min_hindsight:g}", how="give a share from 0 to 1")
+    looking = load_looking(pca, device) if pca is not None else None
+    if looking is None:
+        create(out, rig, parts, LAYERS[features])
+    else:
+        create(out, rig, parts, looking.names, looking.identity, min_hindsight)
+    done = set(drive_names(out))
+    for name in (name for name in names if name in done):
+        tell(f"{name}: already there")
+    jobs = [
+        Job(Path(log), name, rig, out, parts, features, pca, device, min_hindsight, snapshots, replay)
+        for log, name in zip(logs, names, strict=True)
+        if name not in done
+    ]
+    processes = processes or (usable_cores() if device == "cpu" else 1)
+    _refuse_failed(run_all(extract_drive, jobs, processes, "extract", tell), out)
+    return open_dataset(out)
+
+
+def _useless(empty: Sequence[str]) -> str:
+    return "models cannot be " + " or ".join(
+        [*(["trained"] if {"train", "validation"} & set(empty) else []), *(["judged"] if "test" in empty else [])]
     )
 
 
-def _across_jumps(drive: Drive, time: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
-    """Rows whose motion would be estimated from samples on both sides of a jump."""
-    across, window = np.zeros(len(time), bool), max(drive.rig.motion.window, 2 * DT)
-    for before, after in find_jumps(drive.channels["position"], drive.channels.get("orientation")):
-        # Targets look half a window to either side, causal states a whole one back.
-        across |= (time > before - window / 2) & (time < after + window)
-    return across
-
-
-def present_control(rig: Rig) -> tuple[str, ...]:
-    """Names of `conventions.CONTROL` that a rig's logs have."""
-    return tuple(name for name, channel in zip(CONTROL, CONTROL_CHANNELS, strict=True) if channel in rig.channels)
-
-
-def present_actuators(rig: Rig) -> tuple[str, ...]:
-    """Names of `conventions.ACTUATORS` that a rig's logs have; a steering rate can be derived from the angle."""
-    have = set(rig.channels) | ({"steer_rate"} if "steer_angle" in rig.channels else set())
-    return tuple(name for name, channel in zip(ACTUATORS, ACTUATOR_CHANNELS, strict=True) if channel in have)
-
-
-def _column(drive: Drive, name: str, time: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """A control or actuator on the grid; NaN where the log does not tell, everywhere if absent."""
-    gap = drive.rig.clock.max_gap
-    channel = drive.channels.get(name)
-    if channel is None and name == "steer_rate" and "steer_angle" in drive.channels:
-        channel = _derivative(drive.channels["steer_angle"], window=drive.rig.motion.window)
-    if channel is None:
-        return np.full(len(time), np.nan)
-    source = drive.rig.channels.get(name)
-    hold = source is not None and source.interpolation == "hold"
-    return (channel.hold if hold else channel.linear)(time, max_gap=gap)[:, 0]
-
-
-def _derivative(channel: Channel, *, window: float) -> Channel:
-    _, rate = local_polynomial(channel.time, channel.values, channel.time, window=window, causal=False)
-    known = np.isfinite(rate[:, 0])
-    if known.sum() < 2:
-        raise LogError(f"{channel.name}: too few samples in {window:g} s for its rate", how="widen motion.window")
-    return Channel(f"{channel.name} rate", f"{channel.unit}/s", channel.time[known], rate[known])
-
-
-def _slope(drive: Drive, time: Float[np.ndarray, " N"], state: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, " N"]:
-    """Slope of the driven path, or flat ground where the rig or the log has no elevation."""
-    place = drive.channels["position"]
-    if drive.rig.motion.normals == "flat" or place.values.shape[1] < 3:
-        return np.zeros(len(time))
-    position = place.linear(time, max_gap=drive.rig.clock.max_gap)
-    speed = np.copysign(np.hypot(state[:, 3], state[:, 4]), state[:, 3])
-    return driven_slope(position, speed, dt=DT, length=drive.rig.motion.slope_length)
-
-
-def _normals(slope: Float[np.ndarray, " N"], yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "1 N 4 3"]:
-    """The normal of a plane that rises by `slope` along the heading; the same under all wheels."""
-    normal = np.stack((-slope * np.cos(yaw), -slope * np.sin(yaw), np.ones_like(slope)), axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.repeat(normal[None, :, None], 4, axis=2)
+def _refuse_failed(failed: Sequence[OffpisteError], out: Path) -> None:
+    if len(failed) == 1:
+        raise failed[0]
+    if failed:
+        raise DatasetError(
+            f"{len(failed)} logs could not be extracted, as said above; the others were",
+            where=out,
+            how="mend or leave out those logs and run it again: it goes on where it stopped",
+        )

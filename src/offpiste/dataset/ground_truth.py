@@ -10,12 +10,12 @@ import torch
 
 from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.extract import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.errors import LogError
-from offpiste.logs.truth import read_truth_map
-from offpiste.mapping.lookup import look_up, stack_maps
-from offpiste.mapping.terrain import TerrainMap, wheel_places
-from offpiste.rig import Rig
+from offpiste.logs.ground_truth import read_truth_map
+from offpiste.mapping.terrain_lookup import look_up, stack_maps
+from offpiste.mapping.terrain_map import TerrainMap, wheel_places
+from offpiste.rig.rig import Rig
 
 REACH = 75.0
 """Metres around the driven path that a prediction of 5 s may read."""

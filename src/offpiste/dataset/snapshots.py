@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from zarr.codecs import ZstdCodec
 
 from offpiste.conventions import DT, HORIZON_STEPS
-from offpiste.mapping.terrain import TerrainMap
+from offpiste.mapping.terrain_map import TerrainMap
 
 CELL_ARRAYS = ("place", "elevation", "rise", "features")
 """Of a `CellList`, on disk one after the other."""

@@ -16,13 +16,13 @@ import zarr
 from jaxtyping import Int
 
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.extract import Rows, present_actuators, present_control
+from offpiste.dataset.resample import Rows, present_actuators, present_control
 from offpiste.dataset.snapshots import Snapshots, open_snapshots
-from offpiste.dataset.soundness import refuse_unlike, refuse_unsound
 from offpiste.dataset.splits import Split, parse_split
+from offpiste.dataset.validation import refuse_unlike, refuse_unsound
 from offpiste.errors import DatasetError
-from offpiste.mapping.terrain import TerrainMap
-from offpiste.rig import Rig
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.rig.rig import Rig
 
 SCHEMA = 1
 SNAPSHOTS = "snapshots"

@@ -10,17 +10,16 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
-from offpiste.dataset.cells import CellTable, UnderWheels
-from offpiste.dataset.extract import present_actuators, present_control
-from offpiste.dataset.normals import Normals
+from offpiste.dataset.cells import CellTable, Normals, UnderWheels
+from offpiste.dataset.feature_sets import Views, same_view, set_number
+from offpiste.dataset.resample import present_actuators, present_control
 from offpiste.dataset.splits import PARTS
-from offpiste.dataset.starts import judged_starts
 from offpiste.dataset.store import Dataset
-from offpiste.dataset.views import Views, same_view, set_number
 from offpiste.dataset.window_maps import WindowMaps
+from offpiste.dataset.window_starts import judged_starts
 from offpiste.errors import DatasetError
 from offpiste.geometry import wrap_angle
-from offpiste.trajectory import History, Terrain
+from offpiste.state import History, Terrain
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from offpiste.conventions import DT
 from offpiste.dynamics.base import Vehicle
 from offpiste.dynamics.bicycle import Elementary, Scalar
-from offpiste.dynamics.recurrent import Compensator
-from offpiste.trajectory import History
+from offpiste.dynamics.lstm import Compensator
+from offpiste.state import History
 
 
 class LagConstants(NamedTuple):

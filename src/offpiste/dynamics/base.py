@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from offpiste.trajectory import Carry, History, Terrain, TerrainSource, Trajectory
+from offpiste.state import Carry, History, Terrain, TerrainSource, Trajectory
 
 Step = Callable[[Carry, Tensor, Terrain], Carry]
 

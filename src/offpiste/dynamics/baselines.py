@@ -8,8 +8,8 @@ from offpiste.conventions import DT
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, Step, Vehicle
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
-from offpiste.dynamics.recurrent import Compensator
-from offpiste.trajectory import Carry, History, Terrain
+from offpiste.dynamics.lstm import Compensator
+from offpiste.state import Carry, History, Terrain
 
 
 class ConstantMotion(Dynamics):

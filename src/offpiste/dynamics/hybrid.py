@@ -7,12 +7,11 @@ from torch import Tensor
 from offpiste.conventions import DT
 from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, Step, Vehicle
-from offpiste.dynamics.bicycle import Constants, Force, Rates, forces, rates
-from offpiste.dynamics.constants import BicycleConstants
+from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
-from offpiste.dynamics.recurrent import Compensator
-from offpiste.trajectory import Carry, History, Terrain
+from offpiste.dynamics.lstm import Compensator
+from offpiste.state import Carry, History, Terrain
 
 
 class Parametric(Dynamics):

@@ -10,7 +10,7 @@ from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.base import Vehicle
 from offpiste.errors import DatasetError
 from offpiste.geometry import rotate_by_minus_yaw
-from offpiste.trajectory import Terrain
+from offpiste.state import Terrain
 
 REDUCED_ENGINE_SPEED = 10.0
 """Speed [m/s] that stands for 1 (1000 rev/min) where no engine speed is recorded."""

@@ -1,18 +1,55 @@
-"""The models that are judged together: runs, and the baselines beside them."""
+"""Where models read the ground: under the recorded wheels or on a map, and from which distance it was seen.
+
+The models that are judged together: runs, and the baselines beside them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion, Dynamics, Kinematic
 from offpiste.dynamics.actuators import Actuators
 from offpiste.errors import RunError
 from offpiste.evaluation.results import label
-from offpiste.evaluation.ways import GROUND_BLIND
+from offpiste.evaluation.tables import REFERENCE, Lookup
 from offpiste.training.run import vehicle_of
+
+GROUND_BLIND = ("ctrv", REFERENCE)
+"""Models that do not read the ground: there is nothing to look up."""
+
+Way = tuple[Lookup | None, str | None]
+"""Where a model reads the ground, and from which distance it was seen."""
+
+NO_WAY: Way = (None, None)
+
+
+def ways_of(dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]) -> Sequence[Way]:
+    """Where models can read the ground: features without a map only where they were recorded.
+
+    Args:
+        part: whose windows are judged.
+        lookups, feature_sets: that are asked for.
+    """
+    if not _has_ground(dataset):
+        return (NO_WAY,)
+    windows = Windows(dataset, part)
+    mapped = not dataset.features or windows.maps.any
+    sets = tuple(feature_sets) if windows.sets > 1 else (None,)
+    recorded: list[Way] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or not mapped else []
+    on_map: list[Way] = [("map", None)] if "map" in lookups and mapped else []
+    return recorded + on_map
+
+
+def _has_ground(dataset: Dataset) -> bool:
+    """Whether there is anything to read from the ground."""
+    return bool(dataset.features) or any(
+        bool(np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) > 0) for drive in dataset.drives
+    )
 
 
 @dataclass(frozen=True)

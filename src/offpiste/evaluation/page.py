@@ -8,11 +8,10 @@ from string import Template
 
 import numpy as np
 
-from offpiste.evaluation.judge import COMPONENTS, HORIZONS
-from offpiste.evaluation.metrics import PairedDifference
+from offpiste.evaluation.errors import COMPONENTS, HORIZONS
+from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.results import Headline, Metrics, Minus, ResultRow, pooled_rows, run_rows
-from offpiste.evaluation.table import by_way, interval, number
-from offpiste.evaluation.tabulate import REFERENCE
+from offpiste.evaluation.tables import REFERENCE, by_way, interval, number
 
 _NAMES = {
     "distance_error_m": "distance [m]",

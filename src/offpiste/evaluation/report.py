@@ -7,13 +7,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.evaluation.drawings import worst_plot
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.figures import box_plot, distribution_plot, growth_plot, speed_plot
 from offpiste.evaluation.page import render_html
 from offpiste.evaluation.results import pooled_rows, write_metrics
-from offpiste.evaluation.table import by_way
-from offpiste.evaluation.tabulate import Case
+from offpiste.evaluation.tables import Case, by_way
+from offpiste.evaluation.worst_windows import worst_plot
 from offpiste.files import write_text, write_whole
 
 

@@ -1,12 +1,22 @@
-"""metrics.json: what an evaluation found, row by row (DESIGN.md, "Files")."""
+"""metrics.json: what an evaluation found, row by row (DESIGN.md, "Files").
 
+What made a result: when, where, by which command and with which versions.
+"""
+
+import os
+import platform
+import shlex
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import torch
 
 from offpiste.errors import RunError
-from offpiste.evaluation.metrics import PairedDifference, Statistics
+from offpiste.evaluation.intervals import PairedDifference, Statistics
 from offpiste.files import write_text
 
 SCHEMA = 1
@@ -23,7 +33,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     """One model, start, way of reading the ground, and horizon.
 
     Attributes:
-        seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.pooling`).
+        seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.tables`).
         feature_set: that was read at recorded places, in datasets with views by distance; None otherwise.
         lookup: None for models that do not read the ground.
         n: windows.
@@ -179,3 +189,36 @@ def _with_nan(content: Any, names: tuple[str, ...] = ("model", "seed", "fold", "
 
 def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]:
     return row.model, row.variant, row.start, row.feature_set, row.lookup, row.horizon_s
+
+
+def provenance(command: str, seed: int, device: torch.device | str) -> Provenance:
+    """Of this moment and this machine.
+
+    Args:
+        command: as typed; empty: this process's own.
+        seed: of the resampling.
+        device: that models ran on.
+    """
+    names = ("offpiste", "torch", "numpy", "scipy")
+    return Provenance(
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        command=command or shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        machine=f"{_processor()}, {os.cpu_count()} cores, {platform.system()}; models ran on {_device(device)}",
+        versions={"python": platform.python_version(), **{name: version(name) for name in names}},
+        seed=seed,
+    )
+
+
+def _device(device: torch.device | str) -> str:
+    device = torch.device(device)
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+
+
+def _processor() -> str:
+    """The processor's name where the system tells it, else its architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()

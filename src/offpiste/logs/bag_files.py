@@ -1,10 +1,22 @@
-"""The files of a bag: which there are, opened, and what is wrong with them in one line."""
+"""The files of a bag: which there are, opened, and what is wrong with them in one line.
 
-from collections.abc import Callable, Iterator
+Messages of bags: what their definitions say that they hold, and how they are decoded.
+"""
+
+import functools
+import math
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
 from offpiste.logs.mcap_recovery import StreamedMcap
@@ -106,3 +118,136 @@ def reported(path: Path, what: str) -> Iterator[None]:
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise LogError(f"{what}: {reason}", where=path, how=_mend(path)) from error
+
+
+_OCTETS = {"byte", "char", "uint8"}
+_NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"}
+MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
+"""From a connection and the path of its bag to what decodes its messages."""
+
+_MAX_ENTRIES = 36
+"""A 6 x 6 covariance is still listed entry by entry; what is longer is bulk data."""
+
+
+def stamp_of(received: int, message: object, stamps: str) -> float:
+    """A message's time [s] by the clock that is asked for."""
+    return ((stamps == "header" and _header_stamp(message)) or received) / 10**9  # exact, unlike 1e9
+
+
+def _header_stamp(message: Any) -> int:
+    """A message's own stamp [ns], 0 where it has none."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+
+
+def field_getter(field: str) -> Callable[[object], float]:
+    """Reads a field of `fields_of` from a decoded message; NaN where a sequence has fewer entries."""
+    path, _, index = field.removesuffix("]").partition("[")
+    get = attrgetter(path)
+    if not index:
+        return get
+    entry = int(index)
+    return lambda message: values[entry] if entry < len(values := get(message)) else math.nan
+
+
+def fields_of(store: Typestore, msgtype: str, first: Callable[[], object], prefix: str = "") -> Iterator[str]:
+    """Paths of a type's numbers; `first` gives the topic's first message, where there is one."""
+    entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
+    for name, (kind, detail) in entries:
+        path = prefix + name
+        if kind == Nodetype.NAME:
+            if detail != "std_msgs/msg/Header":
+                yield from fields_of(store, detail, first, f"{path}.")
+        elif kind == Nodetype.BASE:
+            if detail[0] in _NUMBERS and name != "structure_needs_at_least_one_member":
+                yield path
+        else:
+            (inner, element), size = detail
+            if inner != Nodetype.BASE or element[0] not in _NUMBERS:
+                continue
+            if kind == Nodetype.ARRAY:
+                size = size if size <= _MAX_ENTRIES else 0
+            elif element[0] in _OCTETS or (message := first()) is None:
+                size = 0
+            else:
+                size = min(len(attrgetter(path)(message)), _MAX_ENTRIES)
+            yield from (f"{path}[{i}]" for i in range(size))
+
+
+def _encoding(connection: Connection) -> str:
+    ext = connection.ext
+    return "ros1" if isinstance(ext, ConnectionExtRosbag1) else ext.serialization_format
+
+
+def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
+    """Decodes messages.
+
+    Raises:
+        LogError: as `typestore_of`.
+    """
+    store, msgtype = typestore_of(connection, path), connection.msgtype
+    deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
+    return lambda raw: deserialize(raw, msgtype)
+
+
+def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object]:
+    """Decodes as much of a message as its stamp needs: where it begins with a header, its first bytes."""
+    store = typestore_of(connection, path)
+    fields = store.get_msgdef(connection.msgtype).fields
+    if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
+        return whole_messages(connection, path)
+    # ROS 1: a count, then seconds and nanoseconds; ROS 2: four bytes that say the byte order, then the same two.
+    is_ros1 = _encoding(connection) == "ros1"
+
+    def decode(raw: bytes) -> object:
+        order = "<" if is_ros1 or raw[1] & 1 else ">"
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
+        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds)))
+
+    return decode
+
+
+def typestore_of(connection: Connection, path: Path) -> Typestore:
+    """What can decode a connection's messages.
+
+    Raises:
+        LogError: no definition, one that cannot be parsed, or an encoding that is not ROS.
+    """
+    encoding = _encoding(connection)
+    if encoding not in ("ros1", "cdr"):
+        what = f"{connection.msgtype} is encoded as {encoding}, which is not read"
+        raise LogError(what, where=path, how="record it with `ros2 bag record`")
+    try:
+        return _typestore(connection.msgtype, connection.msgdef, encoding == "ros1")
+    except KeyError as error:
+        part = "" if error.args == (connection.msgtype,) else f" (its part {error.args[0]})"
+        raise LogError(
+            f"{connection.msgtype} is not defined in the bag{part}",
+            where=path,
+            how="record as .mcap, or run `ros2 bag convert` to .mcap, where its message package is installed",
+        ) from error
+    except (TypesysError, SyntaxError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:100]
+        what = f"{connection.msgtype} has a damaged definition: {reason}"
+        raise LogError(what, where=path, how="record or copy the bag again") from error
+
+
+@functools.lru_cache(maxsize=1024)
+def _typestore(msgtype: str, definition: MessageDefinition, ros1: bool) -> Typestore:
+    if definition.format == MessageDefinitionFormat.NONE or not definition.data.strip():
+        # ROS 2 bags carry definitions since Iron, so those without come from Humble or before.
+        store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    else:
+        store = get_typestore(Stores.EMPTY)
+        store.register(_parsed(msgtype, definition))
+    store.get_msgdef(msgtype)  # a KeyError names the type that is missing
+    return store
+
+
+def _parsed(msgtype: str, definition: MessageDefinition) -> dict[str, Any]:
+    text = definition.data
+    if definition.format == MessageDefinitionFormat.MSG:
+        return dict(get_types_from_msg(text, msgtype))
+    rule = "=" * 80 + "\n"
+    parts = [part.partition("\n")[2] for part in text.split(rule)[1:]] if text.startswith(rule) else [text]
+    return {name: fields for part in parts for name, fields in get_types_from_idl(part).items()}

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from offpiste.errors import LogError, RigError
 from offpiste.logs.log import Log, Samples
-from offpiste.rig import CHANNELS, ChannelSource, Rig, unit_factor
+from offpiste.rig.rig import CHANNELS, ChannelSource, Rig, unit_factor
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Channel:
     """Samples of one quantity, strictly increasing in time, all finite.
 
     Attributes:
-        unit: SI unit of the values (`offpiste.rig.CHANNELS`).
+        unit: SI unit of the values (`offpiste.rig.rig.CHANNELS`).
         time: native stamps, the rig's delay removed [s].
         values: one column a component.
     """

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from offpiste.errors import LogError
-from offpiste.logs.alignment import align_clock
 from offpiste.logs.channel import Channel, read_channel
+from offpiste.logs.clock_drift import align_clock
 from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
-from offpiste.rig import Rig
+from offpiste.rig.rig import Rig
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ def open_log(path: str | Path, *, clock_column: str = "", clock_unit: str = "s")
     Raises:
         LogError: no such path, unknown format, or a file that cannot be read.
     """
-    from offpiste.logs.bags import BagLog
+    from offpiste.logs.bag import BagLog
     from offpiste.logs.kitti import KittiLog
-    from offpiste.logs.tables import TableLog
+    from offpiste.logs.table import TableLog
     from offpiste.logs.tartandrive import TartanDriveLog
 
     path = Path(path)

@@ -1,15 +1,24 @@
-"""Where the vehicle was at any moment of a log."""
+"""Where the vehicle was at any moment of a log.
 
+Where poses jump: a vehicle cannot be there so soon. Maps and windows must not reach across.
+
+Where sensors sit on the body, from a log's fixed transforms.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import median_filter
 
-from offpiste.errors import RigError
+from offpiste.errors import LogError, RigError
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.logs.jumps import find_jumps
+from offpiste.logs.log import Transform
 
 
 @dataclass(frozen=True)
@@ -83,3 +92,83 @@ def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) 
     mixed = np.where(near, 1 - share, weights[0]) * begin + np.where(near, share, weights[1]) * end
     mixed[np.isnan(orientation.linear(at, max_gap=max_gap)[:, 0])] = np.nan
     return mixed
+
+
+FARTHEST: Final = 1.0
+"""A step that is longer than the speed explains by more than this is a jump [m]: five cells of the map. Shorter ones,
+GPS has many; `offpiste inspect` lists them."""
+_AROUND: Final = 21
+"""Samples whose median speed explains a step."""
+_ACCELERATION: Final = 10.0
+"""No vehicle changes its speed faster [m/s^2]; counts where samples are far apart."""
+_TURN: Final = np.deg2rad(20.0)
+"""A turn between two samples that is larger than this ..."""
+_TURN_RATE: Final = 4.0
+"""... and than what the vehicle could turn meanwhile [rad/s] is a jump."""
+
+
+def find_jumps(position: Channel, orientation: Channel | None = None) -> Float[np.ndarray, "j 2"]:
+    """The last moment before and the first one after each jump, in the order of time [s]."""
+    found = [_between(position, position_excess(position) > FARTHEST)]
+    if orientation is not None and len(orientation.time) > 1:
+        turned = _turns(orientation)
+        limit = np.maximum(_TURN, _TURN_RATE * np.diff(orientation.time))
+        found.append(_between(orientation, turned > limit))
+    jumps = np.concatenate(found)
+    return jumps[np.lexsort(jumps.T[::-1])]
+
+
+def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
+    """By how much each of the m = n - 1 steps is longer than the speed around it explains [m]."""
+    step = np.linalg.norm(np.diff(position.values, axis=0), axis=1)
+    dt = np.diff(position.time)
+    speed = median_filter(step / dt, _AROUND, mode="nearest")
+    return step - (speed + _ACCELERATION * dt) * dt
+
+
+def _turns(orientation: Channel) -> Float[np.ndarray, " m"]:
+    """Angle between neighbouring samples [rad]."""
+    matrix = rotation_from_quaternion(orientation.values)
+    trace = np.einsum("nij,nij->n", matrix[:-1], matrix[1:])
+    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
+
+
+def _between(channel: Channel, jumps: np.ndarray) -> Float[np.ndarray, "j 2"]:
+    first = np.flatnonzero(jumps)
+    return np.stack((channel.time[first], channel.time[first + 1]), axis=1)
+
+
+def between(transforms: Sequence[Transform], parent: str, child: str, *, path: Path) -> Float[np.ndarray, "4 4"]:
+    """`parent_from_child` along the chain of fixed transforms that joins two frames, up and down the tree.
+
+    Raises:
+        LogError: no chain joins them, or a transform on it is no rotation and shift.
+    """
+    steps: dict[str, list[tuple[str, Float[np.ndarray, "4 4"]]]] = {}
+    for t in transforms:
+        usable = _is_rigid(t.matrix)
+        steps.setdefault(t.parent, []).append((t.child, t.matrix))
+        steps.setdefault(t.child, []).append((t.parent, np.linalg.inv(t.matrix) if usable else t.matrix))
+    known, border = {parent: np.eye(4)}, [parent]
+    while border and child not in known:
+        frame = border.pop(0)
+        for other, matrix in steps.get(frame, []):
+            if other not in known:
+                known[other] = known[frame] @ matrix
+                border.append(other)
+    if child not in known:
+        frames = ", ".join(sorted(steps)) or "none"
+        raise LogError(
+            f"no fixed transform joins '{child}' to '{parent}'; frames with transforms: {frames}",
+            where=path,
+            how="mend frames.body or frames.topics, or give body_from_camera or body_from_lidar in the rig",
+        )
+    if not _is_rigid(known[child]):
+        what = f"the transform from '{parent}' to '{child}' is no rotation and shift"
+        raise LogError(what, where=path, how="give body_from_camera or body_from_lidar in the rig")
+    return known[child]
+
+
+def _is_rigid(matrix: Float[np.ndarray, "4 4"]) -> bool:
+    turn = matrix[:3, :3]
+    return bool(np.isfinite(matrix).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-3))

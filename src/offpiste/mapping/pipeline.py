@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.mapping.flatten import Flattener
-from offpiste.mapping.layers import TerrainLayers
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.voxels import VoxelMap
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.voxel_map import VoxelMap
 
 Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
 """From features to codes, each row for itself."""

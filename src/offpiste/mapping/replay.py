@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from offpiste.logs.measurements import Cloud, Image, Lidar
 from offpiste.logs.poses import Poses
-from offpiste.logs.sensors import SensorLog
-from offpiste.mapping.layers import TerrainLayers
+from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
-from offpiste.perception.cameras import PinholeCamera, make_pinhole_camera
-from offpiste.perception.carry import points_in_world
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
+from offpiste.perception.motion_compensation import points_in_world
 from offpiste.perception.projection import Projection, ProjectionSettings, View, project
 
 Look = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]

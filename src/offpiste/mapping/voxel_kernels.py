@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from offpiste.mapping.compiled import inlined, map_loop
+from offpiste.compilation import MAPPING
 
 BASE, OCCUPIED, FEATURED, LOWEST = range(4)
 """Of a column's head: level of its lowest voxel, counted from the world's zero, bits of the levels from there up that
@@ -62,7 +62,7 @@ class Voxels(NamedTuple):
     counts: np.ndarray
 
 
-@inlined
+@MAPPING.inlined
 def take(voxels, part):  # type: ignore[no-untyped-def]
     """A free slot of a part, or -1."""
     counts, size = voxels.counts[part], voxels.freed.shape[1]
@@ -76,7 +76,7 @@ def take(voxels, part):  # type: ignore[no-untyped-def]
     return np.int64(part * size + counts[EVER] - 1)
 
 
-@inlined
+@MAPPING.inlined
 def release(voxels, part, slot):  # type: ignore[no-untyped-def]
     """Give a slot back."""
     counts = voxels.counts[part]
@@ -84,7 +84,7 @@ def release(voxels, part, slot):  # type: ignore[no-untyped-def]
     counts[FREED] += 1
 
 
-@inlined
+@MAPPING.inlined
 def lower(voxels, part, head, slots, by):  # type: ignore[no-untyped-def]
     """Make room for a new lowest voxel `by` levels below; what leaves the column at its top is forgotten."""
     occupied = np.int64(head[OCCUPIED])
@@ -100,7 +100,7 @@ def lower(voxels, part, head, slots, by):  # type: ignore[no-untyped-def]
     head[BASE] -= by
 
 
-@inlined
+@MAPPING.inlined
 def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
     """The slot of a voxel, made if need be, and the bit of its level; -1 where none can be had."""
     head, slots = voxels.heads[row, across], voxels.slots[row, across]
@@ -127,7 +127,7 @@ def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
     return new, np.int64(1) << up
 
 
-@inlined
+@MAPPING.inlined
 def fuse_place(seen, x, y, z, distance, rule):  # type: ignore[no-untyped-def]
     """Put where a voxel was hit; whether that has moved."""
     seen[HITS] += np.float32(1)
@@ -144,7 +144,7 @@ def fuse_place(seen, x, y, z, distance, rule):  # type: ignore[no-untyped-def]
     return False
 
 
-@inlined
+@MAPPING.inlined
 def fuse_features(seen, features, distance, rule):  # type: ignore[no-untyped-def]
     """Put what a voxel looked like; whether that has changed."""
     seen[FEATURE_HITS] += np.float32(1)
@@ -162,7 +162,7 @@ def fuse_features(seen, features, distance, rule):  # type: ignore[no-untyped-de
     return False
 
 
-@inlined
+@MAPPING.inlined
 def finite(features):  # type: ignore[no-untyped-def]
     """Whether all features are."""
     total = np.float32(0)
@@ -171,7 +171,7 @@ def finite(features):  # type: ignore[no-untyped-def]
     return total == 0
 
 
-@map_loop
+@MAPPING.entry
 def insert_points(  # type: ignore[no-untyped-def]
     first, last, points, features, has_feature, distance, low, middle, reach, scale, rule, number, voxels
 ):
@@ -224,7 +224,7 @@ def insert_points(  # type: ignore[no-untyped-def]
             voxels.changed[row, across] = number
 
 
-@inlined
+@MAPPING.inlined
 def forget_column(voxels, part, row, across, number):  # type: ignore[no-untyped-def]
     """Empty a column."""
     occupied, level = np.int64(voxels.heads[row, across, OCCUPIED]), 0
@@ -237,7 +237,7 @@ def forget_column(voxels, part, row, across, number):  # type: ignore[no-untyped
     voxels.changed[row, across] = number
 
 
-@map_loop
+@MAPPING.entry
 def forget_left_behind(old, new, number, voxels):  # type: ignore[no-untyped-def]
     """Empty the columns that the map leaves when its lowest cell moves from `old` to `new` (integer x, y [2]).
 

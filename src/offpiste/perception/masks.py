@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.errors import PerceptionError
-from offpiste.perception.patches import PatchGrid
+from offpiste.perception.patch_grid import PatchGrid
 
 MOST_OF_A_PATCH = 0.1
 """A patch with a larger share of the vehicle's own body is not used."""

@@ -1,7 +1,7 @@
 """Which patch of which camera's feature image each LiDAR point is seen in.
 
 Points come in the world frame, each carried there with the vehicle's pose at its own moment
-(`offpiste.perception.carry`); every image has the pose of its own stamp. So the motion between scan and image, and
+(`offpiste.perception.motion_compensation`); every image has the pose of its own stamp. So the motion between scan and image, and
 within the scan, is compensated, as far as poses are right and the world stands still.
 """
 
@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.errors import PerceptionError
 from offpiste.logs.poses import Poses
-from offpiste.perception.cameras import PinholeCamera
-from offpiste.perception.carry import inverse, transformed
-from offpiste.perception.hidden import hidden_points
+from offpiste.perception.camera import PinholeCamera
+from offpiste.perception.motion_compensation import inverse, transformed
+from offpiste.perception.occlusion import hidden_points
 
 NEAREST = 0.2
 """Points nearer to the plane of a pinhole than this are not projected [m]."""

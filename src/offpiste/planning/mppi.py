@@ -15,7 +15,7 @@ from torch import Generator, Tensor
 
 from offpiste.conventions import DT
 from offpiste.errors import PlanningError
-from offpiste.planning.limits import PEDALS_AND_WHEEL, Limits, keep_within
+from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within
 from offpiste.planning.noise import Noise, coloured
 
 __all__ = ["PEDALS_AND_WHEEL", "CostOf", "Limits", "Plan", "Settings", "improve", "limited", "sample", "shift"]

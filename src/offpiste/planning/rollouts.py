@@ -8,10 +8,10 @@ from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.hybrid import Hybrid
-from offpiste.mapping.lookup import Encode, HeldCodes, MapTerrain
+from offpiste.mapping.terrain_lookup import Encode, HeldCodes, MapTerrain
 from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
-from offpiste.trajectory import Carry, TerrainSource, Trajectory
+from offpiste.state import Carry, TerrainSource, Trajectory
 
 
 def model_costs(

@@ -7,11 +7,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.simulation.driver import Driver, DriverSettings
-from offpiste.simulation.parameters import VehicleParameters
+from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.vehicle import VehicleSimulation
-from offpiste.simulation.world import World
+from offpiste.simulation.vehicle.parameters import VehicleParameters
+from offpiste.simulation.vehicle.vehicle import VehicleSimulation
+from offpiste.simulation.world.world import World
 
 FINAL = ("rollover", "left the world")
 """Events that end a drive."""

@@ -1,6 +1,6 @@
 """Write a simulated drive as a vehicle's computer would: standard ROS 2 messages in an MCAP file.
 
-Ground truth, which no real log has, goes to topics of its own under /truth (`offpiste.logs.truth`).
+Ground truth, which no real log has, goes to topics of its own under /truth (`offpiste.logs.ground_truth`).
 """
 
 from collections.abc import Sequence
@@ -12,14 +12,13 @@ from jaxtyping import Float
 from offpiste.conventions import GRAVITY
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.grid_map import grid_map_from_layers
-from offpiste.logs.message_types import header, make, quaternion, vector
-from offpiste.logs.pointcloud import message_from_points
-from offpiste.logs.truth import MAP_TOPIC, WHEEL, WHEELS_TOPIC
-from offpiste.logs.writer import McapWriter
-from offpiste.simulation.imperfections import Drift, Imperfections, Noise, misaligned, with_noise
+from offpiste.logs.ground_truth import MAP_TOPIC, WHEEL, WHEELS_TOPIC
+from offpiste.logs.measurements import message_from_points
+from offpiste.logs.writer import McapWriter, header, make, quaternion, vector
 from offpiste.simulation.sample import VehicleSample, WheelTruth
-from offpiste.simulation.sensor_messages import Mounting, mountings_message
-from offpiste.simulation.world import GROUND_KINDS, GROUND_PROPERTIES, World
+from offpiste.simulation.sensors.imperfections import Drift, Imperfections, Noise, misaligned, with_noise
+from offpiste.simulation.sensors.messages import Mounting, mountings_message
+from offpiste.simulation.world.world import GROUND_KINDS, GROUND_PROPERTIES, World
 
 START_NS = 1_700_000_000 * 10**9
 """The stamp of a drive's time 0: always the same, so that files are."""
@@ -177,7 +176,7 @@ def events_message(events: Sequence[str], stamp: int) -> Any:
 
 
 def true_wheels_message(truth: WheelTruth, stamp: int) -> Any:
-    """A sensor_msgs/PointCloud2 of the four contact points (`offpiste.logs.truth.WHEEL`)."""
+    """A sensor_msgs/PointCloud2 of the four contact points (`offpiste.logs.ground_truth.WHEEL`)."""
     points = np.zeros(4, WHEEL)
     points["x"], points["y"], points["z"] = truth.contact.T
     for name, column in zip(GROUND_PROPERTIES, truth.properties.T, strict=True):

@@ -11,16 +11,16 @@ from offpiste.conventions import DT
 from offpiste.errors import OffpisteError
 from offpiste.logs.writer import McapWriter
 from offpiste.progress import track
-from offpiste.simulation.build import make_world
 from offpiste.simulation.drive import Commander, Replay, Start, drive, on_other_ground, with_driver
-from offpiste.simulation.driver import DriverSettings
-from offpiste.simulation.imperfections import Imperfections
-from offpiste.simulation.parameters import VehicleParameters, load_vehicle
+from offpiste.simulation.driver.driver import DriverSettings
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.sensing import Sensing
-from offpiste.simulation.sensors import sensor_suite
-from offpiste.simulation.world import World, WorldSettings
+from offpiste.simulation.sensors.imperfections import Imperfections
+from offpiste.simulation.sensors.sensing import Sensing
+from offpiste.simulation.sensors.suite import sensor_suite
+from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
 
 
 @dataclass(frozen=True)

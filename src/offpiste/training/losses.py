@@ -1,9 +1,17 @@
-"""The multi-step loss: errors along the whole horizon, each in units of what a kinematic bicycle gets wrong."""
+"""The multi-step loss: errors along the whole horizon, each in units of what a kinematic bicycle gets wrong.
+
+The loss that fits the actuator models, before they are frozen.
+"""
+
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.conventions import ACTUATORS, HORIZON_STEPS
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics.actuators import Actuators
 from offpiste.geometry import wrap_angle
 
 COMPONENTS = ("position", "yaw", "vx", "vy", "yaw_rate")
@@ -31,3 +39,38 @@ def summed_loss(
         weights: of the components (`offpiste.training.config.Weights.in_order`).
     """
     return (squared_errors(predicted, target).mean(dim=1) * (weights / scale)).sum(dim=-1)
+
+
+FITTED_STEPS = 100
+"""Actuators settle within a second or two: their loss looks 2 s ahead, not 5."""
+
+
+def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], Float[Tensor, " B"]]:
+    """Squared errors of the recorded actuators over `FITTED_STEPS`, each over its variance on training rows.
+
+    The lags alone are rolled out, along the recorded speed: what the vehicle does is not yet predicted.
+    """
+    present = [index for index, name in enumerate(ACTUATORS) if name in actuators.vehicle.actuators]
+    every = windows.every(HORIZON_STEPS)
+    sample = windows.gather(every if len(every) else windows.every(1)[:64]).target_actuators[..., present]
+    variance = sample.flatten(0, 1).var(dim=0).clamp(min=1e-6)
+
+    def loss(batch: Batch) -> Float[Tensor, " B"]:
+        predicted = roll_actuators(actuators, batch)[..., present]
+        error = (predicted - batch.target_actuators[:, :FITTED_STEPS, present]).square() / variance
+        return error.mean(dim=1).sum(dim=-1)
+
+    return loss
+
+
+def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S 4"]:
+    """Predicted actuators at the first `FITTED_STEPS` rows after t, along the recorded speed."""
+    constants = actuators.constants()
+    hidden, cell = actuators.start(batch.history)
+    state = batch.actuators
+    speed = torch.cat((batch.state[:, None, 3], batch.target[:, :-1, 3]), dim=1)
+    predicted = []
+    for control, vx in zip(batch.control.unbind(1)[:FITTED_STEPS], speed.unbind(1)[:FITTED_STEPS], strict=True):
+        state, hidden, cell = actuators.step(constants, state, control, vx, hidden, cell)
+        predicted.append(state)
+    return torch.stack(predicted, dim=1)

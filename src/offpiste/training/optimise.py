@@ -1,5 +1,9 @@
-"""One stage of training: Adam on a multi-step loss, a checkpoint an epoch, the best epoch by validation."""
+"""Where the numbers of a training go: a line of JSON an epoch, a line for a person, TensorBoard if wanted.
 
+One stage of training: Adam on a multi-step loss, a checkpoint an epoch, the best epoch by validation.
+"""
+
+import json
 import math
 import time
 from collections.abc import Callable
@@ -11,15 +15,53 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from offpiste.dataset.views import Views
+from offpiste.dataset.feature_sets import Draw, Views
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.errors import TrainingError
+from offpiste.errors import RunError, TrainingError
 from offpiste.progress import track
 from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
 from offpiste.training.config import TrainConfig
-from offpiste.training.drawing import Draw
-from offpiste.training.processes import ALONE, Group
-from offpiste.training.record import Record
+from offpiste.training.distributed import ALONE, Group
+
+Record = Callable[[dict[str, float | int | str]], None]
+"""Takes one line of metrics."""
+
+
+def metrics_writer(path: Path, tell: Callable[[str], None]) -> Record:
+    """Appends each line of metrics to `metrics.jsonl` and tells a person."""
+
+    def record(line: dict[str, float | int | str]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        tell(
+            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
+            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
+        )
+
+    return record
+
+
+def also_tensorboard(record: Record, folder: Path) -> Record:
+    """The same, and scalars for TensorBoard.
+
+    Raises:
+        RunError: TensorBoard is not installed.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise RunError("TensorBoard is not installed", how="pip install 'offpiste[tensorboard]'") from error
+    writer = SummaryWriter(folder)
+
+    def both(line: dict[str, float | int | str]) -> None:
+        record(line)
+        for key in ("train_loss", "validation_loss", "seconds"):
+            writer.add_scalar(f"{line['stage']}/{key}", float(line[key]), int(line["epoch"]))
+        writer.flush()
+
+    return both
+
 
 MEND = "lower the learning rate; the last good checkpoint is kept, and --resume goes on from it"
 

@@ -12,22 +12,20 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
+from offpiste.dataset.feature_sets import DRAWS, Draw
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Hybrid, Kinematic, Parametric, Recurrent, rollout
-from offpiste.dynamics.kernels.function import rollout_recorded, supports
+from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
-from offpiste.training.actuators import actuator_loss
+from offpiste.state import RecordedTerrain, Trajectory
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
-from offpiste.training.drawing import DRAWS, Draw
-from offpiste.training.ground import encoded, encoder_of
-from offpiste.training.losses import squared_errors, summed_loss
-from offpiste.training.optimise import MEND, Stage, run_stage
-from offpiste.training.processes import ALONE, Group
-from offpiste.training.record import also_tensorboard, metrics_writer
+from offpiste.training.distributed import ALONE, Group
+from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
+from offpiste.training.optimise import MEND, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.run import build, check_device, save_run, vehicle_of
-from offpiste.trajectory import RecordedTerrain, Trajectory
+from offpiste.training.terrain_sources import encoded, encoder_of
 
 STANDARDISED = 4096
 """Windows that means and scales of a network's inputs are taken from."""

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from experiments.controls.models import models_control, trained
+from experiments.controls.reproduced import open_reproduction
+from experiments.controls.shift import shift_control
 from offpiste.errors import RunError
-from offpiste.experiments.controls.models import models_control
-from offpiste.experiments.controls.reproduced import open_reproduction
-from offpiste.experiments.controls.shift import shift_control
-from offpiste.experiments.controls.training import trained
-from offpiste.experiments.reproduce.settings import Size
+from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
 from seen_drives import seen_dataset
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
+from experiments.controls.errors import errors_from, same_windows
+from experiments.controls.shift import ShiftedMap, further, shifted
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.evaluation.judge import Errors
-from offpiste.experiments.controls.judging import errors_from, same_windows
-from offpiste.experiments.controls.shift import ShiftedMap, further, shifted
-from offpiste.training.ground import encoded, map_terrain, on_map
+from offpiste.evaluation.errors import Errors
 from offpiste.training.run import vehicle_of
+from offpiste.training.terrain_sources import encoded, map_terrain, on_map
 from seen_drives import seen_dataset
 
 

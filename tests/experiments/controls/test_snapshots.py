@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from experiments.controls.snapshots import own_drives, read_as_stored, read_on_snapshot
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.experiments.controls.snapshots import own_drives, read_as_stored, read_on_snapshot
-from offpiste.mapping.terrain import TerrainMap, wheel_places
+from offpiste.mapping.terrain_map import TerrainMap, wheel_places
 from seen_drives import FEATURES, seen_dataset
 
 ROWS = (20, 75, 300, 880)

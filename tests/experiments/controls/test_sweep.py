@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments.controls.made_errors import BASE, errors
-from offpiste.experiments.controls.data import planned
-from offpiste.experiments.controls.judging import MAP, gain
-from offpiste.experiments.controls.sweep import _named, draw_gains, noisy
-from offpiste.mapping.terrain import TerrainMap
+from experiments.controls.data import planned
+from experiments.controls.errors import MAP, gain
+from experiments.controls.sweep import _named, draw_gains, noisy
+from made_errors import BASE, errors
+from offpiste.mapping.terrain_map import TerrainMap
 
 
 def kinds(nodes: int = 400) -> TerrainMap:

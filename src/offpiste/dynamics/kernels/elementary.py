@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.dynamics.kernels.jit import inlined
+from offpiste.compilation import KERNELS
 
 f4 = np.float32
 
@@ -20,7 +20,7 @@ _INVERSE_PI = f4(1 / np.pi)
 _HALF_PI = f4(np.pi / 2)
 
 
-@inlined
+@KERNELS.inlined
 def _sin_less_multiples_of_pi(x: Lane, n: Lane) -> Lane:
     """sin(x - n pi), for |x - n pi| <= pi/2; what rounding puts outside, for huge x, counts as pi/2."""
     x = (((x - n * _PI_0) - n * _PI_1) - n * _PI_2) - n * _PI_3
@@ -35,7 +35,7 @@ def _sin_less_multiples_of_pi(x: Lane, n: Lane) -> Lane:
     return x + x * s * p
 
 
-@inlined
+@KERNELS.inlined
 def sin(x: Lane) -> Lane:
     """Sine; absolute error < 3e-7 for |x| < 1e4."""
     n = np.floor(x * _INVERSE_PI + f4(0.5))
@@ -43,7 +43,7 @@ def sin(x: Lane) -> Lane:
     return sign * _sin_less_multiples_of_pi(x, n)
 
 
-@inlined
+@KERNELS.inlined
 def cos(x: Lane) -> Lane:
     """Cosine; absolute error < 3e-7 for |x| < 1e4."""
     n = np.floor(x * _INVERSE_PI)
@@ -51,7 +51,7 @@ def cos(x: Lane) -> Lane:
     return sign * _sin_less_multiples_of_pi(x, n + f4(0.5))
 
 
-@inlined
+@KERNELS.inlined
 def tanh(x: Lane) -> Lane:
     """Hyperbolic tangent; absolute and relative error < 4e-7 everywhere.
 
@@ -75,7 +75,7 @@ def tanh(x: Lane) -> Lane:
     return x * p / q
 
 
-@inlined
+@KERNELS.inlined
 def atan(x: Lane) -> Lane:
     """Inverse tangent; absolute and relative error < 3e-7 everywhere.
 
@@ -96,13 +96,13 @@ def atan(x: Lane) -> Lane:
     return -y if x < f4(0) else y
 
 
-@inlined
+@KERNELS.inlined
 def maximum(a: Lane, b: Lane) -> Lane:
     """The larger one."""
     return a if a > b else b
 
 
-@inlined
+@KERNELS.inlined
 def step(a: Lane, b: Lane) -> Lane:
     """Derivative of `maximum(a, b)` by a: 1, 0, or 1/2 where both are equal, as autograd has it."""
     return f4(1) if a > b else (f4(0.5) if a == b else f4(0))

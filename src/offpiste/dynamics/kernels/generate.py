@@ -1,4 +1,9 @@
-"""Writes `generated.py`: the scalar physics as loops over lanes, forward and adjoint.
+"""From functions of plain scalars to straight-line code and its adjoint (reverse-mode differentiation on SymPy terms).
+
+The elementary functions that a scalar function is called with are recorded as they are called, each result as a new
+symbol; what lies between them is algebra, which SymPy differentiates and shares. Only `generate` uses this.
+
+Writes `generated.py`: the scalar physics as loops over lanes, forward and adjoint.
 
 The physics is called here with SymPy's symbols. What the eager model does around it on batches (reduced forms of
 channels that a log lacks, turning the normal, forward Euler) is written as scalars below; tests hold both against each
@@ -6,7 +11,8 @@ other.
 Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -17,7 +23,106 @@ from offpiste.dynamics.actuators import LagConstants, brake_rate, engine_rate, s
 from offpiste.dynamics.bicycle import Constants, Elementary, Force, Scalar, forces, rates
 from offpiste.dynamics.inputs import REDUCED_ENGINE_SPEED, DriveTrain
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.tape import Definitions, Tape, share, text
+
+Definitions = list[tuple[sp.Symbol, sp.Expr]]
+"""Assignments in an order in which they can be carried out."""
+
+
+class Tape:
+    """Records calls of elementary functions."""
+
+    def __init__(self) -> None:
+        self.calls: dict[tuple[str, tuple[sp.Expr, ...]], sp.Symbol] = {}
+        self.elementary = Elementary(*(partial(self._call, name) for name in Elementary._fields))
+
+    def _call(self, name: str, *arguments: object) -> sp.Symbol:
+        key = name, tuple(sp.sympify(argument) for argument in arguments)
+        return self.calls.setdefault(key, sp.Symbol(f"{name}_{len(self.calls)}"))
+
+    def definitions(self) -> Definitions:
+        """Every recorded call, as an assignment."""
+        return [(symbol, sp.Function(name)(*arguments)) for (name, arguments), symbol in self.calls.items()]
+
+    def adjoint(self, outputs: Mapping[sp.Symbol, sp.Expr]) -> tuple[Definitions, dict[sp.Symbol, sp.Expr]]:
+        """The reverse pass.
+
+        Args:
+            outputs: expressions by the symbols of their adjoints.
+
+        Returns:
+            Adjoints of the recorded calls, last call first, and those of all other symbols.
+        """
+        bars: dict[sp.Symbol, sp.Expr] = {}
+
+        def spread(bar: sp.Expr, expression: sp.Expr) -> None:
+            for symbol in sorted(expression.free_symbols, key=str):
+                bars[symbol] = bars.get(symbol, sp.Integer(0)) + bar * sp.diff(expression, symbol)
+
+        for bar, expression in outputs.items():
+            spread(bar, expression)
+        reverse = []
+        for (name, arguments), symbol in reversed(list(self.calls.items())):
+            bar = sp.Symbol(f"{symbol}_bar")
+            reverse.append((bar, bars.pop(symbol, sp.Integer(0))))
+            for argument, slope in zip(arguments, self._slopes(name, arguments, symbol), strict=True):
+                spread(bar * slope, argument)
+        return reverse, bars
+
+    def _slopes(self, name: str, arguments: Sequence[sp.Expr], result: sp.Symbol) -> Iterable[sp.Expr]:
+        """Partial derivatives of an elementary function by its arguments."""
+        if name == "maximum":
+            a, b = arguments
+            return self._call("step", a, b), self._call("step", b, a)
+        (x,) = arguments
+        return (
+            {
+                "sin": lambda: self._call("cos", x),
+                "cos": lambda: -self._call("sin", x),
+                "tanh": lambda: 1 - result**2,
+                "atan": lambda: 1 / (1 + x**2),
+            }[name](),
+        )
+
+
+def share(definitions: Definitions, results: Mapping[str, sp.Expr]) -> tuple[Definitions, dict[str, sp.Expr]]:
+    """Common subexpressions of all right-hand sides as definitions of their own; what no result needs is left out."""
+    symbols = [symbol for symbol, _ in definitions]
+    terms = [*(term for _, term in definitions), *results.values()]
+    common, reduced = sp.cse(terms, symbols=sp.numbered_symbols("t"))
+    meaning = dict(common) | dict(zip(symbols, reduced[: len(symbols)], strict=True))
+    last = dict(zip(results, reduced[len(symbols) :], strict=True))
+
+    ordered: dict[sp.Symbol, sp.Expr] = {}
+
+    def define(term: sp.Expr) -> None:
+        for symbol in sorted(term.free_symbols, key=str):
+            if symbol in meaning and symbol not in ordered:
+                define(meaning[symbol])
+                ordered[symbol] = meaning[symbol]
+
+    for term in last.values():
+        define(term)
+    return list(ordered.items()), last
+
+
+def text(term: sp.Expr) -> str:
+    """A term in Python, in float32 whatever the types of its numbers."""
+    if term.is_Symbol:
+        return str(term)
+    if term.is_Number:
+        return f"f4({float(term)!r})"
+    if term.is_Add:
+        return "(" + " + ".join(map(text, term.args)).replace(" + -", " - ") + ")"
+    if term.is_Mul:
+        return "-" * (term.args[0] == -1) + "*".join(text(factor) for factor in term.args if factor != -1)
+    if term.is_Pow:
+        base, exponent = term.args
+        if not exponent.is_Integer:
+            raise NotImplementedError(f"power {term}")
+        product = "*".join([text(base)] * abs(int(exponent)))
+        return f"({product})" if exponent > 0 else f"(f4(1)/({product}))"
+    return f"{term.func}({', '.join(map(text, term.args))})"
+
 
 Values = dict[str, Scalar]
 """Quantities by their names in `layout`."""
@@ -34,7 +139,7 @@ loops overwrite the rows that they compute; adjoint loops add to the rows of w_b
 """
 
 from offpiste.dynamics.kernels.elementary import atan, cos, f4, maximum, sin, step, tanh
-from offpiste.dynamics.kernels.jit import lane_loop
+from offpiste.compilation import KERNELS
 '''
 
 
@@ -161,7 +266,7 @@ def _code(loop: Loop, name: str, definitions: Definitions, results: Iterable[sp.
     loads += [f"{name}_bar = w_bar[{row * loop.lanes} + i]" for name, row in loop.rows.items() if f"{name}_bar" in read]
     body = loads + [f"{symbol} = {text(term)}" for symbol, term in definitions] + stores
     arrays = [array for array in ("w", "c", "w_bar", "c_bar") if any(f" {array}[" in f" {x}" for x in constants + body)]
-    lines = [f"@lane_loop\ndef {name}({', '.join(arrays)}):"]
+    lines = [f"@KERNELS.loop\ndef {name}({', '.join(arrays)}):"]
     lines += [f"    {line}" for line in constants]
     lines += [f"    for i in range({loop.lanes}):"]
     lines += [f"        {line}" for line in body]

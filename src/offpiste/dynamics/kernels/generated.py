@@ -8,10 +8,10 @@ loops overwrite the rows that they compute; adjoint loops add to the rows of w_b
 """
 
 from offpiste.dynamics.kernels.elementary import atan, cos, f4, maximum, sin, step, tanh
-from offpiste.dynamics.kernels.jit import lane_loop
+from offpiste.compilation import KERNELS
 
 
-@lane_loop
+@KERNELS.loop
 def sense(w, c):
     drive_1 = c[0]
     drive_2 = c[1]
@@ -77,7 +77,7 @@ def sense(w, c):
         w[704 + i] = (-yaw_damping*yaw_rate + t2*vx*yaw_gain)
 
 
-@lane_loop
+@KERNELS.loop
 def sense_adjoint(w, c, w_bar, c_bar):
     drive_1 = c[0]
     drive_2 = c[1]
@@ -224,7 +224,7 @@ def sense_adjoint(w, c, w_bar, c_bar):
         c_bar[576 + i] += -force_yaw_bar*yaw_rate
 
 
-@lane_loop
+@KERNELS.loop
 def advance(w, c):
     drag_x = c[19]
     drag_y = c[20]
@@ -302,7 +302,7 @@ def advance(w, c):
         w[1408 + i] = (engine_rpm + f4(0.02)*engine_lags*engine_rate*(engine_idle - engine_rpm + engine_speed*maximum_2 + engine_throttle*throttle + engine_both*maximum_2*throttle))
 
 
-@lane_loop
+@KERNELS.loop
 def advance_adjoint(w, c, w_bar, c_bar):
     drag_x = c[19]
     drag_y = c[20]
@@ -425,7 +425,7 @@ def advance_adjoint(w, c, w_bar, c_bar):
         c_bar[736 + i] += (-next_vx_bar*t28*(t24*t8 - sin_3*t11) - next_vy_bar*t28*(force_lateral_rear + lateral_rear_correction + cos_4*t11 + sin_3*t8))
 
 
-@lane_loop
+@KERNELS.loop
 def cell(w):
     for i in range(128):
         input_gate = w[0 + i]
@@ -443,7 +443,7 @@ def cell(w):
         w[768 + i] = t0
 
 
-@lane_loop
+@KERNELS.loop
 def cell_adjoint(w, w_bar):
     for i in range(128):
         input_gate = w[0 + i]

@@ -8,14 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from offpiste.compilation import KERNELS
 from offpiste.conventions import STATE
-from offpiste.dynamics.kernels.compensate import Scratch, compensate, compensate_adjoint, make_scratch
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
-from offpiste.dynamics.kernels.jit import entry, lane_loop, maker
 from offpiste.dynamics.kernels.layout import CARRIED, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS
-from offpiste.dynamics.kernels.matrix import copy
-from offpiste.dynamics.kernels.network import Network
+from offpiste.dynamics.kernels.network import Network, Scratch, compensate, compensate_adjoint, copy, make_scratch
 
 MOVED = len(CARRIED) * LANES
 STATES = len(STATE)
@@ -47,13 +45,13 @@ class Record(NamedTuple):
     recorded: np.ndarray
 
 
-@maker
+@KERNELS.maker
 def make_scratches(networks: Networks, one: Lane) -> Scratches:
     """`make_scratch` of each network."""
     return make_scratch(networks[0], one), make_scratch(networks[1], one), make_scratch(networks[2], one)
 
 
-@lane_loop
+@KERNELS.loop
 def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
     """Controls, mean normals and codes of step t into the workspace; lanes behind the batch repeat its last window."""
     last = len(record.controls) - 1
@@ -69,7 +67,7 @@ def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
             w[(CODES + k) * LANES + i] = record.codes[window, t, k]
 
 
-@lane_loop
+@KERNELS.loop
 def advance_block(
     w: np.ndarray, c: np.ndarray, networks: Networks, scratches: Scratches, before: np.ndarray, after: np.ndarray
 ) -> None:
@@ -83,7 +81,7 @@ def advance_block(
     copy(w[NEXT : NEXT + MOVED], after[:MOVED])
 
 
-@entry
+@KERNELS.entry
 def forward(
     first: int,
     last: int,
@@ -131,7 +129,7 @@ def forward(
                         actuators[window, t, k] = start[window, STATES + k]
 
 
-@entry
+@KERNELS.entry
 def backward(
     first: int,
     last: int,

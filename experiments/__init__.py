@@ -1,0 +1,1 @@
+"""Studies and ablations: what offpiste was measured by; not in the wheel (README.md)."""

@@ -1,0 +1,1 @@
+"""Many courses driven by several planners, as a table."""

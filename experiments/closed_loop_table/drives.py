@@ -1,0 +1,173 @@
+"""Many courses, several planners: a drive each, done once. Goes on where it was stopped, from its folder."""
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from experiments.closed_loop_table.table import COUNTED, MEASURES
+from offpiste.closed_loop.drive_course import (
+    CourseDrive,
+    check_folder,
+    check_settings,
+    described,
+    drive_course,
+    settings_of,
+)
+from offpiste.closed_loop.planner import Planner
+from offpiste.errors import OffpisteError, RunError
+from offpiste.parallel import run_all
+from offpiste.simulation.sensors.scene import Scene, world_scene
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
+
+DEVELOPMENT, TEST = 1, 201
+"""First seeds of the courses: everything is chosen on the first, and judged on the second."""
+
+WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
+"""Course after course."""
+
+NEEDED: Final = ("world", "seed", "modes", "final_speed_mps", *MEASURES, *COUNTED)
+"""What is read from results."""
+
+NEWER: Final = ("fault_start", "sensors", "weights_sha256")
+"""Older results lack these; they are compared where they are known, so that no drive is lost."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A planner at a latency [s]."""
+
+    planner: Planner
+    latency: float = 0.1
+
+    @property
+    def name(self) -> str:
+        """What a row and a folder are called."""
+        return f"{self.planner.name}-{round(1000 * self.latency)}ms"
+
+
+def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)) -> list[Entry]:
+    """All at 0.1 s; those that know the ground ahead at other latencies too, each once.
+
+    Raises:
+        OffpisteError: two planners have one name, and so one folder.
+    """
+    named: dict[str, Planner] = {}
+    for planner in planners:
+        if (first := named.setdefault(planner.name, planner)) is not planner:
+            raise OffpisteError(
+                f"both are '{planner.name}', and would drive into one folder",
+                where=f"{first.folder} and {planner.folder}",
+                how="give one run of a kind, and the other in a command of its own with another --out",
+            )
+    others = dict.fromkeys(round(latency, 6) for latency in latencies)
+    others.pop(Entry.latency, None)
+    wide = [Entry(p, latency) for p in planners if p.name in ("dc", "ceiling") for latency in others]
+    return [*(Entry(p) for p in planners), *wide]
+
+
+def places(first: int, courses: int) -> list[WorldSettings]:
+    """Worlds of so many courses, of seeds from `first` on."""
+    return [WorldSettings(WORLDS[number % len(WORLDS)], first + number) for number in range(courses)]
+
+
+def drive_all(
+    rows: Sequence[Entry],
+    worlds: Sequence[WorldSettings],
+    out: Path,
+    asked: CourseDrive | None = None,
+    *,
+    processes: int = 1,
+    tell: Callable[[object], None] = lambda said: None,
+) -> list[dict[str, Any]]:
+    """Drive what is not driven yet; returns all results.
+
+    Args:
+        processes: courses that are driven at a time, each by all planners.
+
+    Raises:
+        RunError: the folder holds drives of other settings or runs.
+        OffpisteError: a setting is out of range, the folder is a file, or a result in it is broken: nothing is driven
+            then. Or a course cannot be driven; the others are.
+    """
+    asked = asked or CourseDrive()
+    check_folder(out)
+    for row in rows:
+        check_settings(_at_latency(asked, row))
+    courses = [(world, [row for row in rows if _found(row, world, out, asked) is None]) for world in worlds]
+    failed = run_all(
+        partial(_drive_rows, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses", tell
+    )
+    if failed:
+        raise failed[0]
+    found = [(row, _found(row, world, out, asked)) for world in worlds for row in rows]
+    return [{**result, "row": row.name} for row, result in found if result is not None]
+
+
+def _drive_rows(
+    course: tuple[WorldSettings, list[Entry]], report: Callable[[float], None], *, out: Path, asked: CourseDrive
+) -> str:
+    """Drive a course with several planners, one after the other."""
+    (place, rows), said = course, []
+    world = make_world(place)
+    scene = world_scene(world)
+    for number, row in enumerate(rows):
+        drive = replace(_at_latency(asked, row), world=place)
+        said.append(_driven(row, drive, _folder(row, place, out), world, scene))
+        report((number + 1) / len(rows))
+    return "\n".join(said)
+
+
+def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World, scene: Scene) -> str:
+    shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+    with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
+        result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
+    return f"{row.name}: {described(result)}"
+
+
+def _at_latency(asked: CourseDrive, row: Entry) -> CourseDrive:
+    return replace(asked, runtime=replace(asked.runtime, latency=row.latency))
+
+
+def _folder(row: Entry, place: WorldSettings, out: Path) -> Path:
+    return out / row.name / f"{place.preset}-{place.seed}"
+
+
+def _found(row: Entry, place: WorldSettings, out: Path, asked: CourseDrive) -> dict[str, Any] | None:
+    """The result of a drive that is there already."""
+    folder = _folder(row, place, out)
+    path = folder / "result.json"
+    if not path.exists():
+        return None
+    wanted = settings_of(row.planner, _at_latency(asked, row))
+    result = _read(path, [*NEEDED, *(name for name in wanted if name not in NEWER)])
+    if other := [name for name, value in wanted.items() if name in result and not _agree(result[name], value)]:
+        raise RunError(f"a drive with another {other[0]}", where=folder, how="give another --out")
+    return result
+
+
+def _agree(known: Any, wanted: Any) -> bool:
+    """Whether settings are the same, as far as both tell them: a setting that came later costs nobody their drives."""
+    if isinstance(known, dict) and isinstance(wanted, dict):
+        return all(_agree(known[name], value) for name, value in wanted.items() if name in known)
+    return bool(known == wanted)
+
+
+def _read(path: Path, needed: Sequence[str]) -> dict[str, Any]:
+    """What a drive wrote, if all that is needed is there."""
+    how = "remove it, and the course is driven again"
+    try:
+        result = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise OffpisteError(f"cannot be read: {error}", where=path, how=how) from error
+    if not isinstance(result, dict):
+        raise OffpisteError("is not the result of a drive", where=path, how=how)
+    if lacking := [name for name in needed if name not in result]:
+        raise OffpisteError(f"lacks {lacking[0]!r}", where=path, how=how)
+    return result

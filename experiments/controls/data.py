@@ -1,0 +1,79 @@
+"""Datasets that controls need: their own drives, or other features of the same ones."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.ground_truth import FeatureSource
+from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.splits import PARTS, write_drives
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.window_starts import MIN_HINDSIGHT
+from offpiste.reproduction.data import PlannedDrive, simulate_once
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.world.world import WorldSettings
+
+RIG = "proving_ground"
+
+
+def planned(
+    world: str,
+    lengths: tuple[Sequence[float], Sequence[float], Sequence[float]],
+    *,
+    seed: int,
+    sensors: str,
+    contrast: float = 1.0,
+    appearance: float = 1.0,
+) -> list[PlannedDrive]:
+    """Drives on one kind of world, each in a world of its own.
+
+    Args:
+        lengths: of the drives that train, validate and test [s].
+        seed: of the first drive; the others count on from it.
+        contrast, appearance: of `simulation.world.WorldSettings`.
+    """
+    listed = [(part, seconds) for part, mine in zip(PARTS, lengths, strict=True) for seconds in mine]
+    return [
+        PlannedDrive(
+            DriveSettings(WorldSettings(world, seed + k, contrast, appearance), float(seconds), seed + k, sensors), part
+        )
+        for k, (part, seconds) in enumerate(listed)
+    ]
+
+
+def driven_dataset(
+    drives: Sequence[PlannedDrive],
+    folder: Path,
+    *,
+    pca: Path | None = None,
+    features: FeatureSource = "none",
+    snapshot_seconds: float = 0.5,
+    min_hindsight: float = MIN_HINDSIGHT,
+    tell: Callable[[str], None],
+) -> Dataset:
+    """Simulate what is missing of some drives and extract them into `folder/dataset.zarr`.
+
+    Args:
+        pca: visual features; else `features` of `dataset.ground_truth`.
+        snapshot_seconds, min_hindsight: of `dataset.make.make_dataset`.
+    """
+    logs = [folder / "logs" / f"{drive.name}.mcap" for drive in drives]
+    for drive, log in zip(drives, logs, strict=True):
+        simulate_once(drive.settings, log, tell=tell)
+    return make_dataset(
+        logs,
+        load_rig(RIG),
+        folder / "dataset.zarr",
+        split=write_drives(folder / "parts.txt", ((drive.name, drive.part) for drive in drives)),
+        pca=pca,
+        features=features,
+        min_hindsight=min_hindsight,
+        snapshots=SnapshotSettings(snapshot_seconds),
+        tell=tell,
+    )
+
+
+def oracle_dataset(logs: Sequence[Path], split: str, out: Path, *, tell: Callable[[str], None]) -> Dataset:
+    """The true properties of the ground under the wheels of the same drives (`conventions.GROUND_PROPERTIES`)."""
+    return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth", tell=tell)

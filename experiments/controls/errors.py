@@ -1,0 +1,165 @@
+"""Errors of runs on the same windows, kept in files, and what one model gains over another."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from jaxtyping import Int
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
+from offpiste.evaluation.errors import Errors, Ground, predict
+from offpiste.evaluation.intervals import PairedDifference, Resampling, relative
+from offpiste.evaluation.models import Way
+from offpiste.evaluation.tables import Sampling, pool
+from offpiste.files import write_whole
+from offpiste.progress import track
+from offpiste.reproduction.runs import judged_windows
+from offpiste.training.run import Run
+from offpiste.training.terrain_sources import on_map
+
+MAP: Way = ("map", None)
+HINDSIGHT: Way = ("recorded", "hindsight")
+
+
+class Gain(msgspec.Struct, frozen=True, kw_only=True):
+    """What a model gains over a baseline on the same windows; relative differences: -0.1 is 10 % below.
+
+    Attributes:
+        case: what was done to model, features or world.
+        model, baseline: their names; n: windows; seeds: runs of the model that are averaged.
+        error_m, baseline_error_m: mean distances after 5 s.
+        distance, loss: relative differences with 95 % intervals over blocks of 10 s.
+    """
+
+    case: str
+    model: str
+    baseline: str
+    lookup: str
+    feature_set: str | None
+    n: int
+    seeds: int
+    error_m: float
+    baseline_error_m: float
+    distance: PairedDifference
+    loss: PairedDifference
+
+
+def judged_index(windows: Windows, way: Way, stride: int, *, most: int = 0) -> Int[np.ndarray, " n"]:
+    """Windows that a reproduction judges in one way.
+
+    Args:
+        most: so many of them, evenly spread; 0: all.
+    """
+    index = judged_windows(windows, way, stride)
+    if 0 < most < len(index):
+        index = index[np.unique(np.linspace(0, len(index) - 1, most).astype(int))]
+    return index
+
+
+def same_windows(windows: Windows, index: Int[np.ndarray, " n"], among: Windows) -> Int[np.ndarray, " n"]:
+    """The same windows, drive and row, of another dataset of the same drives.
+
+    Raises:
+        RunError: one is not there.
+    """
+    numbers = [among.drive_names.index(name) if name in among.drive_names else -1 for name in windows.drive_names]
+    wanted = np.array(numbers)[windows.drive[index]].astype(np.int64) << 32 | windows.row_in_drive(index)
+    every = np.arange(len(among))
+    keys = among.drive.astype(np.int64) << 32 | among.row_in_drive(every)
+    found = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
+    if not np.array_equal(keys[found], wanted):
+        raise RunError("two datasets do not hold the same windows", how="extract both from the same logs")
+    return found
+
+
+def errors_of(
+    run: Run,
+    windows: Windows,
+    index: Int[np.ndarray, " n"],
+    way: Way,
+    *,
+    scale: torch.Tensor,
+    kept: Path,
+    ground: Ground = on_map,
+) -> Errors:
+    """Errors of a run, from `kept` if they are there; else they are found and kept.
+
+    Args:
+        scale: of the loss, the same for all that is compared.
+        ground: what the map says, where it is not the windows' own.
+    """
+
+    def found() -> Errors:
+        lookup, chosen = way
+        return predict(
+            run.dynamics,
+            windows.reading(chosen) if chosen else windows,
+            index,
+            lookup=lookup,
+            scale=scale,
+            weights=torch.tensor(run.weights.in_order()),
+            ground=ground,
+            track=track,
+            description=f"judging {run.folder.name}",
+        )
+
+    return errors_from(kept / run.folder.name / f"{'-'.join(filter(None, way))}.safetensors", found)
+
+
+def errors_from(path: Path, find: Callable[[], Errors]) -> Errors:
+    """Errors from a file; where there is none, they are found and written, whole or not at all.
+
+    Raises:
+        RunError: the file is damaged.
+    """
+    if not path.exists():
+        errors = find()
+        arrays = {"drive": errors.drive, "row": errors.row, "values": errors.values, "loss": errors.loss}
+        kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        write_whole(path, lambda partial: save_file(kept, partial))
+    try:
+        return Errors(**load_file(path))
+    except (OSError, SafetensorError, TypeError) as error:
+        raise RunError(f"cannot be read: {error}", where=path, how="delete it and run again") from error
+
+
+def gain(
+    case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], way: Way, *, baseline: str = "b"
+) -> Gain:
+    """A model against a baseline; errors of several runs are averaged window by window."""
+    one, other = pool(mine), pool(others)
+    drawn = Sampling().on(one)
+    return Gain(
+        case=case,
+        model=model,
+        baseline=baseline,
+        lookup=str(way[0]),
+        feature_set=way[1],
+        n=len(one.row),
+        seeds=len(mine),
+        error_m=float(one.distance().mean()),
+        baseline_error_m=float(other.distance().mean()),
+        distance=relative(one.distance(), other.distance(), drawn),
+        loss=relative(one.loss, other.loss, drawn),
+    )
+
+
+def share(mine: Errors, base: Errors, oracle: Errors, oracle_base: Errors, drawn: Resampling) -> PairedDifference:
+    """What part of an oracle's relative gain in distance a model reaches: (1 - mine/base) / (1 - oracle/oracle_base).
+
+    Each gain is over a baseline that reads the same normals. All are of the same windows, in the same order. Where the
+    oracle's own gain is not surely above zero there is nothing to have a share of: NaN.
+    """
+    values = [errors.distance() for errors in (mine, base, oracle, oracle_base)]
+    if not all(np.isfinite(value).all() for value in values):
+        return PairedDifference(np.nan, (np.nan, np.nan))
+    a, b, c, d = (drawn.means(value) for value in values)
+    if not drawn.interval(1 - c / d)[0] > 0:
+        return PairedDifference(np.nan, (np.nan, np.nan))
+    m, n, o, p = (value.mean() for value in values)
+    return PairedDifference(float((1 - m / n) / (1 - o / p)), drawn.interval((1 - a / b) / (1 - c / d)))

@@ -1,0 +1,89 @@
+"""Other models beside `b` and `dc`: what looking ahead, physics, parameters, history and drawn sets are worth.
+
+Runs that controls need beside those of a reproduction; a finished one is used again, an interrupted one goes on.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from experiments.controls.errors import HINDSIGHT, MAP, errors_of, gain, judged_index
+from experiments.controls.reproduced import Reproduced
+from experiments.controls.tables import gain_table, write_control
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.models import Way
+from offpiste.reproduction.runs import reuse_stages
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import Run, load_run
+from offpiste.training.train import train
+
+FEATURED = {
+    "dc-hold": "dc with the features of the window's start held: what looking ahead adds",
+    "dc-step": "a set drawn at every step, not once a trajectory",
+    "cf-masked": "hindsight, masked as a drawn distance would be: does distance matter, or only what is missing",
+}
+BLIND = {
+    "lstm": "no physics",
+    "b-wide": "b with as many parameters as dc",
+    "b-history": "b with a stronger reading of the last 0.2 s",
+}
+ABOUT = (
+    "Relative to the baseline on the same windows, 95 % intervals over blocks of 10 s; windows x runs that are "
+    "averaged (one run of the control models). Map: as it was at the window's start, read at predicted places. "
+)
+
+
+def models_control(of: Reproduced, out: Path, models: list[str], *, tell: Callable[[str], None]) -> Path:
+    """Train one run each of the control models as the reproduction trains its own, and judge all on its windows.
+
+    Args:
+        models: of `FEATURED` and `BLIND`; all where empty.
+    """
+    chosen = models or [*FEATURED, *BLIND]
+    windows = Windows(of.dataset, "test")
+    folder, scale = out / "models", of.scale
+    present = of.present(("b", "cf", "dc"))
+    runs = {model: of.runs(model) for model in present}
+    for model in chosen:
+        config = of.member(model).config(of.size, 0, "cpu")
+        runs[model] = [trained(of.dataset, config, folder / "runs", stages=of.folder / "runs", tell=tell)]
+    ways: list[Way] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
+    errors: dict[tuple[str, Way], list[Errors]] = {}
+    for way in ways:
+        index = judged_index(windows, way, of.size.stride)
+        for model in runs:
+            if way in (MAP, HINDSIGHT) or model not in BLIND:
+                errors[model, way] = [
+                    errors_of(run, windows, index, way, scale=scale, kept=out / "judged") for run in runs[model]
+                ]
+    over_b = [
+        gain(FEATURED.get(model, BLIND.get(model, "")), model, found, errors["b", way], way)
+        for (model, way), found in errors.items()
+        if model != "b"
+    ]
+    over_dc = [
+        gain("", model, found, errors["dc", way], way, baseline="dc")
+        for (model, way), found in errors.items()
+        if "dc" in runs and model not in ("b", "cf", "dc")
+    ]
+    tables = [gain_table("Control models against b", over_b, ABOUT + "Baseline: b.")]
+    if over_dc:
+        tables.append(gain_table("Control models against dc", over_dc, ABOUT + "Baseline: dc; above 0: worse."))
+    return write_control(folder, tables, {"control": "models", "against_b": over_b, "against_dc": over_dc})
+
+
+def trained(
+    dataset: Dataset, config: TrainConfig, runs: Path, *, tell: Callable[[str], None], stages: Path | None = None
+) -> Run:
+    """The run of a configuration in `runs/MODEL-SEED`.
+
+    Args:
+        stages: runs of the same dataset whose actuators and bicycle serve here too; else those in `runs`.
+    """
+    folder = runs / f"{config.model}-{config.seed}"
+    if not (folder / "model.json").exists():
+        reuse_stages(stages or runs, folder, config.seed)
+        tell(f"training {folder.name}")
+        train(dataset, config, folder, resume=(folder / "config.json").exists())
+    return load_run(folder)

@@ -1,0 +1,106 @@
+"""What a reproduction of the paper's figures left in its folder: drives, dataset, trained runs and their settings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from offpiste.dataset.splits import write_drives
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.errors import RunError
+from offpiste.reproduction.settings import Member, Size, usual
+from offpiste.training.checkpoint import load_json
+from offpiste.training.run import Run, load_run
+
+
+@dataclass(frozen=True)
+class Reproduced:
+    """A finished reproduction.
+
+    Attributes:
+        folder: of `offpiste reproduce`.
+        size: what was judged, and how models were trained.
+        dataset: with visual features by distance.
+        contrast: of grip in its worlds.
+    """
+
+    folder: Path
+    size: Size
+    dataset: Dataset
+    contrast: float = 1.0
+
+    @property
+    def pca(self) -> Path:
+        """That the features were made with."""
+        return self.folder / "pca.safetensors"
+
+    @property
+    def scale(self) -> torch.Tensor:
+        """Units of the loss, the same for all runs."""
+        return self.runs("b")[0].scale
+
+    def runs(self, model: str) -> list[Run]:
+        """All seeds of a model.
+
+        Raises:
+            RunError: there is none.
+        """
+        found = sorted(self.folder.glob(f"runs/{model}-[0-9]*/model.json"))
+        if not found:
+            raise RunError(
+                f"has no finished run of '{model}'", where=self.folder, how="run `offpiste reproduce fig4` to its end"
+            )
+        return [load_run(path.parent) for path in found]
+
+    def has(self, model: str) -> bool:
+        """Whether a run of a model is finished."""
+        return any(self.folder.glob(f"runs/{model}-[0-9]*/model.json"))
+
+    def present(self, models: Sequence[str]) -> list[str]:
+        """Those of some models that were trained, in their order."""
+        return [model for model in models if self.has(model)]
+
+    def member(self, model: str) -> Member:
+        """A model as the reproduction would train it."""
+        return usual(model, len(self.dataset.features))
+
+    def logs(self) -> list[Path]:
+        """Of all drives of the dataset.
+
+        Raises:
+            RunError: one is missing.
+        """
+        logs = [self.folder / "logs" / f"{drive.name}.mcap" for drive in self.dataset.drives]
+        missing = [log for log in logs if not log.exists()]
+        if missing:
+            raise RunError("a drive's log is missing", where=missing[0], how="run `offpiste reproduce` again")
+        return logs
+
+    def split_for(self, folder: Path) -> str:
+        """The dataset's split as `extract` takes it; a split by drives is written into `folder`."""
+        split = self.dataset.split
+        if split.kind != "drives":
+            return split.text
+        return write_drives(folder / "parts.txt", split.drives)
+
+
+def open_reproduction(folder: Path) -> Reproduced:
+    """A reproduction's folder.
+
+    Raises:
+        RunError: it is none.
+        DatasetError: its dataset is missing or damaged.
+    """
+    settings: dict[str, Any] = load_json(folder / "settings.json")
+    try:
+        size = msgspec.convert(settings["size"], type=Size)
+        dataset = settings["dataset"]
+    except (KeyError, msgspec.ValidationError) as error:
+        raise RunError(
+            f"lacks or misstates {error}", where=folder / "settings.json", how="give the folder of `offpiste reproduce`"
+        ) from error
+    path = folder / "dataset.zarr" if dataset == "simulated" else Path(dataset)
+    return Reproduced(folder, size, open_dataset(path), settings.get("contrast", 1.0))

@@ -1,0 +1,65 @@
+"""Ground that looks different and drives alike: features have nothing to say, and no gain may remain."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from experiments.controls.data import driven_dataset, planned
+from experiments.controls.errors import HINDSIGHT, MAP, errors_of, gain, judged_index
+from experiments.controls.models import trained
+from experiments.controls.reproduced import Reproduced
+from experiments.controls.tables import gain_table, write_control
+from offpiste.dataset.windows import Windows
+
+ABOUT = (
+    "World `uniform`: looks vary, grip does not. Models trained there, visual features, other worlds to test than to "
+    "train; 95 % intervals over blocks of 10 s. The map, read at predicted places, decides; recorded places tell how "
+    "far the vehicle went."
+)
+
+
+@dataclass(frozen=True)
+class UniformDrives:
+    """How much is driven.
+
+    Attributes:
+        train, validation, test: lengths of the drives [s].
+        seeds: runs of each model.
+    """
+
+    train: tuple[float, ...] = (100.0, 100.0, 100.0)
+    validation: tuple[float, ...] = (60.0,)
+    test: tuple[float, ...] = (90.0, 90.0)
+    seeds: int = 1
+
+
+FIRST_SEED = 3000
+
+
+def uniform_control(of: Reproduced, out: Path, drives: UniformDrives, *, tell: Callable[[str], None]) -> Path:
+    """Drive, train and judge b, cf and dc on uniform ground, with the reproduction's PCA and settings."""
+    folder = out / "uniform"
+    lengths = (drives.train, drives.validation, drives.test)
+    dataset = driven_dataset(
+        planned("uniform", lengths, seed=FIRST_SEED, sensors="light"), folder, pca=of.pca, tell=tell
+    )
+    windows, gains = Windows(dataset, "test"), []
+    member = of.member("b")
+    config = replace(member.config(of.size, 0, "cpu"), pca=min(member.pca, len(dataset.features)))
+    runs = {
+        model: [
+            trained(dataset, replace(config, model=model, seed=seed), folder / "runs", tell=tell)
+            for seed in range(drives.seeds)
+        ]
+        for model in ("b", "cf", "dc")
+    }
+    scale = runs["b"][0].scale
+    for way in (MAP, HINDSIGHT):
+        index = judged_index(windows, way, of.size.stride)
+        errors = {
+            model: [errors_of(run, windows, index, way, scale=scale, kept=folder / "judged") for run in mine]
+            for model, mine in runs.items()
+        }
+        gains += [gain("uniform", model, errors[model], errors["b"], way) for model in ("cf", "dc")]
+    table = gain_table("Uniform ground", gains, ABOUT)
+    return write_control(folder, [table], {"control": "uniform", "drives": drives.__dict__, "gains": gains})

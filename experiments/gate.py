@@ -1,0 +1,110 @@
+"""The gate before any camera: whether knowing the ground ahead is worth anything.
+
+Physics-only drives, the true ground under each wheel as features, read where predictions go. `df` knows the ground
+along its way, `hold` only that of the start, `b` nothing; `b-history` has more units to feel it with.
+`python -m experiments.gate --help`
+"""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.splits import write_drives
+from offpiste.evaluation.evaluate_runs import judge_runs
+from offpiste.progress import tell
+from offpiste.reproduction.data import simulate_once
+from offpiste.reproduction.runs import reuse_stages
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.world.world import WorldSettings
+from offpiste.training.config import TrainConfig
+from offpiste.training.train import train
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Simulate, train, judge; goes on where it stopped."""
+
+    out: Path = Path("gate")
+    """Folder for everything."""
+    world: str = "mojave"
+    """Preset; `uniform` makes the features a placebo."""
+    contrast: float = 1.0
+    """Grip contrast of the worlds."""
+    features: Literal["ground-truth", "ground-kind"] = "ground-truth"
+    """What the oracle knows; on `uniform` only kinds differ."""
+    drives: tuple[int, int, int] = (12, 3, 6)
+    """Of train, validation and test, each in a world of its own."""
+    same_world: bool = False
+    """All drives in one world: ground shared by training and test."""
+    seconds: float = 120.0
+    """Of each drive."""
+    models: tuple[str, ...] = ("df", "hold", "b", "parametric", "b-history")
+    """Models to compare."""
+    seeds: int = 3
+    """Runs of each model (`parametric`: one)."""
+    train: TrainConfig = field(default_factory=lambda: TrainConfig(epochs=15, bicycle_epochs=15, batch=256))
+    """Settings of all trainings."""
+
+    def run(self) -> None:
+        """The whole experiment."""
+        drives = self.simulate()
+        dataset = make_dataset(
+            [path for path, _ in drives],
+            load_rig("proving_ground"),
+            self.out / "dataset.zarr",
+            split=write_drives(self.out / "parts.txt", ((path.stem, part) for path, part in drives)),
+            features=self.features,
+            tell=tell,
+        )
+        runs = []
+        for model in self.models:
+            for seed in range(1 if model == "parametric" else self.seeds):
+                folder = self.out / "runs" / f"{model}-{seed}"
+                if not (folder / "model.json").exists():
+                    config = replace(self.train, model=model, seed=seed)
+                    reuse_stages(self.out / "runs", folder, seed)
+                    train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
+                runs.append(folder)
+        judge_runs(runs, dataset.path, self.out / "report", starts=("causal",), tell=tell)
+        tell(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
+
+    def simulate(self) -> list[tuple[Path, str]]:
+        """The logs and their parts."""
+        found = []
+        for number, part in enumerate(
+            p for p, n in zip(("train", "validation", "test"), self.drives, strict=True) for _ in range(n)
+        ):
+            path = self.out / "logs" / f"{self.world}-{number}.mcap"
+            world = WorldSettings(self.world, 1000 if self.same_world else 1000 + number, self.contrast)
+            simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path, tell=tell)
+            found.append((path, part))
+        return found
+
+
+def verdict(metrics: dict[str, Any]) -> str:
+    """Mean 5 s error and loss of each model on the map from the causal start, and `df` against the others."""
+    rows = {
+        row["model"]: row
+        for row in reversed(metrics["results"])  # the row over all seeds stands first
+        if row["start"] == "causal" and row["lookup"] in ("map", None) and row["horizon_s"] == 5.0
+    }
+    lines = ["model         5 s error [m]          loss    df against it: position            loss"]
+    for name, row in rows.items():
+        error, loss = row["distance_error_m"], row["loss"]
+        line = f"{name:12} {error['mean']:6.2f} [{error['ci95'][0]:.2f}, {error['ci95'][1]:.2f}] {loss['mean']:8.3f}"
+        minus = rows["df"]["minus"].get(name) if "df" in rows else None
+        if minus:
+            for key, own in (("distance_error_m", error), ("loss", loss)):
+                low, high = (100 * bound / own["mean"] for bound in minus[key]["ci95"])
+                line += f"   {100 * minus[key]['mean'] / own['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    tyro.cli(Gate).run()

@@ -1,0 +1,92 @@
+"""Photographs without LiDAR or poses as features see them: the first components of a PCA as colours beside each.
+
+`python -m experiments.photographs ../shared/data/tartandrive2/images --out photographs`
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import tyro
+from jaxtyping import Bool, Float, UInt8
+
+from offpiste.errors import PerceptionError
+from offpiste.perception.backbones.backbone import Backbone, open_backbone
+from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.pca import Moments, fit
+from offpiste.progress import tell, track
+from offpiste.visualization.images import beside, colour_limits, colours, sheet, write_png
+
+Photograph = UInt8[np.ndarray, "h w 3"]
+_SKY = 1 / 3
+"""Share of a photograph, from its top, that is no ground: as in `perception.frames.image_statistics`."""
+_HOOD = 0.1
+"""Share, from its bottom, that shows the vehicle."""
+
+
+def read_photographs(folder: Path) -> dict[str, Photograph]:
+    """RGB images of a folder by name.
+
+    Raises:
+        PerceptionError: there are none, or one of them cannot be read.
+    """
+    found = {}
+    for path in sorted(p for p in folder.glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")):
+        picture = cv2.imread(str(path))
+        if picture is None:
+            raise PerceptionError("not a picture", where=path, how="remove it")
+        found[path.stem] = np.ascontiguousarray(np.asarray(picture, np.uint8)[:, :, ::-1])
+    if not found:
+        raise PerceptionError("no pictures", where=folder, how="give a folder of .png or .jpg files")
+    return found
+
+
+def fit_on_photographs(photographs: Sequence[Photograph], backbone: Backbone, *, components: int = 20) -> Looking:
+    """A PCA on the patches between sky and hood: where a LiDAR is lacking, the best guess at ground."""
+    moments = Moments.none(backbone.channels)
+    for photograph in photographs:
+        with torch.no_grad():
+            features = backbone(photograph[None])
+        moments = moments.add(features, _between(*features.shape[1:3])[None])
+    return Looking(backbone, fit(moments, backbone, components=components))
+
+
+def _between(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
+    row = np.arange(rows)
+    inside = (row >= _SKY * rows) & (row < (1 - _HOOD) * rows)
+    return np.repeat(inside[:, None], columns, axis=1)
+
+
+def picture(photograph: Photograph, looking: Looking, limits: Float[np.ndarray, "2 3"]) -> UInt8[np.ndarray, "h w2 3"]:
+    """A photograph and its first three components."""
+    height, width = photograph.shape[:2]
+    return beside(photograph, colours(looking.look(photograph), limits), looking.backbone.grid(width, height))
+
+
+def main(folder: tyro.conf.Positional[Path], out: Path = Path("photographs"), backbone: str = "filterbank") -> None:
+    """Write a picture a photograph and all.png.
+
+    Args:
+        folder: of photographs.
+        out: for the pictures.
+        backbone: as in `offpiste fit-pca`.
+    """
+    photographs = read_photographs(folder)
+    looking = fit_on_photographs(list(photographs.values()), open_backbone(backbone))
+    looks = [looking.look(photograph) for photograph in photographs.values()]
+    ground = [look[_between(*look.shape[:2])] for look in looks]
+    limits = colour_limits(np.concatenate(ground))
+    out.mkdir(parents=True, exist_ok=True)
+    drawn = [picture(photograph, looking, limits) for photograph in track(list(photographs.values()), "pictures")]
+    for name, one in zip(photographs, drawn, strict=True):
+        write_png(out / f"{name}.png", one)
+    if len({one.shape for one in drawn}) == 1:
+        write_png(out / "all.png", sheet([cv2.resize(one, None, fx=0.5, fy=0.5) for one in drawn]))
+    share = looking.pca.variance[:3].sum() / looking.pca.total_variance
+    tell(f"{len(drawn)} photographs; the three components drawn explain {share:.0%} of the variance")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,1 @@
+"""What visual features tell of the ground: linear probes to its true friction."""

@@ -1,0 +1,160 @@
+"""What visual features tell of the ground: a linear probe to its true friction, by viewing distance.
+
+Drives of some seeds train it (and the PCA), drives of others judge it, each in a world of its own. Beside it stand its
+ceiling, the true ground kind, and its floor, brightness; then what wrong mountings and stamps of the camera cost.
+`python -m experiments.probe.__main__ --help`
+"""
+
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from experiments.probe.cells import see_cells_once
+from experiments.probe.figures import distance_picture, distance_table, flaw_picture, flaw_table
+from experiments.probe.scores import Pooled, flaw_rows, pool, probe_rows
+from experiments.sensor_faults import Flaw
+from offpiste.dataset.fit_pca import fit_pca
+from offpiste.dataset.splits import parse_split
+from offpiste.errors import PerceptionError
+from offpiste.files import write_bytes, write_text
+from offpiste.perception.backbones.backbone import FILTERBANK, open_backbone
+from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.perception.pca import save_pca
+from offpiste.progress import tell, track
+from offpiste.reproduction.data import simulate_once
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.world.world import WorldSettings
+
+MIXED = "mixed"
+"""All worlds together."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Simulate, fit the PCA, extract, probe; goes on where it stopped."""
+
+    out: Path = Path("probe")
+    """Folder for everything."""
+    drives: Path | None = None
+    """Folder of drives called WORLD-SEED.mcap; those that are not there are simulated. OUT/drives by default."""
+    worlds: tuple[str, ...] = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
+    """Presets."""
+    seconds: float = 120.0
+    """Of each simulated drive."""
+    seeds: tuple[int, ...] = (61,)
+    """Of the drives that train."""
+    judged: tuple[int, ...] = (62,)
+    """Of the drives that judge."""
+    backbone: str = FILTERBANK
+    """Whose features are probed."""
+    images: int = 175
+    """That the PCA is fitted on."""
+    flaw_worlds: tuple[str, ...] = ("mojave", "halter-ranch")
+    """Worlds in which flaws are tried; none leaves that out."""
+    flaw_seconds: float = 60.0
+    """Of each drive in which flaws are tried, from its start."""
+    degrees: tuple[float, ...] = (0.5, 1.0, 2.0)
+    """Errors of the camera's mounting."""
+    directions: int = 2
+    """Axes of that error that are drawn; one is the same in all drives, as of one vehicle."""
+    late: tuple[float, ...] = (20.0, 50.0, 100.0)
+    """Offsets of the image stamps [ms]."""
+
+    def run(self) -> None:
+        """The whole experiment."""
+        if both := set(self.seeds) & set(self.judged):
+            raise PerceptionError(f"seed {min(both)} both trains and judges", how="give --judged other seeds")
+        rows = self.by_distance()
+        flaws = self.by_flaw() if self.flaw_worlds else []
+        made = {"numpy": np.__version__, "python": platform.python_version(), "pca": self.looking.identity}
+        result = {"settings": json.loads(json.dumps(asdict(self), default=str)), "made_with": made}
+        write_text(self.out / "probe.json", json.dumps(result | {"probes": rows, "flaws": flaws}, indent=1))
+        for worlds in dict.fromkeys(row["worlds"] for row in rows):
+            picture = distance_picture([row for row in rows if row["worlds"] == worlds], title=worlds)
+            write_bytes(self.out / f"probe_{worlds}.png", picture)
+        if flaws:
+            write_bytes(self.out / "probe_flaws.png", flaw_picture(flaws, title=", ".join(self.flaw_worlds)))
+        tell(f"{self.out / 'probe.json'}, and pictures beside it")
+
+    def by_distance(self) -> list[dict[str, Any]]:
+        """Probes of each world, and of all together."""
+        groups: dict[str, tuple[str, ...]] = {world: (world,) for world in self.worlds}
+        if len(self.worlds) > 1:
+            groups[MIXED] = self.worlds
+        rows: list[dict[str, Any]] = []
+        for name, worlds in groups.items():
+            train, test = self.pooled(worlds, self.seeds), self.pooled(worlds, self.judged)
+            rows += probe_rows(train, test, name)
+            tell(distance_table([row for row in rows if row["worlds"] == name], name))
+        return rows
+
+    def by_flaw(self) -> list[dict[str, Any]]:
+        """Probes under flaws of the camera."""
+        turned = [Flaw(degrees=d, direction=k) for d in self.degrees for k in range(self.directions)]
+        flaws = [Flaw(), *turned, *(Flaw(late=ms / 1000) for ms in self.late)]
+        train, test = (
+            {str(flaw): self.pooled(self.flaw_worlds, seeds, flaw=flaw) for flaw in flaws}
+            for seeds in (self.seeds, self.judged)
+        )
+        rows = flaw_rows(train, test, str(Flaw()), {str(flaw): asdict(flaw) for flaw in flaws})
+        tell(flaw_table(rows))
+        return rows
+
+    def pooled(self, worlds: Sequence[str], seeds: Sequence[int], *, flaw: Flaw | None = None) -> Pooled:
+        """Cells of drives; with a flaw (which may be none) those of the stretch on which flaws are compared."""
+        seen = []
+        names = [(number, world, seed) for number, world in enumerate(worlds) for seed in seeds]
+        for number, world, seed in track(names, f"extract, {flaw or 'as recorded'}"):
+            drive = f"{world}-{seed}"
+            piece = drive if flaw is None else f"{drive}-{self.flaw_seconds:g}s-{flaw}"
+            path = self.out / "cells" / self.looking.identity / f"{piece}.npz"
+            seconds = None if flaw is None else self.flaw_seconds
+            new = not path.exists()
+            cells = see_cells_once(path, self.log(world, seed), self.rig, self.looking, flaw=flaw, seconds=seconds)
+            if new:
+                tell(f"{piece}: {len(cells.row)} cells, {cells.valid[0].mean():.0%} valid in hindsight")
+            seen.append((number, cells))
+        return pool(seen)
+
+    def log(self, world: str, seed: int) -> Path:
+        """A drive, simulated if it is not there."""
+        path = (self.drives or self.out / "drives") / f"{world}-{seed}.mcap"
+        settings = DriveSettings(WorldSettings(world, seed), self.seconds, seed=seed, sensors="light")
+        simulate_once(settings, path, tell=tell)
+        return path
+
+    @cached_property
+    def rig(self) -> Rig:
+        """Of the proving ground."""
+        return load_rig("proving_ground")
+
+    @cached_property
+    def looking(self) -> Looking:
+        """Backbone and PCA; the PCA is fitted once, on the drives that train.
+
+        Raises:
+            PerceptionError: the PCA that is there was fitted on a drive that judges.
+        """
+        path = self.out / "pca.safetensors"
+        if not path.exists():
+            logs = [self.log(world, seed) for world in self.worlds for seed in self.seeds]
+            backbone = open_backbone(self.backbone)
+            fitted = fit_pca(logs, self.rig, parse_split("blocks:1,0,0"), backbone, images=self.images, tell=tell)
+            save_pca(path, fitted.pca)
+        looking = load_looking(path)
+        judged = {f"{world}-{seed}" for world in self.worlds for seed in self.judged}
+        if both := judged & set(looking.pca.fitted_on.get("logs", ())):
+            raise PerceptionError(f"fitted on '{min(both)}', which judges", where=path, how="give another --out")
+        return looking
+
+
+if __name__ == "__main__":
+    tyro.cli(Probe).run()

@@ -1,0 +1,163 @@
+"""Ground under the wheels of a simulated drive: what it looked like from each distance, and what it truly is."""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn import functional
+
+from experiments.sensor_faults import Flaw, perturbed, stretch
+from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES, WHEELS
+from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.visual_features import with_visual_features
+from offpiste.files import write_whole
+from offpiste.logs import read_drive
+from offpiste.logs.ground_truth import read_truth_map
+from offpiste.logs.open import open_log
+from offpiste.logs.sensor_log import open_sensors
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.mapping.terrain_map import wheel_places
+from offpiste.perception.backbones.backbone import Backbone
+from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.pca import PrincipalComponents
+from offpiste.rig.rig import Rig
+from offpiste.simulation.world.surface import read_grid
+
+GROUND = (*GROUND_KINDS, "wetness")
+"""What the ground is of: shares of each kind, and 0 dry to 1 wet."""
+
+
+@dataclass(frozen=True)
+class SeenCells:
+    """Cells under the wheels, once a pass, by feature set.
+
+    Attributes:
+        features: components of the backbone's features.
+        colour: mean red, green, blue of the same patches, as the camera gave them [0..1].
+        valid: whether the map held them.
+        properties: true `GROUND_PROPERTIES` at the cell's centre.
+        ground: true `GROUND` there.
+        row: of the drive at 50 Hz when the first wheel entered the cell.
+    """
+
+    features: Float[np.ndarray, "D M F"]
+    colour: Float[np.ndarray, "D M 3"]
+    valid: Bool[np.ndarray, "D M"]
+    properties: Float[np.ndarray, "M 4"]
+    ground: Float[np.ndarray, "M 8"]
+    row: Int[np.ndarray, " M"]
+
+
+@final
+class WithColour(Backbone):
+    """A backbone and the mean red, green and blue of each patch."""
+
+    def __init__(self, inner: Backbone) -> None:
+        self._inner = inner
+        self.name, self.patch, self.channels = f"{inner.name}+colour", inner.patch, inner.channels + 3
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self._inner.device
+
+    def settings(self) -> dict[str, Any]:
+        """Of the backbone."""
+        return {**self._inner.settings(), "colour": True}
+
+    def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
+        colour = functional.avg_pool2d(images, self.patch).permute(0, 2, 3, 1)
+        return torch.cat((self._inner(images.permute(0, 2, 3, 1)), colour), dim=3)
+
+
+def with_colour(looking: Looking) -> Looking:
+    """The same look, with the mean red, green and blue of each patch as the last three features."""
+    backbone, pca = WithColour(looking.backbone), looking.pca
+    basis = np.zeros((backbone.channels, pca.components + 3), np.float32)
+    basis[: pca.basis.shape[0], : pca.components] = pca.basis
+    basis[-3:, -3:] = np.eye(3)
+    extended = PrincipalComponents(
+        mean=np.append(pca.mean, np.zeros(3)).astype(np.float32),
+        basis=basis,
+        variance=np.append(pca.variance, np.ones(3)).astype(np.float32),
+        total_variance=pca.total_variance + 3,
+        backbone=backbone.name,
+        fingerprint=backbone.fingerprint,
+    )
+    return Looking(backbone, extended)
+
+
+def see_cells(
+    log: Path, rig: Rig, looking: Looking, *, flaw: Flaw | None = None, seconds: float | None = None
+) -> SeenCells:
+    """Play a simulated drive back, and read the truth at the cells that its wheels touched.
+
+    Args:
+        flaw: what is believed wrongly of the cameras.
+        seconds: of the drive, from its start; all of it by default.
+
+    Raises:
+        LogError: the log has no cameras, LiDARs or ground truth, or they are damaged.
+    """
+    truth = read_truth_map(log)
+    rows, sensors = extract_rows(read_drive(log, rig)), open_sensors(open_log(log), rig)
+    if seconds is not None:
+        rows, sensors = _first(rows, seconds), stretch(sensors, rows.time[0], rows.time[0] + seconds)
+    sensors = perturbed(sensors, flaw or Flaw())
+    settings = ReplaySettings()
+    seen = with_visual_features(rows, sensors, rig, with_colour(looking), settings).cells
+    assert seen is not None
+    xy = rows.state[:, :2].astype(np.float64) + rows.origin
+    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions()).reshape(-1, 2)
+    cell, contact = np.unique(seen.index, return_index=True)
+    contact = contact[cell >= 0]
+    size = settings.map.voxels.size
+    centre = np.round(wheels[contact] / size) * size
+    layers = np.stack([truth.layers[name] for name in (*GROUND_PROPERTIES, *GROUND)], axis=-1)
+    there = read_grid(layers, truth.origin, truth.resolution, centre)
+    return SeenCells(
+        features=seen.features[..., :-3],
+        colour=seen.features[..., -3:],
+        valid=seen.valid,
+        properties=there[:, : len(GROUND_PROPERTIES)],
+        ground=there[:, len(GROUND_PROPERTIES) :],
+        row=contact // len(WHEELS),
+    )
+
+
+def see_cells_once(
+    piece: Path, log: Path, rig: Rig, looking: Looking, *, flaw: Flaw | None = None, seconds: float | None = None
+) -> SeenCells:
+    """`see_cells`, kept in a file: written whole, and read where it is there already."""
+    if not piece.exists():
+        cells = see_cells(log, rig, looking, flaw=flaw, seconds=seconds)
+        save_cells(piece, cells)
+    return load_cells(piece)
+
+
+def save_cells(path: Path, cells: SeenCells) -> None:
+    """Write cells whole or not at all."""
+    arrays = {field.name: getattr(cells, field.name) for field in fields(cells)}
+
+    def write(partial: Path) -> None:
+        with partial.open("wb") as file:
+            np.savez(file, **arrays)
+
+    write_whole(path, write)
+
+
+def load_cells(path: Path) -> SeenCells:
+    """What `save_cells` wrote."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return SeenCells(**{field.name: arrays[field.name] for field in fields(SeenCells)})
+
+
+def _first(rows: Rows, seconds: float) -> Rows:
+    """The same rows, the vehicle's place unknown after so many seconds: no cell is passed then."""
+    state = rows.state.copy()
+    state[rows.time > rows.time[0] + seconds] = np.nan
+    return replace(rows, state=state)

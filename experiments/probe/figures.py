@@ -1,0 +1,133 @@
+"""What the probes found, as pictures.
+
+What the probes found, as tables.
+"""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from offpiste.conventions import FEATURE_SETS
+
+Rows = Sequence[dict[str, Any]]
+
+_STYLES = {
+    "ground": ("#8c8c8c", ":", "true kind and wetness"),
+    "kind": ("#000000", "-", "true kind (ceiling)"),
+    "visual": ("#0072b2", "-", "visual features"),
+    "averaged": ("#56b4e9", "--", "the same, averaged over 0.8 s"),
+    "colour": ("#009e73", "--", "mean colour"),
+    "brightness": ("#d55e00", "-", "brightness (floor)"),
+    "world": ("#cc79a7", ":", "which world"),
+}
+"""Colour, line and name of each input."""
+
+_LOWEST = -0.5
+"""R² below this is drawn at the lower border."""
+
+
+def distance_picture(rows: Rows, *, title: str) -> bytes:
+    """R² and rank correlation by feature set for both targets, trained on hindsight; PNG."""
+    targets = list(dict.fromkeys(row["target"] for row in rows))
+    figure = Figure(figsize=(11, 3.6 * len(targets)), dpi=120, layout="constrained")
+    axes = figure.subplots(len(targets), 2, squeeze=False)
+    for (left, right), target in zip(axes, targets, strict=True):
+        mine = [r for r in rows if r["target"] == target and r["trained"] == "hindsight" and r["cells"] == "valid"]
+        for plot, quantity, label in ((left, "r2", "R²"), (right, "rank", "rank correlation")):
+            _lines(plot, mine, quantity)
+            plot.set(ylabel=f"{target.replace('_', ' ')}: {label}", xlabel="seen from [m]")
+    axes[0, 1].legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(1.0, 0.3))
+    figure.suptitle(f"{title}: probes trained on hindsight, judged on other drives; 95 % intervals over blocks of 10 s")
+    return _png(figure)
+
+
+def flaw_picture(rows: Rows, *, title: str) -> bytes:
+    """R² of friction against the camera's turn and delay, for the probe as it was and one refitted; PNG."""
+    figure = Figure(figsize=(11, 4.2), dpi=120, layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    sets = list(dict.fromkeys(row["feature_set"] for row in rows))
+    friction = [row for row in rows if row["target"] == "friction"]
+    for plot, key, scale, label in (
+        (axes[0], "degrees", 1.0, "camera turned by [degrees], mean over axes"),
+        (axes[1], "late", 1000.0, "images stamped late by [ms]"),
+    ):
+        _bare(plot)
+        other = "late" if key == "degrees" else "degrees"
+        for colour, name in zip(("#0072b2", "#d55e00", "#009e73"), sets, strict=False):
+            for line, probe in (("-", "clean"), ("--", "refitted")):
+                mine = [r for r in friction if r["feature_set"] == name and r["probe"] == probe and not r[other]]
+                at = sorted({row[key] for row in mine})
+                r2 = [np.mean([row["r2"] for row in mine if row[key] == x]) for x in at]
+                what = "hindsight" if name == "hindsight" else f"{name} m"
+                plot.plot(scale * np.array(at), r2, line, color=colour, marker="o", label=f"{what}, probe {probe}")
+        plot.set(xlabel=label)
+    axes[0].set(ylabel="friction: R²")
+    axes[1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.suptitle(f"{title}: visual probe under errors of the camera's mounting and stamps")
+    return _png(figure)
+
+
+def _lines(plot: Axes, rows: Rows, quantity: str) -> None:
+    _bare(plot)
+    for name, (colour, line, label) in _STYLES.items():
+        mine = {row["feature_set"]: row for row in rows if row["input"] == name}
+        at = [n for n, feature_set in enumerate(FEATURE_SETS) if feature_set in mine]
+        found = [mine[FEATURE_SETS[n]] for n in at]
+        value = np.array([row[quantity] for row in found], float)
+        if not np.isfinite(value).any():
+            continue
+        plot.plot(at, value.clip(_LOWEST), line, color=colour, marker="o", markersize=4, label=label)
+        low, high = np.array([row[f"{quantity}_ci95"] for row in found], float).T
+        if name in ("visual", "brightness", "kind"):
+            plot.fill_between(at, low.clip(_LOWEST), high.clip(_LOWEST), color=colour, alpha=0.12, linewidth=0)
+    plot.set_xticks(range(len(FEATURE_SETS)), FEATURE_SETS)
+    plot.set_ylim(_LOWEST - 0.03, 1.03)
+
+
+def _bare(plot: Axes) -> None:
+    plot.spines[["top", "right"]].set_visible(False)
+    plot.grid(axis="y", color="#dddddd", linewidth=0.6)
+    plot.axhline(0, color="#999999", linewidth=0.8)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+Rows_probe_tables = Sequence[dict[str, Any]]
+
+
+def distance_table(rows: Rows_probe_tables, title: str) -> Table:
+    """R² and rank correlation by input and feature set."""
+    table = Table("target", "trained on", "cells", "from", *FEATURE_SETS, title=f"{title}: R² (rank correlation)")
+    lines: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in rows:
+        if row["cells"] == "common" and row["input"] not in ("visual", "brightness"):
+            continue  # true inputs hardly change with the cells
+        key = tuple(row[name] for name in ("target", "trained", "cells", "input"))
+        lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f} ({row['rank']:.2f})"
+    for key, found in lines.items():
+        table.add_row(*key, *(found.get(name, "") for name in FEATURE_SETS))
+    return table
+
+
+def flaw_table(rows: Rows_probe_tables) -> Table:
+    """R² by flaw, probe and feature set."""
+    sets = list(dict.fromkeys(row["feature_set"] for row in rows))
+    names = ("target", "probe", "degrees", "axis", r"late \[ms]", *sets)
+    table = Table(*names, title="Under flaws: R² (rank correlation)")
+    lines: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in rows:
+        numbers = (f"{row['degrees']:g}", str(row["direction"]), f"{1000 * row['late']:g}")
+        key: tuple[str, ...] = (row["target"], row["probe"], *numbers)
+        lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f} ({row['rank']:.2f})"
+    for key, found in sorted(lines.items(), key=lambda item: item[0][:2]):
+        table.add_row(*key, *(found.get(name, "") for name in sets))
+    return table

@@ -1,0 +1,1 @@
+"""Whether knowing a real floor helps: DART's car on three floors."""

@@ -1,0 +1,163 @@
+"""Whether knowing a real floor helps: DART's car on three floors, the floor's label in the place of a visual feature.
+
+Two halves of the recordings, each tested by models that were trained on the other. Beside the true labels, false ones:
+labels that changed places among the recordings, and the recordings' file format. Floor, day and format go together, so
+what helps may be knowing the day. A label is the same all over a recording: read at recorded places, it leaks nothing.
+`python -m experiments.surfaces.__main__ ../shared/data/dart --out surfaces`
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+import tyro
+
+from experiments.surfaces.labels import (
+    FLOORS,
+    Labels,
+    extract_floors,
+    formats,
+    halves,
+    held_out,
+    recordings,
+    relabelled,
+    shuffled,
+)
+from experiments.surfaces.tables import Results, tables
+from offpiste.conventions import JUDGED_STRIDE
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.errors import DatasetError
+from offpiste.evaluation.errors import Errors, predict
+from offpiste.evaluation.tables import pool
+from offpiste.files import write_text
+from offpiste.parallel import Report, run_all
+from offpiste.progress import tell, track
+from offpiste.reproduction.runs import reuse_stages
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import load_run
+from offpiste.training.train import train
+
+HALVES = (0, 1)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One training: what a process needs to know.
+
+    Attributes:
+        label: what the recordings are labelled by.
+        tested: recordings that are held out.
+    """
+
+    dataset: Path
+    folder: Path
+    label: str
+    labels: Labels
+    tested: tuple[str, ...]
+    config: TrainConfig
+
+    def data(self) -> Dataset:
+        """The recordings under these labels, some held out."""
+        return held_out(relabelled(open_dataset(self.dataset), self.labels), self.tested)
+
+    def errors(self, labels: Labels | None = None) -> Errors:
+        """How far the trained model is off on the held-out recordings, under these or other labels."""
+        run = load_run(self.folder)
+        dataset = self.data() if labels is None else relabelled(self.data(), labels)
+        windows = Windows(dataset, "test")
+        weights = torch.tensor(run.weights.in_order())
+        index = windows.judged(JUDGED_STRIDE)
+        return predict(run.dynamics, windows, index, lookup="recorded", scale=run.scale, weights=weights)
+
+
+def train_once(trial: Trial, report: Report) -> str:
+    """Train, unless that was done; says what was trained."""
+    if not (trial.folder / "model.json").exists():
+        reuse_stages(trial.folder.parent, trial.folder, trial.config.seed)
+        train(trial.data(), trial.config, trial.folder, resume=(trial.folder / "config.json").exists())
+    return f"{trial.folder.parent.name} {trial.folder.name}"
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Extract, train, judge; goes on where it stopped."""
+
+    dart: tyro.conf.Positional[Path]
+    """Folder of the recordings."""
+    out: Path = Path("surfaces")
+    """Folder for everything."""
+    seeds: int = 3
+    """Runs of each model."""
+    permutations: int = 6
+    """False labellings, a run each."""
+    models: tuple[str, ...] = ("df", "cf")
+    """Models that read labels; `b` stands beside them."""
+    seed: int = 0
+    """Of the false labellings."""
+    processes: int = 2
+    """Trainings at a time."""
+    train: TrainConfig = field(default_factory=lambda: TrainConfig(batch=64))
+    """Settings of all trainings."""
+
+    def run(self) -> str:
+        """The whole experiment.
+
+        Raises:
+            LogError: no recordings there.
+            DatasetError: a training failed.
+        """
+        dataset, floors = extract_floors(recordings(self.dart), self.out / "dataset.zarr")
+        half = halves(floors)
+        blind = self._trials("none", floors, half, ("b",), range(self.seeds))
+        reading = self._trials("floor", floors, half, self.models, range(self.seeds))
+        reading += self._trials("format", formats(floors), half, self.models, range(self.seeds))
+        for number, labels in enumerate(shuffled(floors, half, self.permutations, self.seed)):
+            reading += self._trials(f"shuffled{number}", labels, half, self.models, [number % self.seeds])
+        for trials in (blind, reading):  # the blind ones fit the bicycles of all
+            failed = run_all(train_once, trials, self.processes, "train", tell)
+            if failed:
+                raise DatasetError(f"{len(failed)} trainings failed; the first: {failed[0]}", where=self.out)
+        said = tables(self._judge(blind + reading, floors), [drive.name for drive in dataset.drives], floors, FLOORS)
+        write_text(self.out / "surfaces.md", said + "\n")
+        return said
+
+    def _trials(
+        self, label: str, labels: Labels, half: Labels, models: Sequence[str], seeds: Sequence[int]
+    ) -> list[Trial]:
+        return [
+            Trial(
+                self.out / "dataset.zarr",
+                self.out / "runs" / f"half-{number}" / f"{label}-{model}-{seed}",
+                label,
+                labels,
+                tuple(name for name in half if half[name] == number),
+                replace(self.train, model=model, seed=seed),
+            )
+            for model in models
+            for seed in seeds
+            for number in HALVES
+        ]
+
+    def _judge(self, trials: Sequence[Trial], floors: Labels) -> Results:
+        """Errors by label, model and seed, both halves put together; `exchanged`: the true label, judged on others."""
+        parts: dict[tuple[str, str, int], list[Errors]] = {}
+        for trial in track(trials, "judge"):
+            model, seed = trial.config.model, trial.config.seed
+            parts.setdefault((trial.label, model, seed), []).append(trial.errors())
+            if trial.label == "floor":
+                others = [{name: (floor + by) % len(FLOORS) for name, floor in floors.items()} for by in (1, 2)]
+                wrong = pool([trial.errors(labels) for labels in others])
+                parts.setdefault(("exchanged", model, seed), []).append(wrong)
+        return {key: pool(found) for key, found in parts.items()}
+
+
+def main(settings: Surfaces) -> None:
+    """Run and print the tables."""
+    torch.set_num_threads(1)
+    tell(settings.run())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Surfaces))

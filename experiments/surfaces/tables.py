@@ -1,0 +1,115 @@
+"""Tables of models that read a recording's label against `b`, which does not."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.intervals import Resampling, blocks, relative, resampling
+from offpiste.evaluation.tables import pool
+
+Results = Mapping[tuple[str, str, int], Errors]
+"""Errors on the held-out recordings by label, model and seed; the same windows in each."""
+
+_READ = {"floor": "the floor", "format": "the file format", "exchanged": "floor, judged under another floor's label"}
+_VX = 2
+
+
+def tables(results: Results, drives: Sequence[str], floors: Mapping[str, int], names: Sequence[str]) -> str:
+    """Markdown: against `b` over all windows, each false labelling by itself, and by recording.
+
+    Args:
+        drives: names of the recordings in the order of their numbers.
+        floors, names: floor of each recording, and what floors are called.
+    """
+    blind = _seeds(results, "none", "b")
+    drawn = _resampled(blocks(blind.drive, blind.row))
+    by_recording = _resampled(np.unique(blind.drive, return_inverse=True)[1])
+    lines = [
+        f"{len(blind.row)} windows, {drawn.blocks} blocks of 10 s, {by_recording.blocks} recordings",
+        "",
+        "| model | label | 5 s error [m] | minus `b` (by blocks; by recordings) | v_x at 5 s | loss |",
+        "|---|---|---|---|---|---|",
+        f"| `b` | none | {blind.distance().mean():.3f} | | {_vx(blind).mean():.3f} | {blind.loss.mean():.3f} |",
+    ]
+    models = list(dict.fromkeys(model for _, model, _ in results if model != "b"))
+    for label, words in _READ.items():
+        for model in models:
+            lines.append(_row(f"| `{model}` | {words}", _seeds(results, label, model), blind, drawn, by_recording))
+    false = list(dict.fromkeys(label for label, _, _ in results if label.startswith("shuffled")))
+    for model in models:
+        both = [_against(results, label, model) for label in false]
+        pooled = pool([mine for mine, _ in both])
+        lines.append(_row(f"| `{model}` | changed places ({len(false)})", pooled, blind, drawn, by_recording))
+    lines += ["", *_each(results, models, false), "", *_by_recording(results, models, blind, drives, floors, names)]
+    return "\n".join(lines)
+
+
+def _seeds(results: Results, label: str, model: str) -> Errors:
+    return pool([errors for (found, name, _), errors in results.items() if (found, name) == (label, model)])
+
+
+def _against(results: Results, label: str, model: str) -> tuple[Errors, Errors]:
+    """A single run, and `b` of the same seed."""
+    (seed,) = (s for found, name, s in results if (found, name) == (label, model))
+    return results[label, model, seed], results["none", "b", seed]
+
+
+def _row(begin: str, mine: Errors, blind: Errors, *drawn: Resampling) -> str:
+    found = [relative(mine.distance(), blind.distance(), by) for by in drawn]
+    intervals = "; ".join(_interval(one.ci95) for one in found)
+    change = relative(mine.loss, blind.loss, drawn[0])
+    return (
+        f"{begin} | {mine.distance().mean():.3f} | {found[0].mean:+.1%} {intervals} | {_vx(mine).mean():.3f} "
+        f"| {mine.loss.mean():.3f} ({change.mean:+.0%} {_interval(change.ci95)}) |"
+    )
+
+
+def _each(results: Results, models: Sequence[str], false: Sequence[str]) -> list[str]:
+    lines = []
+    for model in models:
+        gains = {}
+        for label in false:
+            mine, blind = _against(results, label, model)
+            gains[label] = mine.distance().mean() / blind.distance().mean() - 1
+        true = [
+            results["floor", name, seed].distance().mean() / results["none", "b", seed].distance().mean() - 1
+            for label, name, seed in results
+            if (label, name) == ("floor", model)
+        ]
+        said = ", ".join(f"{gain:+.1%}" for gain in gains.values())
+        lines.append(f"`{model}` minus `b` of the same seed: {', '.join(f'{g:+.1%}' for g in true)}; false: {said}.")
+    return lines
+
+
+def _by_recording(
+    results: Results,
+    models: Sequence[str],
+    blind: Errors,
+    drives: Sequence[str],
+    floors: Mapping[str, int],
+    names: Sequence[str],
+) -> list[str]:
+    columns = {"b": blind, **{model: _seeds(results, "floor", model) for model in models}}
+    lines = [
+        "| recording | floor | windows | " + " | ".join(f"`{name}` [m]" for name in columns) + " |",
+        "|---" * (3 + len(columns)) + "|",
+    ]
+    for number in np.unique(blind.drive).tolist():
+        mine = blind.drive == number
+        errors = " | ".join(f"{errors.distance()[mine].mean():.3f}" for errors in columns.values())
+        lines.append(f"| {drives[number]} | {names[floors[drives[number]]]} | {mine.sum()} | {errors} |")
+    return lines
+
+
+def _resampled(block: np.ndarray) -> Resampling:
+    return resampling(block, np.random.default_rng(0))
+
+
+def _interval(bounds: tuple[float, float]) -> str:
+    low, high = (round(100 * bound) for bound in bounds)
+    return f"[{low:+d}, {high:+d}]"
+
+
+def _vx(errors: Errors) -> np.ndarray:
+    return np.asarray(errors.values[:, -1, _VX])

@@ -1,0 +1,78 @@
+"""`offpiste drive`: from its arguments to a driven course, and a Rerun recording of it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from offpiste.closed_loop.courses import CourseSettings
+from offpiste.closed_loop.drive_course import CourseDrive, Driven, drive_course
+from offpiste.closed_loop.faults import Kind
+from offpiste.closed_loop.planner import load_planner
+from offpiste.runtime.runtime import RuntimeSettings
+from offpiste.simulation.world.world import WorldSettings
+
+
+def drive_and_show(
+    run: Path,
+    out: Path,
+    *,
+    world: str,
+    seed: int,
+    seconds: float,
+    pca: Path | None,
+    speed: float,
+    latency: float,
+    fault: Kind,
+    fault_start: float,
+    recording: bool,
+    tell: Callable[[object], None],
+) -> Driven:
+    """Drive a course with a run (see `cli.Drive`), and tell how it went.
+
+    Raises:
+        OffpisteError: no such run or world, a setting out of range, or `out` holds a drive already.
+    """
+    if recording:
+        from offpiste.closed_loop.recording import require_rerun
+
+        require_rerun()
+    planner = load_planner(run, pca)
+    asked = CourseDrive(
+        WorldSettings(world, seed),
+        seconds,
+        course=CourseSettings(speed=speed),
+        runtime=RuntimeSettings(latency=latency),
+        fault=fault,
+        fault_start=fault_start,
+    )
+    driven = drive_course(planner, asked, out, tell=tell)
+    tell(modes_table(driven.result))
+    tell(stages_table(driven.result))
+    written = ["drive.mcap", "drive.png", "result.json"]
+    if recording:
+        from offpiste.closed_loop.recording import record_drive
+
+        record_drive(driven, out / "drive.rrd")
+        written.append("drive.rrd")
+    tell(f"wrote {', '.join(str(out / name) for name in written)}")
+    return driven
+
+
+def modes_table(result: dict[str, Any]) -> Table:
+    """When the mode changed, and why."""
+    table = Table(r"at \[s]", "mode", "why", title="changes of mode")
+    for time, mode, why in result["modes"]:
+        table.add_row(f"{time:.2f}", mode, why)
+    return table
+
+
+def stages_table(result: dict[str, Any]) -> Table:
+    """What the stages of the run time took."""
+    names = ("stage", "times", r"median \[ms]", r"95 % \[ms]", r"all \[s]")  # what is not escaped is a style
+    table = Table(*names, title="what it took, by the wall clock")
+    for stage, took in result["stages"].items():
+        numbers = (f"{took[key]:.1f}" for key in ("median_ms", "p95_ms", "total_s"))
+        table.add_row(stage, f"{took['count']:.0f}", *numbers)
+    return table

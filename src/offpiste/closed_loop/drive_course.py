@@ -1,0 +1,230 @@
+"""One course, one planner: driven, judged, drawn and kept."""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from offpiste.closed_loop.courses import CourseSettings, Laid, lay_course
+from offpiste.closed_loop.faults import KINDS, Fault, Kind
+from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
+from offpiste.closed_loop.pictures import course_picture
+from offpiste.closed_loop.planner import Planner
+from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
+from offpiste.errors import OffpisteError
+from offpiste.files import write_text, write_whole
+from offpiste.perception.camera import make_pinhole_camera
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.runtime.perception import Sight
+from offpiste.runtime.prediction import KnownGround
+from offpiste.runtime.runtime import Runtime, RuntimeSettings
+from offpiste.simulation.sensors.scene import Scene
+from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.world import World, WorldSettings
+
+FASTEST = 30.0
+"""Speed that may be wanted [m/s]."""
+
+
+@dataclass(frozen=True)
+class CourseDrive:
+    """A drive of a course; the same settings and planner give the same drive.
+
+    Attributes:
+        world: its seed also lays the course.
+        seconds: until the drive ends, wherever the vehicle is.
+        sensors: profile of `simulation.sensors`.
+        fault: of the sensors, from `fault_start` on [s].
+        keep_log: 4 MB a second; without it, cameras that nobody looks through are not simulated either.
+    """
+
+    world: WorldSettings = field(default_factory=WorldSettings)
+    seconds: float = 40.0
+    sensors: str = "light"
+    course: CourseSettings = field(default_factory=CourseSettings)
+    runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
+    fault: Kind = "none"
+    fault_start: float = 10.0
+    keep_log: bool = True
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A drive that is over.
+
+    Attributes:
+        result: what result.json holds.
+    """
+
+    world: World
+    laid: Laid
+    driving: Driving
+    trace: Trace
+    runtime: Runtime
+    result: dict[str, Any]
+
+
+def drive_course(
+    planner: Planner,
+    asked: CourseDrive,
+    out: Path,
+    *,
+    world: World | None = None,
+    scene: Scene | None = None,
+    tell: Callable[[object], None] = lambda said: None,
+) -> Driven:
+    """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
+
+    Args:
+        world, scene: of `asked.world`, where they are made already.
+
+    Raises:
+        OffpisteError: a setting is out of range, or there is a drive in the folder already.
+    """
+    check_settings(asked)
+    check_folder(out)
+    for name in ("drive.mcap", "result.json"):
+        if (out / name).exists():
+            raise OffpisteError("exists already", where=out / name, how="give another --out, or remove it")
+    remember = max(asked.seconds, asked.runtime.remember)
+    rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(asked.world)
+    laid, suite = lay_course(world, asked.world.seed, asked.course), sensor_suite(asked.sensors)
+    if planner.looking is None and not asked.keep_log:
+        suite = SensorSuite((), suite.lidars)
+    fault = Fault(asked.fault, asked.fault_start)
+    runtime = Runtime(
+        planner.dynamics,
+        _sight(planner, suite, rig, fault),
+        rig.wheel_positions(),
+        laid.course,
+        replace(asked.runtime, remember=remember),
+        ground=_truth(world) if planner.told else None,
+        seed=asked.world.seed,
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    driving = drive_planned(
+        runtime, world, parameters, laid.start, suite, rig, out / "drive.mcap",
+        seconds=asked.seconds, seed=asked.world.seed, fault=fault, scene=scene,
+    )  # fmt: skip
+    trace = trace_of(driving, laid.course)
+    result = _result(planner, asked, laid, runtime, driving, trace)
+    title = f"{asked.world.preset}, seed {asked.world.seed}: {planner.name}, {result['time_s']:.1f} s"
+    figure = course_picture(world, laid.course, trace, runtime.predictions, title)
+    write_whole(out / "drive.png", lambda partial: figure.savefig(partial, format="png"))
+    if not asked.keep_log:
+        (out / "drive.mcap").unlink()
+    write_text(out / "result.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
+    tell(described(result))
+    return Driven(world, laid, driving, trace, runtime, result)
+
+
+def described(result: dict[str, Any]) -> str:
+    """A drive in one line."""
+    told = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
+    ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
+    error = result["plan_error_5s_m"]["mean"]
+    return (
+        f"{result['world']} {result['seed']}, {result['planner']}: {ending} in {result['time_s']:.1f} s, "
+        f"{result['mean_speed_mps']:.1f} m/s, {result['mean_path_error_m']:.2f} m off the course "
+        f"({result['worst_path_error_m']:.2f} at worst)"
+        + (f", plans {error:.1f} m off after 5 s" if error is not None else "")
+        + (f"; {', '.join(told)}" if told else "")
+    )
+
+
+def check_settings(asked: CourseDrive) -> None:
+    """Refuse what could only fail after minutes.
+
+    Raises:
+        OffpisteError: a setting is out of range.
+    """
+    if not 1.0 <= asked.seconds <= 3600:
+        raise OffpisteError(f"a drive of {asked.seconds:g} s", how="give --seconds from 1 to 3600")
+    if not 0 < asked.course.speed <= FASTEST:
+        raise OffpisteError(
+            f"a wanted speed of {asked.course.speed:g} m/s", how=f"give --speed above 0, and at most {FASTEST:g}"
+        )
+    if asked.fault not in KINDS:
+        raise OffpisteError(f"no fault is called {asked.fault!r}", how=f"choose one of {', '.join(KINDS)}")
+    if not 0 <= asked.fault_start < (asked.seconds if asked.fault != "none" else math.inf):
+        how = f"give --fault-start of 0 or more, before the drive's end at {asked.seconds:g} s"
+        raise OffpisteError(f"a fault from {asked.fault_start:g} s on", how=how)
+    sensor_suite(asked.sensors)  # complains itself
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder that cannot be one.
+
+    Raises:
+        OffpisteError: it is, or lies in, a file.
+    """
+    for place in (out, *out.parents):
+        if place.exists() and not place.is_dir():
+            raise OffpisteError("is a file", where=place, how="give a folder as --out")
+
+
+def _sight(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> Sight:
+    lidars = lidars_of(suite, rig)
+    if planner.looking is None:
+        return Sight(lidars)
+    patch = planner.looking.patch
+    cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
+    return Sight(lidars, cameras, fault.looking(planner.looking.look))
+
+
+def _truth(world: World) -> KnownGround:
+    def ground(places: np.ndarray) -> np.ndarray:
+        return read_grid(world.properties, world.origin, world.resolution, places)
+
+    return ground
+
+
+def _result(
+    planner: Planner, asked: CourseDrive, laid: Laid, runtime: Runtime, driving: Driving, trace: Trace
+) -> dict[str, Any]:
+    errors = prediction_errors(runtime.predictions, trace.place)
+    began = runtime.events[0].time if runtime.events else 0.0
+    return {
+        "schema": 1,
+        "world": asked.world.preset,
+        "seed": asked.world.seed,
+        "planner": planner.name,
+        "latency_s": asked.runtime.latency,
+        "target_mps": asked.course.speed,
+        "surprise_mps": laid.surprise,
+        **summary(driving, trace, runtime.guide.length, asked.seconds, asked.runtime.weights),
+        "plan_error_5s_m": {
+            "mean": float(errors.mean()) if len(errors) else None,
+            "median": float(np.median(errors)) if len(errors) else None,
+            "n": len(errors),
+        },
+        "modes": [(round(e.time - began, 2), e.mode, e.why) for e in runtime.events],
+        "dropped": runtime.dropped,
+        "failed_plans": len(runtime.failures),
+        "stages": runtime.watch.summary(),
+        **settings_of(planner, asked),
+    }
+
+
+def settings_of(planner: Planner, asked: CourseDrive) -> dict[str, Any]:
+    """What tells a drive from others on the same course, as a result holds it: all but the noise, a function."""
+    runtime = asdict(asked.runtime)
+    runtime["sampling"].pop("noise")
+    given = {
+        "run": str(planner.folder.resolve()),
+        "limit_s": asked.seconds,
+        "fault": asked.fault,
+        "fault_start": asked.fault_start,
+        "sensors": asked.sensors,
+        "weights_sha256": planner.weights,
+        "runtime": runtime,
+        "course": asdict(asked.course),
+    }
+    return dict(json.loads(json.dumps(given, default=str)))

@@ -1,0 +1,182 @@
+"""The proving ground and the run time in lockstep: a drive by the planner, recorded like any drive."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.closed_loop.faults import Fault
+from offpiste.conventions import DT
+from offpiste.geometry import yaw_rate_from_body_rates
+from offpiste.logs.log import RawCloud
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, points_from_message
+from offpiste.logs.writer import McapWriter
+from offpiste.progress import track
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.rig import Rig
+from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.modes import Controls
+from offpiste.runtime.runtime import Runtime
+from offpiste.simulation.drive import Start, drive
+from offpiste.simulation.recorder import START_NS, Recorder, events_message, stamp_ns
+from offpiste.simulation.sample import Pose, VehicleSample
+from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
+from offpiste.simulation.sensors.scene import Scene
+from offpiste.simulation.sensors.sensing import Sensing
+from offpiste.simulation.sensors.suite import SensorSuite
+from offpiste.simulation.vehicle.parameters import VehicleParameters
+from offpiste.simulation.world.world import World
+
+PLANNER_EVENTS = "/planner/events"
+
+
+@dataclass
+class PlannerCommander:
+    """Hands readings to the run time and its controls to the vehicle (`simulation.drive.Commander`).
+
+    Attributes:
+        rng: of the noise of the readings.
+        patience: without progress for so long, though driving, the vehicle is stuck [s].
+    """
+
+    runtime: Runtime
+    rng: np.random.Generator
+    patience: float = 8.0
+    controls: list[Controls] = field(default_factory=list)
+    _best: float = 0.0
+    _since: float = 0.0
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the vehicle stands at the end of its course."""
+        last = self.controls[-1] if self.controls else None
+        return last is not None and last.mode == "stopped" and last.why == "end of the course"
+
+    @property
+    def stuck(self) -> bool:
+        """Whether it makes no way any more."""
+        return bool(self.controls) and self.controls[-1].time - self._since > self.patience
+
+    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
+        """Throttle, brake and steering for the next `conventions.DT`."""
+        self.runtime.vehicle(reading_of(with_noise(sample, Noise(), Imperfections(), self.rng)))
+        controls = self.runtime.command(time_of(sample.time))
+        if not self.controls or controls.mode == "stopped" or self.runtime.guide.progress > self._best + 1.0:
+            self._best, self._since = self.runtime.guide.progress, controls.time
+        self.controls.append(controls)
+        return controls.command
+
+
+@dataclass(frozen=True)
+class Driving:
+    """A drive by the planner.
+
+    Attributes:
+        samples: of the vehicle, every `conventions.DT`.
+        controls: in the same rows.
+    """
+
+    samples: list[VehicleSample]
+    controls: list[Controls]
+
+
+def drive_planned(
+    runtime: Runtime,
+    world: World,
+    parameters: VehicleParameters,
+    start: Start,
+    suite: SensorSuite,
+    rig: Rig,
+    out: Path,
+    *,
+    seconds: float,
+    seed: int,
+    fault: Fault | None = None,
+    scene: Scene | None = None,
+) -> Driving:
+    """Let the run time drive, and write every message, its changes of mode among them, into a log.
+
+    Args:
+        fault: what the run time is made to suffer; the log has what the sensors sent.
+        seed: of noise and light.
+        scene: of the world, where it is built already.
+    """
+    noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
+    sensing, lidars = Sensing(world, suite, light, scene=scene), lidars_of(suite, rig)
+    commander, told, samples = PlannerCommander(runtime, own), 0, list[VehicleSample]()
+    fault = fault or Fault()
+    with McapWriter(out) as writer:
+        recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=noise)
+        recorder.start(world, suite.mountings())
+        drives = drive(world, parameters, start, commander, steps=round(seconds / DT))
+        for _, sample in zip(track(range(round(seconds / DT)), f"drive {out.name}"), drives, strict=False):
+            samples.append(sample)
+            recorder.vehicle(sample)
+            for event in runtime.events[told:]:
+                stamp = stamp_ns(sample.time)
+                writer.write(PLANNER_EVENTS, events_message((f"{event.mode}: {event.why}",), stamp), stamp)
+            told = len(runtime.events)
+            with runtime.watch.of("simulated sensors"):
+                messages = list(sensing.observe(sample, recorder))
+            for topic, message in messages:
+                recorder.sensor(topic, message)
+                for measured in fault.passed(measurement_of(message, lidars), sample.time):
+                    runtime.image(measured) if isinstance(measured, Image) else runtime.scan(measured)
+            fault.strike(runtime, sample.time)
+            if commander.arrived:
+                break
+    return Driving(samples, commander.controls)
+
+
+def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud | None:
+    """A camera's or LiDAR's message as the run time takes it; None for calibrations."""
+    name = message.header.frame_id
+    stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+    if hasattr(message, "format"):
+        decoded = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_COLOR_RGB)
+        return Image(stamp, name, np.asarray(decoded, np.uint8))
+    if name in lidars:
+        return cloud_from_records(RawCloud(stamp, name, points_from_message(message)), lidars[name])
+    return None
+
+
+def time_of(time: float) -> float:
+    """A drive's time as the stamps of its log have it [s]."""
+    return START_NS * 1e-9 + round(time / DT) * DT
+
+
+def reading_of(sample: VehicleSample) -> VehicleReading:
+    """What the vehicle says of itself."""
+    rate = yaw_rate_from_body_rates(sample.orientation[None], sample.angular_velocity[None])[0]
+    actuators = np.array((sample.brake_pressure, sample.steer_angle, sample.steer_rate, sample.engine_speed / 1000))
+    return VehicleReading(
+        time_of(sample.time), sample.position, sample.orientation, sample.velocity, float(rate), actuators
+    )
+
+
+def cameras_of(suite: SensorSuite, rig: Rig) -> dict[str, Camera]:
+    """The cameras that the vehicle carries, as a log would tell of them."""
+    return {
+        c.name: Camera(
+            c.name,
+            CameraModel(c.width, c.height, c.matrix, tuple(c.distortion)),
+            _matrix(c.body_from_camera),
+            rig.cameras[c.name],
+        )
+        for c in suite.cameras
+    }
+
+
+def lidars_of(suite: SensorSuite, rig: Rig) -> dict[str, Lidar]:
+    """The LiDARs."""
+    return {s.name: Lidar(s.name, _matrix(s.body_from_lidar), rig.lidars[s.name]) for s in suite.lidars}
+
+
+def _matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
+    return matrix

@@ -1,0 +1,69 @@
+"""A drive along a course, seen from above."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import Normal, Stroke
+
+from offpiste.closed_loop.scores import Trace
+from offpiste.planning.cost_map import Course
+from offpiste.runtime.prediction import Prediction
+from offpiste.simulation.top_view import draw_top_view
+from offpiste.simulation.world.world import World
+
+MARGIN = 15.0
+"""Around course and drive [m]."""
+
+SLIP_COLOURS, SLIP_LIMIT = "plasma", 0.4
+"""Colour map of the driven path, and the slip at its end."""
+
+
+def course_picture(
+    world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, every: int = 30
+) -> Figure:
+    """The course, what was driven, coloured by slip, and where every so many plans led.
+
+    Args:
+        every: one of so many plans is drawn.
+    """
+    shown = np.concatenate((course.driven, trace.place))
+    (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
+    wide = 6.6 * (right - left) / (top - bottom)
+    figure = Figure(figsize=(min(max(wide, 3.5), 13.0) + 2.0, 8), dpi=130, layout="constrained")
+    axes = figure.subplots()
+    draw_top_view(world, axes)
+    outlined = [Stroke(linewidth=3.0, foreground="#00000090"), Normal()]
+    axes.plot(*course.driven.T, color="white", linewidth=1.2, path_effects=outlined, label="course")
+    for number, prediction in enumerate(predictions[::every]):
+        label = "plans, 5 s" if not number else None
+        axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
+    pieces = LineCollection(
+        list(np.stack((trace.place[:-1], trace.place[1:]), axis=1)),
+        cmap=SLIP_COLOURS,
+        linewidths=2.4,
+        zorder=4,
+    )
+    pieces.set_array((trace.slip[:-1] + trace.slip[1:]) / 2)
+    pieces.set_clim(0.0, SLIP_LIMIT)
+    axes.add_collection(pieces)
+    figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
+    axes.plot(
+        *trace.place[0], marker="o", color="white", markeredgecolor="black", linestyle="", zorder=5, label="start"
+    )
+    axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    figure.legend(*_legend(axes), loc="outside lower center", ncols=4, fontsize=8, facecolor="#b8a88a")
+    axes.set_title(title, fontsize=10, loc="left")
+    return figure
+
+
+def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
+    """What lines are; the driven path has the colours of its bar, of which one stands for all."""
+    handles, names = axes.get_legend_handles_labels()
+    driven = Line2D([], [], color=colormaps[SLIP_COLOURS](0.5), linewidth=2.4)
+    return [*handles, driven], [*names, "driven"]

@@ -1,0 +1,99 @@
+"""A trained run as a planner: its model, what its features come from, and the PCA that belongs to it."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from offpiste.conventions import GROUND_PROPERTIES
+from offpiste.dynamics import Dynamics
+from offpiste.errors import RunError
+from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.training.checkpoint import load_json
+from offpiste.training.run import load_run
+from offpiste.training.terrain_sources import encoder_of
+
+
+@dataclass(frozen=True)
+class Planner:
+    """What plans.
+
+    Attributes:
+        name: of the model; "ceiling" for one that is told the simulator's own ground properties.
+        folder: of the run.
+        looking: backbone and PCA; None where the model reads no visual features.
+        weights: hash of their file, since a run may be trained anew in its folder.
+    """
+
+    name: str
+    folder: Path
+    dynamics: Dynamics
+    looking: Looking | None = None
+    weights: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether it knows the ground's true properties."""
+        return self.looking is None and encoder_of(self.dynamics) is not None
+
+
+def load_planner(folder: Path, pca: Path | None = None) -> Planner:
+    """A run and, if its model reads visual features, their backbone and PCA.
+
+    Args:
+        pca: the file that the run's dataset was extracted with.
+
+    Raises:
+        RunError: no such run, or its features cannot be had: no PCA is given, or another one than it was trained with.
+        PerceptionError: not a PCA, or its backbone cannot be had.
+    """
+    run = load_run(folder)
+    missing = [name for name in ("throttle", "steer") if name not in run.dynamics.vehicle.control]
+    if missing:
+        raise RunError(
+            f"was trained without the {' and the '.join(missing)} that a planner would choose",
+            where=folder,
+            how="give a run trained on commands of both",
+        )
+    weights = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()[:16]
+    if encoder_of(run.dynamics) is None:
+        return Planner(run.model, folder, run.dynamics, weights=weights)
+    identity = run.pca or _pca_of_dataset(folder)
+    if identity is None:
+        return Planner("ceiling", folder, run.dynamics, weights=weights)
+    if pca is None:
+        raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
+    looking = load_looking(pca)
+    if looking.identity != identity:
+        raise RunError(
+            f"was trained with another PCA ({identity}) than {pca} ({looking.identity})",
+            where=folder,
+            how="give the file that its dataset was extracted with",
+        )
+    return Planner(run.model, folder, run.dynamics, looking, weights)
+
+
+def _pca_of_dataset(folder: Path) -> str | None:
+    """What tells the PCA of a run's dataset from others; None where its features are the ground's true properties.
+
+    Runs say which PCA they were trained with, but for older ones and those that had none.
+    """
+    about: dict[str, Any] = load_json(folder / "model.json")
+    dataset = Path(about.get("dataset", ""))
+    try:
+        attributes = json.loads((dataset / "zarr.json").read_text("utf-8"))["attributes"]
+        names, identity = tuple(attributes["features"]), attributes["pca"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(
+            f"its dataset {dataset} is needed to tell which features it reads, and cannot be read",
+            where=folder,
+            how="put the dataset back where it was",
+        ) from error
+    if identity is None and names != GROUND_PROPERTIES:
+        raise RunError(
+            f"reads features that no camera gives: {', '.join(names[:4])} …",
+            where=folder,
+            how="give a run trained on visual features, on ground-truth ones, or on none",
+        )
+    return identity

@@ -1,0 +1,117 @@
+"""How a drive along a course went, in numbers."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.closed_loop.lockstep import Driving, time_of
+from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.planning.cost_map import Course
+from offpiste.planning.costs import Weights
+from offpiste.runtime.course_progress import Guide
+from offpiste.runtime.prediction import Prediction
+
+FINISH = 3.0
+"""So far before its end the course counts as driven [m]."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A drive, row by row.
+
+    Attributes:
+        place: of the pose point [m].
+        speed: [m/s].
+        off: distance from the course [m].
+        target: speed wanted there [m/s].
+        progress: along the course [m].
+        slip: mean over the wheels of hypot(slip ratio, tan of slip angle).
+    """
+
+    place: Float[np.ndarray, "N 2"]
+    speed: Float[np.ndarray, " N"]
+    off: Float[np.ndarray, " N"]
+    target: Float[np.ndarray, " N"]
+    progress: Float[np.ndarray, " N"]
+    slip: Float[np.ndarray, " N"]
+
+
+def trace_of(driving: Driving, course: Course) -> Trace:
+    """What a drive was like beside its course."""
+    guide = Guide(course)
+    place = np.stack([s.position[:2] for s in driving.samples])
+    off, target, progress = np.array([(guide.move(xy), guide.target, guide.progress) for xy in place]).T
+    speed = np.array([float(np.hypot(*s.velocity[:2])) for s in driving.samples])
+    ratio = np.stack([s.truth.slip_ratio for s in driving.samples])
+    angle = np.stack([s.truth.slip_angle for s in driving.samples])
+    slip = np.hypot(ratio, np.tan(np.clip(angle, -1.4, 1.4))).mean(axis=1)
+    return Trace(place, speed, off, target, progress, slip)
+
+
+def summary(driving: Driving, trace: Trace, length: float, limit: float, weights: Weights) -> dict[str, Any]:
+    """Numbers with their units in their names; means are over the time until the course was driven, or ended.
+
+    Args:
+        length: of the course [m].
+        limit: of the drive's time [s].
+        weights: of the planner.
+    """
+    events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
+    happened = {event for _, event in events}
+    there = np.flatnonzero(trace.progress >= length - FINISH)
+    finished = bool(len(there))
+    rows = slice(0, int(there[0]) + 1 if finished else len(trace.off))
+    modes = [c.mode for c in driving.controls[rows]]
+    return {
+        "finished": finished,
+        "time_s": float(rows.stop * DT),
+        "driven_cost": driven_cost(trace, rows.stop, None if finished else limit, weights),
+        "course_m": length,
+        "progress_m": float(trace.progress[rows][-1]),
+        "driven_m": float(np.linalg.norm(np.diff(trace.place[rows], axis=0), axis=1).sum()),
+        "mean_path_error_m": float(trace.off[rows].mean()),
+        "worst_path_error_m": float(trace.off[rows].max()),
+        "mean_speed_mps": float(trace.speed[rows].mean()),
+        "mean_speed_error_mps": float(np.abs(trace.speed - trace.target)[rows].mean()),
+        "mean_slip": float(trace.slip[rows].mean()),
+        "rollover": "rollover" in happened,
+        "collision": "collision with a tree" in happened,
+        "stuck": "stuck" in happened,
+        "left_world": "left the world" in happened,
+        "final_speed_mps": float(trace.speed[-1]),
+        "share_of_time": {mode: modes.count(mode) / len(modes) for mode in sorted(set(modes))},
+        "vehicle_events": events,
+    }
+
+
+def driven_cost(trace: Trace, rows: int, limit: float | None, weights: Weights) -> float:
+    """Squared distance from the course and squared error of the speed, weighted and summed over time.
+
+    These are the terms of path and speed of what planners minimise, but with the vehicle's speed whichever way it
+    goes, where planners take its part along the course. Their terms of rough ground, hazards, rolling over, effort
+    and jerk are left out.
+
+    Args:
+        rows: that count.
+        limit: where the course was not driven to its end, the vehicle counts as standing on it, without an error of
+            path, from `rows` until then [s].
+    """
+    path = weights.path * trace.off[:rows] ** 2
+    speed = weights.speed * (trace.speed - trace.target)[:rows] ** 2
+    standing = weights.speed * trace.target[rows - 1] ** 2 * max((limit or 0.0) - rows * DT, 0.0)
+    return float(DT * (path + speed).sum() + standing)
+
+
+def prediction_errors(predictions: list[Prediction], place: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " P"]:
+    """Distance between where plans led after 5 s and where the vehicle was then [m]; the drive may have ended before.
+
+    The vehicle did not follow a plan to its end: it was made anew ten times a second.
+    """
+    found = []
+    for prediction in predictions:
+        row = round((prediction.time - time_of(0.0)) / DT) + HORIZON_STEPS
+        if len(prediction.state) == HORIZON_STEPS and row < len(place):
+            found.append(float(np.linalg.norm(prediction.state[-1, :2] - place[row])))
+    return np.array(found)

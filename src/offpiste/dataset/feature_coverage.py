@@ -1,0 +1,166 @@
+"""What the visual features of a dataset cover: valid rates, distances and differences by feature set.
+
+The paper's numbers on them are in its section "Learning Distance-Independent Compression". A cell counts once a pass.
+Functions take the cells of one or several drives, which are told apart by nothing.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
+from offpiste.dataset.passes import Passes
+
+PAPER_RATES: Final = (1.0, 0.87, 0.92, 0.92, 0.84, 0.65, 0.42, 0.21)
+"""Rates of valid data by feature set in the paper, which calls them occlusion percentages."""
+
+PAPER_DIFFERENCE: Final = 0.3
+"""Between sets that are next to each other, relative to the range of values (paper)."""
+
+CENTRAL: Final = (1.0, 99.0)
+"""Percentiles between which a feature's range is taken: a few cells do not stretch it."""
+
+HINDSIGHT: Final = FEATURE_SETS.index("hindsight")
+
+
+@dataclass(frozen=True)
+class Differences:
+    """How far the same cells differ between feature sets, where both are valid; NaN where none are.
+
+    Attributes:
+        count: cells.
+        length: mean l2 norm of the difference, divided by the l2 norm of the features' ranges.
+        feature: mean absolute difference of each feature, divided by its own range; NaN for a constant one.
+    """
+
+    count: Int[np.ndarray, "D D"]
+    length: Float[np.ndarray, "D D"]
+    feature: Float[np.ndarray, "D D F"]
+
+    def neighbours(self) -> Float[np.ndarray, "_ F"]:
+        """Of distances that are next to each other: -20 and -10, -10 and 0, ..."""
+        at = np.arange(HINDSIGHT + 1, len(self.count) - 1)
+        return self.feature[at, at + 1]
+
+
+def valid_rates(cells: Sequence[Cells], reached: Sequence[Bool[np.ndarray, "D _"]] | None = None) -> np.ndarray:
+    """Share of cells that have features, by set [D]; NaN where there is no cell.
+
+    Args:
+        reached: cells that count in each set, by drive, e.g. of `within_reach`; all by default.
+    """
+    asked = [np.ones_like(c.valid) for c in cells] if reached is None else reached
+    found = sum((c.valid & a).sum(axis=1) for c, a in zip(cells, asked, strict=True))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(found / sum(a.sum(axis=1) for a in asked))
+
+
+def in_hindsight(cells: Sequence[Cells]) -> list[Bool[np.ndarray, "D _"]]:
+    """Cells that have features in hindsight, for every set: their rate is 1 in hindsight, as in the paper."""
+    return [np.repeat(c.valid[HINDSIGHT][None], len(c.valid), axis=0) for c in cells]
+
+
+def within_reach(
+    passes: Passes, time: Float[np.ndarray, " N"], xy: Float[np.ndarray, "N 2"], resolution: float
+) -> Bool[np.ndarray, "D P"]:
+    """Whether the vehicle was at the set's distance from the cell during the pass; always in hindsight.
+
+    At the start of a drive nothing was seen from 40 m before it, at its end nothing is from 20 m behind.
+
+    Args:
+        time: of the rows [s].
+        xy: of the pose point in the world frame; NaN where unknown [m].
+        resolution: size of a cell [m].
+    """
+    centre = (passes.cell + 0.5) * resolution
+    reached = np.ones((len(FEATURE_SETS), len(centre)), bool)
+    for first in range(0, len(centre), 1000):
+        of = slice(first, first + 1000)
+        away = np.linalg.norm(centre[of, None] - xy, axis=2)
+        signed = np.where(time > passes.contact[of, None], -away, away)
+        mine = (time >= passes.approach[of, None]) & (time < passes.end[of, None])
+        for number, distance in enumerate(DISTANCES, start=1):
+            with np.errstate(invalid="ignore"):
+                near = np.abs(signed - distance) <= TOLERANCE
+            reached[number, of] = (near & mine).any(axis=1)
+    return reached
+
+
+def observation_quartiles(cells: Sequence[Cells]) -> Float[np.ndarray, "D 3"]:
+    """Distances from sensor to point at which valid features were observed: quartiles by set; NaN where none [m]."""
+    quartiles = np.full((len(FEATURE_SETS), 3), np.nan)
+    for number in range(len(FEATURE_SETS)):
+        seen = np.concatenate([c.distance[number][c.valid[number]] for c in cells])
+        if len(seen):
+            quartiles[number] = np.percentile(seen, (25, 50, 75))
+    return quartiles
+
+
+def feature_range(cells: Sequence[Cells], percentiles: tuple[float, float] = CENTRAL) -> Float[np.ndarray, " F"]:
+    """Range of each feature over all valid cells in hindsight; NaN where there are none.
+
+    Args:
+        percentiles: it reaches from and to; (0.0, 100.0) is the total range of values that the paper speaks of.
+    """
+    seen = np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)
+    if not len(seen):
+        return np.full(seen.shape[1], np.nan)
+    low, high = np.percentile(seen, percentiles, axis=0)
+    return np.asarray(high - low, np.float64)
+
+
+def differences(cells: Sequence[Cells], span: Float[np.ndarray, " F"]) -> Differences:
+    """Differences between every two sets.
+
+    Args:
+        span: range of each feature (`feature_range`).
+    """
+    sets = len(FEATURE_SETS)
+    count, length = np.zeros((sets, sets), np.int64), np.zeros((sets, sets))
+    feature = np.zeros((sets, sets, len(span)))
+    for a, b, apart in _pairs(cells):
+        for place in ((a, b), (b, a)):
+            count[place] += len(apart)
+            length[place] += np.linalg.norm(apart, axis=1).sum()
+            feature[place] += np.abs(apart).sum(axis=0)
+    same = np.arange(sets)
+    count[same, same] = sum(c.valid.sum(axis=1) for c in cells)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        each = feature / count[..., None] / np.where(span > 0, span, np.nan)
+        return Differences(count, length / count / np.linalg.norm(span), each)
+
+
+def unrelated(cells: Sequence[Cells], span: Float[np.ndarray, " F"], rng: np.random.Generator) -> float:
+    """The same mean l2 difference between a cell in hindsight and any other one: what nothing in common looks like."""
+    seen = np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)
+    if len(seen) < 2:
+        return float("nan")
+    other = (np.arange(len(seen)) + rng.integers(1, len(seen), len(seen))) % len(seen)
+    return float(np.linalg.norm(seen - seen[other], axis=1).mean() / np.linalg.norm(span))
+
+
+def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
+    """Contacts (a wheel on a cell at a row) of first, second, ... passes over a place."""
+    if not len(passes.cell):
+        return np.zeros(0, np.int64)
+    _, place = np.unique(passes.cell, axis=0, return_inverse=True)
+    order = np.argsort(place.reshape(-1), kind="stable")  # passes come in the order of time
+    first = np.flatnonzero(np.diff(place.reshape(-1)[order], prepend=-1))
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order)) - np.repeat(first, np.diff(np.append(first, len(order))))
+    return np.bincount(number[passes.index[passes.index >= 0]])
+
+
+def _pairs(cells: Sequence[Cells]) -> Iterator[tuple[int, int, Float[np.ndarray, "n F"]]]:
+    """Of every drive and every two sets: the difference of the features of cells that are valid in both."""
+    for drive in cells:
+        features = drive.features.astype(np.float32)
+        for a in range(len(features)):
+            for b in range(a + 1, len(features)):
+                both = drive.valid[a] & drive.valid[b]
+                yield a, b, features[a, both] - features[b, both]

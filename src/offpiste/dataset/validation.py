@@ -1,0 +1,69 @@
+"""A dataset keeps what it promises: it goes on as it was begun, and rows that are said to be complete are."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.dataset.resample import Rows, present_actuators, present_control
+from offpiste.errors import DatasetError
+from offpiste.rig.rig import Rig
+
+MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight")
+"""What all drives of a dataset must share."""
+
+
+def refuse_unlike(path: Path, found: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Raise if a dataset was made otherwise than is asked for.
+
+    Args:
+        path: of the dataset.
+        found, asked: its attributes, as JSON has them.
+
+    Raises:
+        DatasetError: names the first attribute that differs, with both values where they are short.
+    """
+    for key in MADE_BY:
+        there, here = found.get(key), asked[key]
+        if key == "split" and all(str(text).startswith("drives:") for text in (there, here)):
+            continue  # the parts count, not the file that names them
+        if there != here:
+            both = "" if key in ("rig", "split_drives") else f": it has {_short(there)}, asked for is {_short(here)}"
+            raise DatasetError(
+                f"already holds a dataset with another {key}{both}",
+                where=path,
+                how="choose another --out, or delete it",
+            )
+
+
+def refuse_unsound(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: bool) -> None:
+    """Raise if a drive would put what is not finite into a model, or has no cells where the dataset names features.
+
+    Args:
+        path: of the dataset.
+        name: of the drive.
+
+    Raises:
+        DatasetError: names the drive, the array and the first row.
+    """
+    how = f"delete {path / name} and run `offpiste extract` again"
+    given = {
+        "state": rows.state,
+        "state_causal": rows.state_causal,
+        "control": rows.control[:, [channel in present_control(rig) for channel in CONTROL]],
+        "actuators": rows.actuators[:, [channel in present_actuators(rig) for channel in ACTUATORS]],
+    }
+    for key, values in given.items():
+        broken = np.flatnonzero(rows.valid & ~np.isfinite(values).all(axis=1))
+        if len(broken):
+            what = f"'{key}' is not finite in {len(broken)} rows that are marked complete, from row {broken[0]} on"
+            raise DatasetError(f"drive '{name}': {what}", where=path, how=how)
+    if needs_cells and rows.cells is None:
+        raise DatasetError(f"drive '{name}' has none of the features that the dataset names", where=path, how=how)
+
+
+def _short(value: Any) -> str:
+    if not isinstance(value, list):
+        return "none" if value is None else str(value)
+    return ", ".join(map(str, value[:3])) + (f", … ({len(value)})" if len(value) > 3 else "") or "none"

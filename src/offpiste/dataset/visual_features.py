@@ -1,0 +1,102 @@
+"""Visual features for the rows of a drive: what the map held of every cell under the wheels, by distance."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from offpiste.conventions import DT
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.feature_sets import CellViews, Viewing
+from offpiste.dataset.passes import find_passes
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
+from offpiste.logs.sensor_log import SensorLog
+from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
+from offpiste.mapping.terrain_map import TerrainLayers, wheel_places
+from offpiste.perception.feature_extractor import Looking
+from offpiste.rig.rig import Rig
+
+UP = np.array([0, 0, 1], np.float32)
+"""The normal where none is known."""
+
+
+@dataclass(frozen=True)
+class SnapshotKeeper:
+    """Keeps the map as it was when windows start.
+
+    Attributes:
+        writer, due: where to, and when.
+        margin: of `SnapshotSettings` [m].
+    """
+
+    writer: SnapshotWriter
+    due: Due
+    margin: float
+
+    def look(self, moment: Moment, rows: Rows) -> None:
+        """Keep the map of this moment if a window starts in the row that follows it."""
+        row = int(np.ceil((moment.time - rows.time[0]) / DT - 1e-6))
+        if self.due.at(row):
+            state = rows.state_causal[row].astype(np.float64)
+            state[:2] += rows.origin
+            self.writer.add(row, crop(moment.layers.terrain_map(), state, self.margin))
+
+
+def with_visual_features(
+    rows: Rows,
+    log: SensorLog,
+    rig: Rig,
+    looking: Looking,
+    settings: ReplaySettings | None = None,
+    *,
+    snapshots: SnapshotKeeper | None = None,
+    report: Callable[[float], None] = lambda share: None,
+) -> Rows:
+    """Play a drive's sensors back and keep what its cells looked like (paper, "Dataset Extraction").
+
+    Args:
+        snapshots: keeps the map where windows start that validate and test.
+        report: is told the share of the drive that was played.
+
+    Raises:
+        LogError: the log's sensors are damaged or of no use.
+    """
+    settings = settings or ReplaySettings()
+    grid = settings.map.voxels
+    xy = rows.state[:, :2].astype(np.float64) + rows.origin
+    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
+    passes = find_passes(rows.time, xy, wheels, resolution=grid.size, jumps=log.poses.jumps)
+    viewing = Viewing(passes, resolution=grid.size, reach=grid.reach, features=looking.channels)
+    cameras = pinhole_cameras(log, looking.patch)
+    for moment in replay(log, cameras, looking.look, looking.channels, settings):
+        viewing.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
+        if snapshots is not None:
+            snapshots.look(moment, rows)
+        report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
+    under = passes.index
+    normal = np.where((under >= 0)[None, :, :, None], viewing.normal[:, under], UP)
+    cells = Cells(under, viewing.features, viewing.valid, viewing.distance, viewing.elevation)
+    return replace(rows, normal=normal.astype(np.float32), cells=cells)
+
+
+def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], CellViews]:
+    first = np.floor(layers.origin / layers.resolution).astype(np.int64)  # the origin is a centre: cell i starts at i
+    ny, nx = layers.elevation.shape
+
+    def read(cells: np.ndarray) -> CellViews:
+        at = cells - first
+        inside = np.asarray(((at >= 0) & (at < [nx, ny])).all(axis=1))
+        column, row = np.where(inside[:, None], at, 0).T
+        valid, ground = inside & layers.valid[row, column], inside & layers.known[row, column]
+        normal = layers.normal[row, column].astype(np.float32)
+        known = inside & np.isfinite(normal).all(axis=1)
+        return CellViews(
+            features=np.where(valid[:, None], layers.features[row, column], np.nan).astype(np.float32),
+            valid=valid,
+            distance=np.where(valid, layers.distance[row, column], np.nan).astype(np.float32),
+            elevation=np.where(ground, layers.elevation[row, column], np.nan).astype(np.float32),
+            normal=np.where(known[:, None], normal, UP),
+        )
+
+    return read

@@ -1,0 +1,61 @@
+"""Windows of which too little of the ground was ever seen (paper: all of the hindsight data are valid).
+
+Where windows start: complete, in one part, fast enough, and on ground that was seen.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from offpiste.conventions import FEATURE_SETS, HORIZON_STEPS, MIN_JUDGED_SPEED
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.splits import window_starts
+
+MIN_HINDSIGHT = 0.5
+"""Share of the ground under the wheels along a window that must have features in hindsight; 0 keeps every window."""
+
+
+def seen_in_hindsight(cells: Cells) -> Float[np.ndarray, " N"]:
+    """Share of the four wheels that stand on ground with features in hindsight, by row."""
+    valid = np.append(cells.valid[FEATURE_SETS.index("hindsight")], False)
+    return np.asarray(valid[cells.index].mean(axis=1))
+
+
+def enough_hindsight(
+    cells: Cells | None, least: float, *, horizon: int = HORIZON_STEPS
+) -> Bool[np.ndarray, " N"] | None:
+    """Rows whose windows (t ... t + horizon - 1) have at least a share of their ground seen in hindsight.
+
+    Args:
+        cells: of a drive; None, or cells of true properties, leave nothing out.
+        least: from 0 to 1.
+
+    Returns:
+        None where nothing is left out.
+    """
+    if cells is None or least <= 0 or len(cells.valid) != len(FEATURE_SETS):
+        return None
+    run = np.concatenate(([0.0], np.cumsum(seen_in_hindsight(cells))))
+    end = np.minimum(np.arange(len(cells.index)) + horizon, len(cells.index))
+    return np.asarray((run[end] - run[:-1]) / (end - np.arange(len(cells.index))) >= least - 1e-9)
+
+
+def judged_starts(
+    rows: Rows,
+    mine: Bool[np.ndarray, " N"],
+    min_hindsight: float = 0.0,
+    min_speed: float = MIN_JUDGED_SPEED,
+    horizon: int = HORIZON_STEPS,
+) -> Int[np.ndarray, " n"]:
+    """Rows t of a drive at which windows start.
+
+    Args:
+        mine: rows that belong to the part.
+        min_hindsight: of `dataset.hindsight`.
+        min_speed: of the causal estimate at t [m/s].
+        horizon: predicted steps.
+    """
+    found = window_starts(rows.valid & mine, horizon=horizon)
+    found = found[np.hypot(rows.state_causal[found, 3], rows.state_causal[found, 4]) > min_speed]
+    enough = enough_hindsight(rows.cells, min_hindsight, horizon=horizon)
+    return found if enough is None else found[enough[found]]

@@ -1,0 +1,263 @@
+"""What the demo ends with: `b` against `dc` by the distance that ground was seen from, as a table and a picture.
+
+The whole path on the proving ground: simulate, inspect, look, extract, train, judge, and drive a course.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from offpiste.closed_loop.courses import CourseSettings
+from offpiste.closed_loop.drive_course import CourseDrive, described, drive_course
+from offpiste.closed_loop.planner import load_planner
+from offpiste.conventions import DT, FEATURE_SETS
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.fit_pca import fit_pca, write_image_list
+from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.splits import PARTS, parse_split, write_drives
+from offpiste.dataset.store import Dataset
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.evaluate import Evaluation
+from offpiste.evaluation.evaluate_runs import judge_runs
+from offpiste.evaluation.figures import grouped_boxes
+from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, relative, summary
+from offpiste.evaluation.report import png
+from offpiste.evaluation.tables import REFERENCE, Sampling, interval, number
+from offpiste.files import write_bytes
+from offpiste.inspection.inspect import inspect_log, render
+from offpiste.logs import open_log
+from offpiste.parallel import usable_cores
+from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.pca import save_pca
+from offpiste.reproduction.data import Recording, simulate_all
+from offpiste.reproduction.pieces import claim_folder
+from offpiste.reproduction.runs import reuse_stages
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.world.world import WorldSettings
+from offpiste.training.config import TrainConfig
+from offpiste.training.train import train
+from offpiste.visualization.coverage import TextTable
+
+BASELINE, MODEL = "b", "dc"
+MAP = "map, predicted places"
+
+Read = dict[str, dict[str, Errors]]
+"""Errors by where the ground is read, and by model."""
+
+
+def tell_result(evaluation: Evaluation, dataset: Dataset, folder: Path, *, tell: Callable[[object], None]) -> None:
+    """Say and draw how far `b` and `dc` are off after 5 s; the picture goes to `folder/distance.png`."""
+    read = by_reading(evaluation)
+    table, picture = compared(read), folder / "distance.png"
+    boxes = {place: {name: errors.distance() for name, errors in models.items()} for place, models in read.items()}
+    title = f"Demo: {BASELINE} and {MODEL}, trained on {_seconds(dataset, 'train'):.0f} s"
+    write_bytes(picture, png(grouped_boxes(boxes, title=title, axis="ground read from a view at [m]")))
+    tell(table.rich())
+    tell(table.about)
+    tell(conclusion(gain_of(read[MAP]) if MAP in read else gain_of(next(iter(read.values()))), dataset))
+    reference = next(errors for case, errors in evaluation.errors.items() if case.label == REFERENCE)
+    tell(f"For scale: '{REFERENCE}', a bicycle at constant speed, is off by {reference.distance().mean():.2f} m.")
+    tell(
+        "More driving: `offpiste reproduce fig4 --size laptop` (two hours); measured results stand in docs/results.md."
+    )
+    tell(f"picture: {picture}")
+    tell(f"report: {folder / 'report.html'}")
+
+
+def by_reading(evaluation: Evaluation) -> Read:
+    """Errors of both models on the same windows, by the view that the ground is read from, and on the map."""
+    found: Read = {}
+    for place, way in {**{name: ("recorded", name) for name in FEATURE_SETS}, MAP: ("map", None)}.items():
+        models = {c.label: e for c, e in evaluation.errors.items() if (c.lookup, c.feature_set) == way}
+        if {BASELINE, MODEL} <= models.keys():
+            found[place] = {name: models[name] for name in (BASELINE, MODEL)}
+    return found
+
+
+def gain_of(models: dict[str, Errors]) -> PairedDifference:
+    """Mean distance error of `dc` relative to `b`'s on the same windows: -0.1 is 10 % below."""
+    mine, other = models[MODEL], models[BASELINE]
+    return relative(mine.distance(), other.distance(), Sampling().on(mine))
+
+
+def compared(read: Read) -> TextTable:
+    """Mean distance errors after 5 s."""
+    lines = []
+    for place, models in read.items():
+        means = [summary(errors.distance(), Sampling().on(errors)) for errors in models.values()]
+        gain = gain_of(models)
+        low, high = gain.ci95
+        lines.append(
+            (
+                place if place in (MAP, "hindsight") else f"seen from {place} m",
+                *(f"{number(mean.mean)} {interval(mean.ci95)}" for mean in means),
+                f"{100 * gain.mean:+.1f} % {interval((100 * low, 100 * high), 1)}",
+            )
+        )
+    windows = len(next(iter(read.values()))[MODEL].row)
+    about = (
+        f"Intervals: 95 %, over blocks of 10 s; none with fewer than {MIN_BLOCKS} blocks. Both models read the slope as"
+        " seen from there.\nAll lines but the last read the ground under the wheels' recorded future places, which"
+        " tells a model how far the\nvehicle went. The last one reads the map where predictions go, as a planner does:"
+        " it decides."
+    )
+    title = f"Mean distance error after 5 s \\[m] on {windows} windows of the test drives"
+    return TextTable(title, ("ground", *read[next(iter(read))], f"{MODEL} against {BASELINE}"), tuple(lines), about)
+
+
+def conclusion(gain: PairedDifference, dataset: Dataset) -> str:
+    """What may be said of `dc` against `b`, and what may not."""
+    driven = (
+        f"{_seconds(dataset, 'train'):.0f} s of driving to learn from and {_seconds(dataset, 'test'):.0f} s to judge"
+    )
+    low, high = gain.ci95
+    if not np.isfinite([low, high]).all():
+        return f"Nothing can be said of dc against b here: {driven} are too little for an interval."
+    if high < 0:
+        return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed may say otherwise."
+    if low > 0:
+        return f"Here dc is {100 * gain.mean:.0f} % above b: {driven} are too little for it."
+    return f"No difference between dc and b is shown here: the interval holds zero, with {driven}."
+
+
+def _seconds(dataset: Dataset, part: str) -> float:
+    return DT * sum(int((drive.part == PARTS.index(part)).sum()) for drive in dataset.drives)
+
+
+MODELS = ("b", "dc")
+WORLD = "mojave"
+BACKBONE = "filterbank"
+
+PCA_DRIVES = 2
+"""So many drives that train are enough for the PCA."""
+
+STEPS = 8
+
+Tell = Callable[[object], None]
+
+
+@dataclass(frozen=True)
+class DemoSettings:
+    """How much is simulated and trained: so little that it ends within ten minutes on two cores.
+
+    Attributes:
+        seconds: of each drive.
+        epochs: passes over the training windows.
+        seed: of everything.
+        size, resolution: of the worlds [m].
+        images: that the PCA is fitted on.
+        batch: windows a step; small, so that there are some steps.
+        snapshot_seconds: a window is judged at most once in so long [s].
+        parts: of the drives, each in a world of its own.
+        course_seconds: until the driven course ends, wherever the vehicle is.
+        course_speed: wanted along it [m/s].
+    """
+
+    seconds: float = 60.0
+    epochs: int = 12
+    seed: int = 0
+    size: float = 200.0
+    resolution: float = 0.25
+    images: int = 60
+    batch: int = 64
+    snapshot_seconds: float = 0.5
+    parts: tuple[str, ...] = ("train", "train", "train", "train", "validation", "test", "test")
+    course_seconds: float = 30.0
+    course_speed: float = 6.0
+
+
+def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tell) -> None:
+    """Make everything in `out`; what is there already from an earlier demo with the same settings is used again.
+
+    Args:
+        processes: drives that are simulated or extracted at a time; 0: one a core.
+
+    Raises:
+        OffpisteError: as the stages do; e.g. `out` holds a demo of other settings.
+    """
+    claim_folder(out, {"demo": asdict(settings)})
+    rig, processes = load_rig("proving_ground"), processes or usable_cores()
+    recordings = _recordings(out, settings)
+    logs = [recording.log for recording in recordings]
+    tell(
+        f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s (no real vehicle),"
+        " each in a world of its own, with one camera and one LiDAR"
+    )
+    simulate_all(recordings, processes, tell=tell)
+    tell(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
+    tell(render(inspect_log(open_log(logs[0]), rig)))
+    dataset = _extracted(logs, rig, out, settings, processes, tell)
+    runs = [_trained(name, dataset, out, settings, tell) for name in MODELS]
+    report, named = out / "report", " ".join(map(str, runs))
+    tell(f"6/{STEPS}  offpiste evaluate {named} --dataset {dataset.path} --feature-set all --out {report}")
+    evaluation = judge_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
+    tell(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
+    tell_result(evaluation, dataset, report, tell=tell)
+    _drive(runs[-1], out, settings, tell)
+
+
+def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
+    """The drives; no two have the same seed."""
+    found = []
+    for seed in range(settings.seed, settings.seed + len(settings.parts)):
+        world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
+        drive = DriveSettings(world, settings.seconds, seed, sensors="light")
+        found.append(Recording(drive, out / "logs" / f"{WORLD}-{seed}.mcap"))
+    return found
+
+
+def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int, tell: Tell) -> Dataset:
+    """The dataset; the PCA looks at drives that train only."""
+    parts, pca, path = out / "parts.txt", out / "pca.safetensors", out / "dataset.zarr"
+    split = write_drives(parts, ((log.stem, part) for log, part in zip(logs, settings.parts, strict=True)))
+    looked_at = [log for log, part in zip(logs, settings.parts, strict=True) if part == "train"][:PCA_DRIVES]
+    names = " ".join(map(str, looked_at))
+    tell(f"3/{STEPS}  offpiste fit-pca {names} --rig proving_ground --backbone {BACKBONE} --split {split} --out {pca}")
+    if not pca.exists():
+        fitted = fit_pca(looked_at, rig, parse_split(split), open_backbone(BACKBONE), images=settings.images, tell=tell)
+        write_image_list(pca.with_suffix(".images.txt"), fitted.images)
+        save_pca(pca, fitted.pca)
+    tell(f"4/{STEPS}  offpiste extract {out}/logs/*.mcap --rig proving_ground --pca {pca} --split {split} --out {path}")
+    kept = SnapshotSettings(settings.snapshot_seconds)
+    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes, tell=tell)
+
+
+def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings, tell: Tell) -> Path:
+    """The folder of a run. What is the same for all models is fitted with the first."""
+    folder = out / "runs" / f"{model}-{settings.seed}"
+    tell(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
+    reuse_stages(folder.parent, folder, settings.seed)
+    config = TrainConfig(
+        model=model,
+        epochs=settings.epochs,
+        bicycle_epochs=settings.epochs,
+        actuator_epochs=max(1, settings.epochs // 2),
+        batch=settings.batch,
+        seed=settings.seed,
+    )
+    if not (folder / "model.json").exists():
+        train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
+    return folder
+
+
+def _drive(run: Path, out: Path, settings: DemoSettings, tell: Tell) -> None:
+    """A course in a world that no drive has been in, planned with the model."""
+    folder, pca = out / "course", out / "pca.safetensors"
+    seed = settings.seed + len(settings.parts)
+    tell(
+        f"8/{STEPS}  offpiste drive {run} --pca {pca} --world {WORLD} --seed {seed}"
+        f" --seconds {settings.course_seconds:g} --speed {settings.course_speed:g} --out {folder}"
+    )
+    if not (folder / "result.json").exists():
+        shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+        world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
+        course = CourseSettings(speed=settings.course_speed)
+        asked = CourseDrive(world, settings.course_seconds, course=course)
+        drive_course(load_planner(run, pca), asked, folder)
+    tell(described(json.loads((folder / "result.json").read_text("utf-8"))))
+    tell(f"picture: {folder / 'drive.png'}")

@@ -1,0 +1,130 @@
+"""Rollouts over recorded terrain by kernels, with gradients: what training calls instead of `dynamics.rollout`.
+
+The first call compiles for some 20 seconds; the machine code is kept beside the sources where that folder can be
+written.
+"""
+
+from typing import Any, TypeGuard
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.hybrid import Hybrid, Parametric
+from offpiste.dynamics.inputs import drive_train
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.model_arrays import Given, constants, networks, record
+from offpiste.dynamics.kernels.network import weights
+from offpiste.dynamics.kernels.rollout import backward, forward
+from offpiste.state import Carry, Terrain, Trajectory
+from offpiste.threads import spread_threads
+
+
+def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> TypeGuard[Parametric | Hybrid]:
+    """Whether `rollout_recorded` can roll this model out, here and in this type.
+
+    It can step `Parametric` and `Hybrid` on the CPU in float32; where gradients are wanted, only while the actuators'
+    models are frozen.
+    """
+    if not isinstance(dynamics, Parametric | Hybrid) or device.type != "cpu" or dtype != torch.float32:
+        return False
+    if not all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters()):
+        return False
+    learning = torch.is_grad_enabled() and any(p.requires_grad for p in dynamics.actuators.parameters())
+    return not (dynamics.vehicle.actuators and learning)
+
+
+def rollout_recorded(
+    dynamics: Parametric | Hybrid, carry: Carry, controls: Float[Tensor, "B T 3"], terrain: Terrain
+) -> Trajectory:
+    """`rollout(dynamics, carry, controls, RecordedTerrain(terrain))`, several times as fast.
+
+    Gradients reach the bicycle's constants, the compensator, `carry` and `terrain.latent`; not the actuators' models,
+    controls or normals.
+
+    Args:
+        dynamics: one that `supports` is true for.
+        carry: from `dynamics.start`.
+        controls: as commanded during each step.
+        terrain: under the recorded wheels at each step; fields are [B, T, 4, ...].
+
+    Raises:
+        ValueError: model, types or shapes that the kernels cannot take.
+        DatasetError: there is neither a steering angle nor a steering command.
+    """
+    compensator = dynamics.compensator if isinstance(dynamics, Hybrid) else None
+    latent = terrain.latent if isinstance(dynamics, Hybrid) and dynamics.codes else terrain.latent[..., :0]
+    _check(dynamics, carry, controls, terrain.normal, latent)
+    start, codes, learned = carry.pack(), latent.flatten(-2), torch.stack(dynamics.bicycle())
+    matrices = weights(compensator, dynamics.force_scale if isinstance(dynamics, Hybrid) else None)
+    tensors = (start, learned, codes, *matrices)
+    given = Given(
+        start=start.detach().contiguous().numpy(),
+        record=record(dynamics.vehicle, controls, terrain.normal, codes),
+        constants=constants(dynamics, learned),
+        networks=networks(dynamics, matrices),
+        differentiate=torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors),
+    )
+    return Trajectory(*_Rollout.apply(given, *tensors))  # type: ignore[no-untyped-call]
+
+
+class _Rollout(torch.autograd.Function):
+    """The kernels as one operation of autograd."""
+
+    @staticmethod
+    def forward(ctx: Any, given: Given, *tensors: Tensor) -> tuple[Tensor, Tensor]:
+        """States [B, T, 6] and actuators [B, T, 4]; `tensors`, which `given` was made of, tie them to the graph."""
+        batch, steps, _ = given.record.controls.shape
+        blocks = -(-batch // layout.LANES)
+        slots = steps + 1 if given.differentiate else 2
+        tape = np.empty((blocks, slots, given.start.shape[1] * layout.LANES), np.float32)
+        states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (6, 4))
+        spread_threads(blocks, forward, *given[:4], tape, states.numpy(), actuators.numpy())
+        ctx.given, ctx.tape = given, tape
+        return states, actuators
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
+        """Adjoints of `tensors`."""
+        given, tape = ctx.given, ctx.tape
+        _, _, _, codes_wanted, *matrices_wanted = ctx.needs_input_grad
+        start = np.empty_like(given.start)
+        codes = np.empty(given.record.codes.shape if codes_wanted else (0, 0, 0), np.float32)
+        # By block, so that sums do not depend on the number of threads.
+        main = given.networks[0]
+        shapes = [
+            m.shape if w else (0, 0) for m, w in zip((main.gates, main.inner, main.outer), matrices_wanted, strict=True)
+        ]
+        by_block = [np.zeros((len(tape), *shape), np.float32) for shape in ((len(layout.LEARNED),), *shapes)]
+        seeds = (bar.contiguous().numpy() for bar in bars)
+        spread_threads(len(tape), backward, *given[1:4], tape, *seeds, start, codes, *by_block)
+        learned, *matrices = (blocks.sum(axis=0) for blocks in by_block)
+        adjoints = zip((start, learned, codes, *matrices), ctx.needs_input_grad[1:], strict=True)
+        return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
+
+
+def _check(dynamics: Parametric | Hybrid, carry: Carry, controls: Tensor, normals: Tensor, latent: Tensor) -> None:
+    """Refuse what the kernels would read out of bounds, or wrongly."""
+    batch, steps = controls.shape[:2]
+    codes = dynamics.codes if isinstance(dynamics, Hybrid) else 0
+    units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
+    expected = {
+        "controls": (controls, (batch, steps, 3)),
+        "normals": (normals, (batch, steps, 4, 3)),
+        "latent": (latent, (batch, steps, 4, codes)),
+        "state": (carry.state, (batch, 6)),
+        "actuators": (carry.actuators, (batch, 4)),
+        "hidden": (carry.hidden, (batch, units)),
+        "cell": (carry.cell, (batch, units)),
+    }
+    if not supports(dynamics, controls.device, controls.dtype):
+        raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
+    for name, (tensor, shape) in expected.items():
+        if tuple(tensor.shape) != shape or (tensor.device, tensor.dtype) != (controls.device, controls.dtype):
+            found = f"{list(tensor.shape)}, {tensor.dtype} on {tensor.device}"
+            raise ValueError(f"{name} is {found}; kernels want {list(shape)}, {controls.dtype} on {controls.device}")
+    drive_train(dynamics.vehicle, carry.state, carry.actuators, controls[:, 0])  # says what the vehicle lacks

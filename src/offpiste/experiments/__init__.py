@@ -1,1 +1,0 @@
-"""What needs every stage: the demo."""

@@ -1,0 +1,195 @@
+"""A camera against the poses: points of a scan should look the same in two of its images.
+
+A small square of the ground or a wall, its plane known from a scan, is found in one image and drawn as it must look in
+the other if mounting and stamps are right. How far it has to be shifted to fit (normalised cross-correlation, Lewis
+1995) depends on the mounting wherever the vehicle drives on or turns, and on the delay wherever it turns: bumps do.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from offpiste.inspection.lidar import differentiated, planes
+from offpiste.inspection.misfit import Misfit, Pair, Parameters, fit_misfit, turned
+from offpiste.inspection.sensor_samples import Grey, Scan, SmallCamera, pairs
+from offpiste.logs.measurements import Lidar
+from offpiste.logs.poses import Poses
+from offpiste.perception.motion_compensation import inverse, transformed
+from offpiste.perception.occlusion import hidden_points
+from offpiste.perception.projection import project_to_pinhole
+
+_HALF: Final = 6
+"""Half of the side of a square [px]."""
+_SEARCH: Final = 12
+"""It is looked for as far as this from its place [px]."""
+_SQUARES: Final = 150
+"""In a pair of images at most."""
+_ALIKE: Final = 0.8
+"""Correlation from which on it is the same square."""
+_OLD: Final = 0.3
+"""A scan this far in time from the image still knows its surroundings [s]."""
+_FURTHEST: Final = 40.0
+_NONE: Final = Pair(np.zeros(0), np.zeros((0, 4)))
+
+
+def check_camera(
+    camera: SmallCamera,
+    images: Sequence[Grey],
+    lidar: Lidar,
+    scans: Sequence[Scan],
+    poses: Poses,
+    lidar_parameters: Parameters | None = None,
+) -> Misfit | None:
+    """By how much its mounting and stamps are off; None where too few images tell.
+
+    Args:
+        lidar: whose scans tell how far away things are.
+        lidar_parameters: what is wrong with these.
+    """
+    given = np.zeros(4) if lidar_parameters is None else lidar_parameters
+    times = np.array([scan.time for scan in scans]) - given[3]
+    couples = []
+    for i, j in pairs([image.time for image in images]):
+        nearest = int(np.abs(times - images[i].time).argmin()) if len(times) else -1
+        if nearest >= 0 and abs(times[nearest] - images[i].time) < _OLD:
+            world = scans[nearest].in_world(lidar.body_from_lidar, poses, given)
+            couples.append((images[i], images[j], world[np.isfinite(world).all(axis=1)]))
+
+    def compare(parameters: Parameters) -> list[Pair]:
+        return [_compared(camera, one, other, world, poses, parameters) for one, other, world in couples]
+
+    return fit_misfit(compare)
+
+
+def _compared(
+    camera: SmallCamera, one: Grey, other: Grey, world: Float[np.ndarray, "n 3"], poses: Poses, parameters: Parameters
+) -> Pair:
+    """Shifts of squares from where they should be, x and y [px], and how they change with the parameters."""
+    matrix = camera.rectifier.matrix
+    first, second = (_look(camera, image.time, poses, parameters) for image in (one, other))
+    if first is None or second is None or len(world) < 100:
+        return _NONE
+    points, at = _squares(camera, one, world, first)
+    if not len(points):
+        return _NONE
+    normal, flat = planes(world, cKDTree(world), points)
+    points, at, normal = points[flat], at[flat], normal[flat]
+    if not len(points):
+        return _NONE
+    shift, same = _shifts(one, other, at, _Mapping(matrix, first, second, points, normal))
+    points, normal, shift = points[same], normal[same], shift[same]
+    back = _Mapping(matrix, second, first, points, normal)
+
+    def residual(now: Parameters) -> Float[np.ndarray, " n"]:
+        # Where the two cameras would see the points; the second place is carried back to the first image.
+        looks = [_look(camera, image.time, poses, now) for image in (one, other)]
+        if looks[0] is None or looks[1] is None:
+            return np.full(2 * len(points), np.nan)
+        here, there = (_pixels(matrix, look, points) for look in looks if look is not None)
+        expected = back(there[:, None])[:, 0] - here
+        return (shift - expected).ravel()
+
+    return differentiated(residual, parameters)
+
+
+@dataclass(frozen=True)
+class _Mapping:
+    """From one image to another by planes in the world, one plane a square."""
+
+    matrix: Float[np.ndarray, "3 3"]
+    world_from_one: Float[np.ndarray, "4 4"]
+    world_from_other: Float[np.ndarray, "4 4"]
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+
+    def __call__(self, pixels: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k 2"]:
+        """Places in the other image; NaN where a plane is not seen."""
+        rays = np.concatenate((pixels, np.ones((*pixels.shape[:2], 1))), axis=2)
+        rays = rays @ (self.world_from_one[:3, :3] @ np.linalg.inv(self.matrix)).T
+        origin = self.world_from_one[:3, 3]
+        height = np.einsum("ni,ni->n", self.normals, self.points - origin)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = height[:, None] / np.einsum("ni,nki->nk", self.normals, rays)
+        far = np.where((far > 0) & (far < 1000), far, np.nan)
+        world = origin + far[..., None] * rays
+        return _pixels(self.matrix, self.world_from_other, world.reshape(-1, 3)).reshape(pixels.shape)
+
+
+def _look(camera: SmallCamera, time: float, poses: Poses, parameters: Parameters) -> Float[np.ndarray, "4 4"] | None:
+    """`world_from_camera` with these parameters."""
+    matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.camera.body_from_camera, parameters)
+    return matrix if np.isfinite(matrix).all() else None
+
+
+def _pixels(
+    matrix: Float[np.ndarray, "3 3"], world_from_camera: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Where a pinhole sees points; NaN behind it [px]."""
+    seen = transformed(points, inverse(world_from_camera)) @ matrix.T
+    depth = np.where(seen[:, 2:] > 0.1, seen[:, 2:], np.nan)
+    return seen[:, :2] / depth
+
+
+def _squares(
+    camera: SmallCamera, image: Grey, world: Float[np.ndarray, "n 3"], world_from_camera: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 2"]]:
+    """Points that an image shows, and where: the ones with most texture around them, spread over the image."""
+    size = (camera.rectifier.width, camera.rectifier.height)
+    points = transformed(world, inverse(world_from_camera))
+    found, at = project_to_pinhole(points, camera.rectifier.matrix, size)
+    reach = float(camera.rectifier.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
+    kept = ~hidden_points(at, points[found, 2], size, reach=reach) & (points[found, 2] < _FURTHEST)
+    found, at = found[kept], at[kept]
+    column, row = np.rint(at).astype(np.int64).T
+    inside = (np.minimum(column, size[0] - 1 - column) > _HALF) & (np.minimum(row, size[1] - 1 - row) > _HALF)
+    inside &= camera.free[row, column]
+    found, at, column, row = found[inside], at[inside], column[inside], row[inside]
+    texture = cv2.cornerMinEigenVal(image.pixels, 2 * _HALF + 1, ksize=3)[row, column]
+    order = np.argsort(-texture, kind="stable")
+    # One a tile: squares that overlap tell the same.
+    _, firsts = np.unique((row // 16 * 10_000 + column // 16)[order], return_index=True)
+    chosen = order[np.sort(firsts)[:_SQUARES]]
+    return world[found[chosen]], at[chosen]
+
+
+def _shifts(
+    one: Grey, other: Grey, at: Float[np.ndarray, "n 2"], mapping: _Mapping
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    """How far from its place each square lies in the other image, in pixels of this one, and where it is found."""
+    reach = _HALF + _SEARCH
+    side = np.arange(-reach, reach + 1.0)
+    grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    there = mapping(at[:, None] + grid)
+    height, width = other.pixels.shape
+    with np.errstate(invalid="ignore"):
+        inside = ((there >= 0) & (there <= np.array([width - 1, height - 1]))).all(axis=(1, 2))
+    shift = np.full((len(at), 2), np.nan)
+    middle = grid.reshape(len(side), len(side), 2)[_SEARCH:-_SEARCH, _SEARCH:-_SEARCH].reshape(-1, 2)
+    for index in np.flatnonzero(inside):
+        template = _sampled(one, at[index] + middle)
+        window = _sampled(other, there[index])
+        if template.std() > 2.0:
+            shift[index] = _peak(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED))
+    return shift, np.isfinite(shift).all(axis=1)
+
+
+def _sampled(image: Grey, places: Float[np.ndarray, "k 2"]) -> np.ndarray:
+    side = round(len(places) ** 0.5)
+    column, row = np.ascontiguousarray(places.T, np.float32).reshape(2, side, side)
+    return np.asarray(cv2.remap(image.pixels, column, row, cv2.INTER_LINEAR), np.float32)
+
+
+def _peak(score: np.ndarray) -> Float[np.ndarray, " 2"]:
+    """Where the best score lies from the middle, between pixels by a parabola; NaN at the edge or if it is too low."""
+    row, column = np.unravel_index(int(score.argmax()), score.shape)
+    top = score[row, column]
+    if not (top > _ALIKE and 0 < row < len(score) - 1 and 0 < column < len(score) - 1):
+        return np.full(2, np.nan)
+    across, down = score[row, column - 1 : column + 2], score[row - 1 : row + 2, column]
+    sides = [(line[0] - line[2]) / (2 * (line[0] - 2 * line[1] + line[2]) - 1e-9) for line in (across, down)]
+    return np.array([column + sides[0], row + sides[1]], dtype=np.float64) - score.shape[0] // 2

@@ -1,0 +1,105 @@
+"""Clocks that drift against the pose's, seen where a topic carries the speed of the wheels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.driven_path import Path
+from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.signals import place
+from offpiste.logs.channel import Channel
+from offpiste.logs.clock_drift import estimate_lag
+from offpiste.rig.rig import Rig
+
+_FOLLOWS = 0.97
+"""Correlation with the speed above which a field is one of the wheels' speeds."""
+_MAX_LAG = 4.0
+_CHANGE = 0.3
+"""A lag that changes by more than this between its 5th and 95th percentile drifts [s]."""
+
+
+@dataclass(frozen=True)
+class WheelSpeed:
+    """A field that follows the speed: speed = scale * value [m/s]."""
+
+    topic: str
+    field: str
+    scale: float
+    correlation: float
+    samples: Channel
+
+
+def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set[str]) -> list[WheelSpeed]:
+    """Fields, of other topics than the pose's, that are proportional to the speed, lagging by up to two seconds."""
+    found = []
+    for topic, r in recorded.items():
+        if topic in besides or len(r.time) < 200:
+            continue
+        keep = np.append(True, np.diff(r.time) > 0) & np.isfinite(r.values).all(axis=1)
+        for field, values in zip(r.fields, r.values[keep].T, strict=True):
+            wheel = _proportional(path, topic, field, r.time[keep], values)
+            if wheel is not None:
+                found.append(wheel)
+    return found
+
+
+def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides: set[str]) -> list[Finding]:
+    """A finding for each clock behind the rig's channels that is late or drifts; topics with equal stamps share one."""
+    known = set(rig.alignment.topics) if rig.alignment else set()
+    findings: list[Finding] = []
+    judged: set[str] = set()
+    for wheel in sorted(find_wheel_speeds(recorded, path, besides=besides | known), key=lambda w: -w.correlation):
+        if wheel.topic in judged:
+            continue
+        shared = [t for t, r in recorded.items() if np.array_equal(r.time, recorded[wheel.topic].time)]
+        judged |= set(shared)
+        if not any(source.topic in shared for source in rig.channels.values()):
+            continue
+        speed = np.isfinite(path.speed)
+        reference = Channel("speed", "m/s", path.time[speed], path.speed[speed, None])
+        lag = estimate_lag(reference, wheel.samples, max_lag=_MAX_LAG).lag
+        low, middle, high = np.percentile(lag, (5, 50, 95))
+        topics = ", ".join(f'"{t}"' for t in shared)
+        field = place(wheel.topic, wheel.field)
+        source = f'{{ topic = "{wheel.topic}", fields = ["{wheel.field}"], scale = {number(wheel.scale)} }}'
+        said = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
+        said += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
+        if high - low > _CHANGE:
+            mend = f"[alignment] topics = [{topics}], speed = {source}, max_lag = {_MAX_LAG}"
+            findings.append(Finding("warning", ", ".join(shared), "has a clock that drifts", said, mend, 0.9))
+        elif abs(middle) > 0.15:
+            findings.append(_constant(shared, float(middle), said, rig))
+    return findings
+
+
+def _constant(topics: list[str], lag: float, said: str, rig: Rig) -> Finding:
+    """A lag that does not change is the delay of the channels that read these topics."""
+    readers = [name for name, source in rig.channels.items() if source.topic in topics]
+    lines = ", ".join(f"channels.{name}.delay = {number(round(rig.channels[name].delay + lag, 2))}" for name in readers)
+    what = "is late" if lag > 0 else "is early"
+    return Finding("warning", ", ".join(topics), what, said, lines, 0.8)
+
+
+def _proportional(
+    path: Path, topic: str, field: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]
+) -> WheelSpeed | None:
+    speed = np.nan_to_num(path.speed)
+    if len(values) < 200 or np.ptp(values) == 0 or speed.std() < 0.1 * speed.mean():
+        return None
+    best, scale = 0.0, 0.0
+    for lag in np.arange(-_MAX_LAG / 2, _MAX_LAG / 2 + 0.01, 0.25):
+        value = np.abs(np.interp(path.time + lag, time, values))
+        if value.std() == 0:
+            continue
+        correlation = float(np.corrcoef(value, speed)[0, 1])
+        if correlation > best:
+            best, scale = correlation, float(np.median(speed[speed > 0.5]) / max(np.median(value[speed > 0.5]), 1e-9))
+    if best < _FOLLOWS:
+        return None
+    # Proportional, not only correlated: a gear or a throttle may rise with the speed too.
+    value = np.abs(np.interp(path.time, time, values)) * scale
+    if np.sqrt(np.mean((value - speed) ** 2)) > 0.3 * np.sqrt(np.mean(speed**2)):
+        return None
+    return WheelSpeed(topic, field, scale, best, Channel("wheel_speed", "m/s", time, np.abs(values)[:, None] * scale))

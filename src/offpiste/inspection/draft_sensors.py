@@ -1,0 +1,166 @@
+"""Cameras and LiDARs of a first rig: what the log says of them, and in comments what it does not."""
+
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from offpiste.errors import LogError
+from offpiste.logs.bag import BagLog, BagSensors
+from offpiste.logs.log import Log, Transform
+from offpiste.logs.poses import between
+from offpiste.rig.sensors import TIME_FIELDS
+
+BODY = "base_link"
+"""The usual name of the body frame (REP 105)."""
+
+LEAST_POINTS = 100
+"""A cloud of fewer points is no scan."""
+
+_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+_NO_PICTURE = re.compile(r"depth|disparity|mask|label|theora", re.IGNORECASE)
+_NO_NAME = re.compile(r"^(image.*|compressed|raw|rect.*|color|rgb|points.*|cloud.*|pointcloud.*|sensors?|data)$", re.I)
+
+
+def draft_sensors(log: Log, pose_topic: str) -> str:
+    """TOML of `frames`, `cameras` and `lidars`; what is missing stands in comments that begin with MISSING.
+
+    Args:
+        pose_topic: whose child frame is the body where no frame has the usual name.
+
+    Returns:
+        Nothing where the format or the log has no images and clouds.
+    """
+    if not isinstance(log, BagLog):
+        return ""
+    source = BagSensors(log, "header")
+    cameras, lidars = _images(log), _scans(log)
+    if not cameras and not lidars:
+        return ""
+    topics = sorted(name for name, topic in log.topics.items() if topic.type in _TRANSFORMS and topic.count)
+    fixed = [name for name in topics if name.endswith("static")] or topics
+    transforms = source.transforms(fixed)
+    body = _body(log, pose_topic, transforms)
+    parts = [_frames(body, fixed)]
+    taken: set[str] = set()
+    for image in cameras:
+        parts.append(_camera(source, image, _name(image, taken, "camera"), body, transforms))
+    for scan in lidars:
+        parts.append(_lidar(source, scan, _name(scan, taken, "lidar"), body, transforms))
+    return "\n".join(parts)
+
+
+def missing(draft: str) -> list[str]:
+    """What a drafted rig says is missing."""
+    return [line.partition("MISSING: ")[2] for line in draft.splitlines() if "MISSING: " in line]
+
+
+def _images(log: Log) -> list[str]:
+    """Topics of pictures, one a camera: compressed where both are there, as that is what is usually recorded whole."""
+    found: dict[str, str] = {}
+    for kind in _IMAGES:
+        for name, topic in log.topics.items():
+            if topic.type == kind and topic.count and not _NO_PICTURE.search(name):
+                found.setdefault(name.removesuffix("/compressed"), name)
+    return sorted(found.values())
+
+
+def _scans(log: BagLog) -> list[str]:
+    names = [n for n, topic in log.topics.items() if topic.type == "sensor_msgs/msg/PointCloud2" and topic.count]
+    return sorted(name for name in names if _points(log, name) >= LEAST_POINTS)
+
+
+def _points(log: BagLog, name: str) -> int:
+    message = _first(log, name)
+    return 0 if message is None else int(message.width) * int(message.height)
+
+
+def _first(log: BagLog, name: str) -> Any:
+    try:
+        return next((message for _, message in log.messages(name)), None)
+    except LogError:
+        return None
+
+
+def _body(log: BagLog, pose_topic: str, transforms: Sequence[Transform]) -> str:
+    frames = {frame for t in transforms for frame in (t.parent, t.child)}
+    if BODY in frames:
+        return BODY
+    child = str(getattr(_first(log, pose_topic) if pose_topic in log.topics else None, "child_frame_id", ""))
+    return child.lstrip("/") or BODY
+
+
+def _frames(body: str, topics: Sequence[str]) -> str:
+    lines = ["[frames]", f"body = {_toml(body)}  # GUESSED: the frame whose pose the channels are of"]
+    if topics:
+        lines.append(f"topics = {_toml(list(topics))}")
+    else:
+        lines.append("# MISSING: transforms: no TF in the log; give body_from_camera and body_from_lidar below")
+    return "\n".join([*lines, ""])
+
+
+def _camera(source: BagSensors, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
+    info = _info(source.log, topic)
+    lines = [f"[cameras.{name}]", f"topic = {_toml(topic)}"]
+    if info:
+        lines.append(f"info = {_toml(info)}")
+        rectified = "rect" in topic.lower()
+        lines += ["rectified = true         # GUESSED by the topic's name"] if rectified else []
+    else:
+        lines.append(f"# MISSING: calibration of {name}: no CameraInfo beside {topic}; give cameras.{name}.intrinsics")
+    lines += _mounting(source, topic, name, body, transforms, "body_from_camera")
+    lines += ["# own_body: polygons in the image [px] where the vehicle sees itself", ""]
+    # Without a calibration it would be refused as a whole: it waits in comments.
+    return "\n".join(lines if info else [line if line.startswith("#") or not line else f"# {line}" for line in lines])
+
+
+def _lidar(source: BagSensors, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
+    lines = [f"[lidars.{name}]", f"topic = {_toml(topic)}"]
+    lines += _mounting(source, topic, name, body, transforms, "body_from_lidar")
+    fields = [field.name for field in getattr(_first(source.log, topic), "fields", ())]
+    times = [field for field in fields if field in TIME_FIELDS]
+    if times:
+        lines.append(
+            f"# MISSING: time of the points of {name}: they have '{times[0]}'; give time_field and time_unit, unless"
+            " the scans are compensated already"
+        )
+    lines += ["# own_body: a box in the body frame [m]; points in it are the vehicle itself", ""]
+    return "\n".join(lines)
+
+
+def _mounting(source: BagSensors, topic: str, name: str, body: str, transforms: list[Transform], key: str) -> list[str]:
+    try:
+        frame = source.frame(topic)
+        between(transforms, body, frame, path=source.log.path)
+    except LogError as error:
+        return [f"# MISSING: mounting of {name}: {' '.join(error.what.split())}; give {key}"]
+    return [f"# its messages are of frame '{frame}', which the transforms join to '{body}'"]
+
+
+def _info(log: Log, image: str) -> str:
+    """The CameraInfo that shares most of an image topic's path, and some of it unless there is only one."""
+    infos = [name for name, topic in log.topics.items() if topic.type == "sensor_msgs/msg/CameraInfo" and topic.count]
+    parts = image.strip("/").split("/")
+
+    def shared(info: str) -> int:
+        pairs = zip(parts, info.strip("/").split("/"), strict=False)
+        return next((k for k, (one, other) in enumerate(pairs) if one != other), len(parts))
+
+    best = max(infos, key=shared, default="")
+    return best if best and (shared(best) or len(infos) == 1) else ""
+
+
+def _name(topic: str, taken: set[str], kind: str) -> str:
+    """What tells a sensor from others, of its topic's path."""
+    said = [part for part in topic.strip("/").split("/") if not _NO_NAME.match(part)]
+    name = re.sub(r"\W+", "_", "_".join(said)) or kind
+    number, wanted = 2, name
+    while name in taken:
+        name, number = f"{wanted}_{number}", number + 1
+    taken.add(name)
+    return name
+
+
+def _toml(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,82 @@
+"""Channels as the rig converts them against what their units allow."""
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import RigError
+from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.logs.channel import convert
+from offpiste.rig.rig import ChannelSource, Rig, unit_factor
+
+_LIMITS: dict[str, tuple[float, float]] = {
+    "throttle": (0.0, 1.0),
+    "brake": (0.0, 1.0),
+    "steer": (-1.0, 1.0),
+    "brake_pressure": (0.0, 1.0),
+    "steer_angle": (-1.0, 1.0),
+    "engine_rpm": (0.0, 15.0),
+}
+"""What a channel can be, in its own unit: 1, rad at the road wheel, 1000 rev/min."""
+_ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
+_CLIPPED = 0.2
+
+
+def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
+    """Findings on controls and actuators that leave their limits, or that the rig clips there."""
+    findings = []
+    for name, (low, high) in _LIMITS.items():
+        source = rig.channels.get(name)
+        r = recorded.get(source.topic) if source else None
+        if source is None or r is None or source.fields[0] not in r.fields:
+            continue
+        values = _before_clip(name, source, r.values[:, [r.fields.index(source.fields[0])]])
+        if len(values) < 20:
+            continue
+        slack = 0.1 * (high - low)
+        # A pedal at rest may well be below what is clipped to 0.
+        below = values < (low - slack if low < 0 or not source.clip else -1.0)
+        outside = float(np.mean(below | (values > high + slack)))
+        if outside <= (_CLIPPED if source.clip else 0.005):
+            continue
+        first, last = np.percentile(values, (0.5, 99.5))
+        findings.append(
+            Finding(
+                "warning",
+                name,
+                "leaves its range" if not source.clip else "is clipped much of the time",
+                f"{outside:.0%} of the samples are outside of {low:g} to {high:g}; they lie between {first:.3g} "
+                f"and {last:.3g}",
+                _mend(name, source, low, high, first, last),
+                outside,
+            )
+        )
+    return findings
+
+
+def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, " m"]:
+    values: np.ndarray = convert(name, msgspec.structs.replace(source, clip=None), raw)[:, 0]
+    values = values[np.isfinite(values)]
+    if source.valid is not None:
+        values = values[(values >= source.valid[0]) & (values <= source.valid[1])]
+    return values
+
+
+def _mend(name: str, source: ChannelSource, low: float, high: float, first: float, last: float) -> str:
+    largest = max(abs(first), abs(last))
+    plain = not source.unit and source.scale == 1.0
+    for unit, factor in _ALTERNATIVES.items():
+        if not plain or not 0.3 * high < largest * factor <= 1.2 * high or (low == 0 and first < -0.1 * largest):
+            continue
+        try:
+            unit_factor(name, unit)
+        except RigError:
+            continue
+        return f'channels.{name}.unit = "{unit}"'
+    if low < 0:
+        return f"channels.{name}.scale = {number(source.scale * high / largest)}"
+    # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
+    span = last - first
+    scale, offset = source.scale / span, (source.offset - source.sign * first / unit_factor(name, source.unit)) / span
+    return f"channels.{name}.scale = {number(scale)}, channels.{name}.offset = {number(offset)}"

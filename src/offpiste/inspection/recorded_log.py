@@ -1,0 +1,119 @@
+"""What a log holds, read once for all checks."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import LogError
+from offpiste.inspection.findings import Finding
+from offpiste.logs.log import Log, Samples, Topic
+from offpiste.progress import track
+from offpiste.rig.rig import Rig
+
+_BULK = re.compile(
+    r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
+)
+"""Types that are slow to read and tell nothing about the motion."""
+_MAX_FIELDS = 64
+"""No more fields of a topic are looked at."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One topic's samples as they stand in the file.
+
+    Attributes:
+        time: the stamps that the rig asks for [s].
+        other: the stamps of the other clock (arrival if `time` is the header's), None where the log has only one [s].
+        fields, values: names and one column each.
+    """
+
+    topic: Topic
+    time: Float[np.ndarray, " n"]
+    other: Float[np.ndarray, " n"] | None
+    fields: tuple[str, ...]
+    values: Float[np.ndarray, "n k"]
+
+
+class RememberedLog(Log):
+    """Another log, each topic of which is decoded once for all checks (a bag would be decoded anew by every read).
+
+    Args:
+        rig: what it reads is looked at, whatever it is.
+    """
+
+    def __init__(self, log: Log, rig: Rig | None = None) -> None:
+        self.path, self.warnings = log.path, log.warnings
+        self._log = log
+        self._sources = (*rig.channels.values(), *((rig.alignment.speed,) if rig.alignment else ())) if rig else ()
+        self._samples: dict[tuple[str, str], Samples] = {}
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """The other log's topics."""
+        return self._log.topics
+
+    def quantities(self, topic: Topic) -> tuple[str, ...]:
+        """Fields worth a look; entries of arrays (scans, covariances) are none unless the rig reads them (joints)."""
+        plain = tuple(f for f in topic.fields if not f.endswith("]"))[:_MAX_FIELDS]
+        asked = {field for source in self._sources if source.topic == topic.name for field in source.fields}
+        more = tuple(f for f in topic.fields if f in asked and f not in plain)
+        return plain + more or topic.fields[:1]
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        quantities = self.quantities(topic)
+        if not set(fields) <= set(quantities):
+            return self._log.read(topic.name, fields, stamps=stamps)
+        key = (topic.name, stamps)
+        if key not in self._samples:
+            try:
+                self._samples[key] = self._log.read(topic.name, quantities, stamps=stamps)
+            except LogError:
+                # One field that cannot be read must not hide the others.
+                return self._log.read(topic.name, fields, stamps=stamps)
+        samples = self._samples[key]
+        return Samples(samples.time, samples.values[:, [quantities.index(f) for f in fields]])
+
+
+def read_topics(log: RememberedLog, *, stamps: str) -> tuple[dict[str, Recorded], list[Finding]]:
+    """Topics with numbers in them, and a finding for each topic or field that cannot be read.
+
+    Args:
+        stamps: "header" or "receive".
+    """
+    recorded: dict[str, Recorded] = {}
+    findings: list[Finding] = []
+    for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
+        fields = log.quantities(topic)
+        if topic.count == 0 or not fields or _BULK.search(topic.type):
+            continue
+        readable, errors = _readable(log, name, fields, stamps)
+        findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]
+        if not readable:
+            continue
+        samples = log.read(name, readable, stamps=stamps)
+        other = log.read(name, readable[:1], stamps="receive" if stamps == "header" else "header").time
+        same = np.array_equal(other, samples.time, equal_nan=True)
+        recorded[name] = Recorded(topic, samples.time, None if same else other, readable, samples.values)
+    return recorded, findings
+
+
+def _readable(log: Log, name: str, fields: tuple[str, ...], stamps: str) -> tuple[tuple[str, ...], list[LogError]]:
+    try:
+        log.read(name, fields, stamps=stamps)
+        return fields, []
+    except LogError as error:
+        if len(fields) == 1:
+            return (), [error]
+    good: list[str] = []
+    errors: dict[str, LogError] = {}
+    for field in fields:
+        try:
+            log.read(name, [field], stamps=stamps)
+            good.append(field)
+        except LogError as error:
+            errors.setdefault(error.what, error)
+    return tuple(good), list(errors.values())

@@ -1,0 +1,134 @@
+"""What is wrong with images and clouds before any geometry: stamps, spans, repeats, the vehicle's own body."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from offpiste.errors import OffpisteError
+from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.sensor_samples import Grey, Scan
+from offpiste.inspection.stamps import check_spans, check_stamps
+from offpiste.logs.bag import BagLog
+from offpiste.logs.log import Log, SensorSource
+from offpiste.logs.measurements import Lidar
+from offpiste.logs.sensor_log import SensorLog, sensor_source
+from offpiste.rig.rig import Rig
+from offpiste.rig.sensors import TIME_FIELDS
+
+_PAUSE: Final = 1.0
+"""A sensor is silent for longer than this in a gap [s]; images come at some Hz, and are not interpolated."""
+_DRIFT: Final = 0.1
+"""A clock that moves this much against the pose's within a log drifts [s]."""
+_STAMPS: Final = 50
+"""Fewer messages than this do not show a drift."""
+_ABOVE_GROUND: Final = 0.5
+"""What stays in place higher than this between the wheels is the vehicle [m]."""
+_OFTEN: Final = 0.5
+_FROZEN: Final = 0.1
+_HALF: Final = 0.5
+"""A sensor that misses less of the drive than this is a note."""
+
+
+def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
+    """Gaps, losses, repeats, steps back, spans and clocks of all cameras and LiDARs; reads all stamps of the log."""
+    rig = sensors.rig
+    pose = rig.channels["position"].topic
+    clock = msgspec.structs.replace(rig.clock, max_gap=max(_PAUSE, rig.clock.max_gap))
+    topics = [camera.source.topic for camera in sensors.cameras.values()]
+    topics += [lidar.source.topic for lidar in sensors.lidars.values()]
+    recorded = {topic: _recorded(log, topic, rig) for topic in (pose, *topics)}
+    several = {t: r for t, r in recorded.items() if t != pose and len(r.time) > 2}
+    said = check_stamps(several, clock, used=set(topics))
+    # Where a sensor is silent, rows lack visual features and no more: as long as half of the drive has them.
+    for finding in check_spans(recorded, pose, used=True):
+        said.append(replace(finding, severity="note" if finding.score < _HALF else "warning"))
+    return [*said, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose]))]
+
+
+def untimed_points(source: SensorSource, lidars: Mapping[str, Lidar]) -> dict[str, str]:
+    """LiDARs whose points have a field of times that the rig does not name: from the LiDAR's name to the field's."""
+    found: dict[str, str] = {}
+    for name, lidar in lidars.items():
+        first = None if lidar.source.time_field else next(source.clouds(lidar.source.topic), None)
+        times = [field for field in TIME_FIELDS if first is not None and field in (first.points.dtype.names or ())]
+        if times:
+            found[name] = times[0]
+    return found
+
+
+def _recorded(log: Log, topic: str, rig: Rig) -> Recorded:
+    stamps = rig.clock.stamps
+    other = None
+    if isinstance(log, BagLog):
+        time = log.stamps(topic, stamps=stamps)
+        other = log.stamps(topic, stamps="receive" if stamps == "header" else "header")
+    elif log.topics[topic].fields:
+        time = log.read(topic, log.topics[topic].fields[:1], stamps=stamps).time
+    else:
+        time = sensor_source(log, rig).stamps(topic)
+    return Recorded(log.topics[topic], time, other, (), np.zeros((len(time), 0)))
+
+
+def _drift(sensor: Recorded, pose: Recorded) -> list[Finding]:
+    """Messages arrive ever later, or ever earlier, after their header than the pose's do."""
+    if sensor.other is None or pose.other is None or min(len(sensor.time), len(pose.time)) < _STAMPS:
+        return []
+    # The quickest messages: queues make others late now and then.
+    change = [_late(r, -1) - _late(r, 0) for r in (sensor, pose)]
+    drift = change[0] - change[1]
+    if not abs(drift) > _DRIFT:
+        return []
+    said = f"from start to end, arrival moves by {drift:+.2f} s against the header's stamp, compared with the pose"
+    mend = 'synchronise its clock; or clock.stamps = "receive"'
+    return [Finding("warning", sensor.topic.name, "its clock drifts", said, mend, min(1.0, abs(drift)))]
+
+
+def _late(recorded: Recorded, fifth: int) -> float:
+    assert recorded.other is not None, "both clocks are there"
+    return float(np.nanpercentile(np.array_split(recorded.other - recorded.time, 5)[fifth], 20))
+
+
+def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[float, float]]) -> list[Finding]:
+    """Points above the ground between the wheels, in most scans: the vehicle sees itself."""
+    seen, points, top = [], 0, 0.0
+    low, high = np.min(wheels, axis=0), np.max(wheels, axis=0)
+    for scan in scans:
+        body = scan.points @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
+        near = np.linalg.norm(body[:, :2], axis=1) < 8.0
+        if near.sum() < 20:
+            continue
+        ground = float(np.percentile(body[near, 2], 20))
+        inside = ((body[:, :2] > low) & (body[:, :2] < high)).all(axis=1) & (body[:, 2] > ground + _ABOVE_GROUND)
+        seen.append(inside.sum() > 20)
+        points += int(inside.sum())
+        top = max(top, float(body[inside, 2].max(initial=0.0)))
+    if len(seen) < 5 or np.mean(seen) < _OFTEN:
+        return []
+    said = f"points above the ground and between the wheels in {np.mean(seen):.0%} of {len(seen)} scans, "
+    said += f"{points / len(seen):.0f} a scan, up to {top:.1f} m above the pose point"
+    mend = f"lidars.{lidar.name}.own_body = [[x, y, z], [x, y, z]] or min_range = {number(2.0)}"
+    return [Finding("warning", lidar.name, "sees the vehicle itself", said, mend, float(np.mean(seen)))]
+
+
+def check_frozen(name: str, images: Sequence[Grey]) -> list[Finding]:
+    """Images that are the same again, bit by bit."""
+    if len(images) < 10:
+        return []
+    same = [np.array_equal(a.pixels, b.pixels) for a, b in pairwise(images)]
+    share = float(np.mean(same))
+    if share < _FROZEN:
+        return []
+    said = f"{sum(same)} of {len(same)} images are those before them, bit by bit"
+    return [Finding("warning", name, "repeats images", said, "record it again: its driver hangs", share)]
+
+
+def refused(error: OffpisteError, where: str) -> Finding:
+    """What cannot be read, as a finding."""
+    return Finding(
+        "warning", where, error.what, f"on reading it{f': {error.where}' if error.where else ''}", error.how, 1.0
+    )

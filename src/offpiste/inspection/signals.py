@@ -1,0 +1,267 @@
+"""What single signals show by themselves: values that are no numbers, dead channels, spikes, wrapped counters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import median_filter
+
+from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.logs.channel import convert
+from offpiste.rig.rig import CHANNELS, ChannelSource, Rig, Wrap
+
+_PERIODS = (65536.0, 6553.6, 655.36)
+"""A 16-bit counter, whole or in tenths or hundredths."""
+_SPIKE = 8.0
+"""A spike stands out from its neighbours by this many times what 95 % of the samples do."""
+_MAX_SPIKES = 0.02
+"""More than this share of the samples are no isolated spikes."""
+_SCALARS = tuple(name for name, (_, widths) in CHANNELS.items() if widths == (1,) and name != "yaw")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One number over time.
+
+    Attributes:
+        where: the name that a reader knows it by.
+        key: the rig's entry that reads it, "channels.throttle"; "" where none does.
+        raw: as recorded, wraps undone as the rig says.
+        values: converted by the rig, without what it calls not valid; the same as `raw` without a rig.
+    """
+
+    where: str
+    key: str
+    raw: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " m"]
+
+    def line(self, assignment: str) -> str:
+        """A rig line for this signal."""
+        return f"{self.key}.{assignment}" if self.key else f"where a channel reads it: {assignment}"
+
+
+def recorded_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal]:
+    """Every field as recorded; `rig` only tells which channel would read it."""
+    readers = {
+        (source.topic, field): f"channels.{name}"
+        for name, source in (rig.channels.items() if rig else ())
+        for field in source.fields
+    }
+    return [
+        Signal(place(topic, field), readers.get((topic, field), ""), column, column)
+        for topic, r in recorded.items()
+        for field, column in zip(r.fields, r.values.T, strict=True)
+        if not _is_clock(column)
+    ]
+
+
+def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
+    """Every component of the rig's channels, as converted by it."""
+    signals = []
+    for name, source in rig.channels.items():
+        r = recorded.get(source.topic)
+        if r is None or not set(source.fields) <= set(r.fields):
+            continue
+        columns = r.values[:, [r.fields.index(f) for f in source.fields]]
+        converted = _valid(convert(name, source, columns), source)
+        raw = columns if source.wrap is None else _unwrapped(columns, source.wrap)
+        for i, field in enumerate(source.fields):
+            signals.append(
+                Signal(f"{name} ({place(source.topic, field)})", f"channels.{name}", raw[:, i], converted[:, i])
+            )
+    return signals
+
+
+def check_signals(signals: list[Signal]) -> list[Finding]:
+    """Findings on each signal; those that no channel reads are notes."""
+    findings: list[Finding] = []
+    dead: list[Signal] = []
+    for signal in signals:
+        findings += _not_finite(signal)
+        raw = signal.raw[np.isfinite(signal.raw)]
+        if len(raw) < 10:
+            continue
+        if np.ptp(raw) == 0:
+            dead.append(signal)
+            continue
+        wrap = find_wrap(raw)
+        if wrap is not None:
+            findings.append(_wrapped(signal, raw, wrap))
+        else:
+            findings += _spiked(signal)
+    return findings + _dead(dead)
+
+
+def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
+    """How a counter of 16 bits wraps below zero, or None.
+
+    It jumps by nearly a period between samples, its values keep to two bands with most of the period empty between
+    them, and none exceeds the period. Values are finite.
+    """
+    high = float(raw.max())
+    for period in _PERIODS:
+        if not 0.9 * period < high <= period or raw.min() < -0.01 * period:
+            continue
+        ordered = np.sort(raw)
+        space = np.diff(ordered)
+        widest = int(space.argmax())
+        if space[widest] < 0.5 * period:
+            continue
+        # A band up at the period that is a band of small negative numbers: unwrapping must bring it to the other one.
+        lower, upper = ordered[: widest + 1], ordered[widest + 1 :] - period
+        if (
+            np.ptp(lower) > 0
+            and len(lower) > len(upper) / 2
+            and np.abs(upper).max() <= max(2 * np.ptp(lower), 0.05 * period)
+        ):
+            return Wrap(above=_round(ordered[widest] + space[widest] / 2), period=period)
+    return None
+
+
+def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Samples that leave their neighbours for one or two samples and come back; values are finite.
+
+    They stand out from the running median of seven by `_SPIKE` times what 95 % of the samples do, and by more than
+    half of what the middle 99 % of all values span: bumps and switched signals do not.
+    """
+    none = np.zeros(len(values), dtype=bool)
+    if len(values) < 50 or len(np.unique(values[:: max(len(values) // 1000, 1)])) <= 4:
+        return none
+    away = np.abs(values - median_filter(values, 7, mode="nearest"))
+    low, high = np.percentile(values, (0.5, 99.5))
+    spikes: Bool[np.ndarray, " n"] = (away > _SPIKE * np.percentile(away, 95)) & (away > 0.5 * (high - low))
+    return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
+
+
+def place(topic: str, field: str) -> str:
+    """A topic's field for people: `controls[1]`, `/odom pose.position.x`, a table's column by its name."""
+    if not topic:
+        return field
+    return f"{topic}[{field}]" if field.isdigit() else f"{topic} {field}"
+
+
+def _not_finite(signal: Signal) -> list[Finding]:
+    bad = ~np.isfinite(signal.raw)
+    if not bad.any():
+        return []
+    share = float(bad.mean())
+    return [
+        Finding(
+            "warning" if signal.key else "note",
+            signal.where,
+            "values are NaN or infinite",
+            f"{bad.sum()} of {len(bad)} samples ({share:.1%})",
+            "nothing where the rest is enough: those samples are dropped on reading"
+            if share < 0.5
+            else f'declare it absent: absent = ["{signal.key.removeprefix("channels.") or "..."}"]',
+            share,
+        )
+    ]
+
+
+def _wrapped(signal: Signal, raw: Float[np.ndarray, " n"], wrap: Wrap) -> Finding:
+    count = int((raw > wrap.above).sum())
+    return Finding(
+        "warning" if signal.key else "note",
+        signal.where,
+        "wraps around like a 16-bit counter below zero",
+        f"{count} of {len(raw)} samples ({count / len(raw):.1%}) lie between {raw[raw > wrap.above].min():g} and "
+        f"{raw.max():g}, the others below {raw[raw <= wrap.above].max():g}",
+        signal.line(f"wrap = {{ above = {number(wrap.above)}, period = {wrap.period} }}"),
+        count / len(raw),
+    )
+
+
+def _spiked(signal: Signal) -> list[Finding]:
+    values = _unrolled(signal.values[np.isfinite(signal.values)])
+    spikes = find_spikes(values)
+    if not spikes.any():
+        return []
+    usual, at = values[~spikes], values[spikes]
+    low, high = _limits(usual, at)
+    room = np.ptp(usual) / 4
+    if at.max() < usual.max() + room and at.min() > usual.min() - room:
+        return []  # a quick hand on a pedal looks like that, and no rig line could mend it
+    inside = int(((at >= low) & (at <= high)).sum())
+    mend = signal.line(f"valid = [{number(low)}, {number(high)}]")
+    return [
+        Finding(
+            "warning" if signal.key else "note",
+            signal.where,
+            "isolated spikes",
+            f"{spikes.sum()} of {len(values)} samples, between {at.min():.4g} and {at.max():.4g} where the others "
+            f"lie between {usual.min():.4g} and {usual.max():.4g}",
+            mend + (f", which removes all but {inside}" if inside else ""),
+            float(spikes.mean()),
+        )
+    ]
+
+
+def _unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Angles that jump from one end of a full turn to the other, unwrapped; all else as it is."""
+    for turn in (2 * np.pi, 360.0):
+        jumps = np.abs(np.diff(values))
+        if len(values) > 1 and np.ptp(values) <= 1.001 * turn and jumps.max() > 0.9 * turn:
+            return np.unwrap(values, period=turn)
+    return values
+
+
+def _limits(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
+    """The usual values with half their span of room on both sides, as far as no spike lies in it."""
+    low, high = float(usual.min()), float(usual.max())
+    room = (high - low) / 2
+    above, below = spikes[spikes > high], spikes[spikes < low]
+    top = high + min([room, *(above - high) / 2])
+    bottom = low - min([room, *(low - below) / 2])
+    return (0.0 if bottom < 0 <= low else bottom), top
+
+
+def _dead(signals: list[Signal]) -> list[Finding]:
+    read = [s for s in signals if s.key.removeprefix("channels.") in _SCALARS]
+    other = [s for s in signals if not s.key]
+    findings = [
+        Finding(
+            "warning",
+            s.where,
+            "never changes",
+            f"{s.raw[np.isfinite(s.raw)][0]:g} in all {len(s.raw)} samples",
+            f'absent = ["{s.key.removeprefix("channels.")}"], and remove [{s.key}]',
+            1.0,
+        )
+        for s in read
+    ]
+    if other:
+        findings.append(
+            Finding(
+                "note",
+                "fields",
+                "never change",
+                f"{len(other)}: " + ", ".join(s.where for s in other[:12]) + (", ..." if len(other) > 12 else ""),
+                "do not feed channels from them",
+                0.0,
+            )
+        )
+    return findings
+
+
+def _is_clock(column: Float[np.ndarray, " n"]) -> bool:
+    """A column that only ever grows is a time or a sequence number."""
+    finite = column[np.isfinite(column)]
+    return len(finite) > 10 and bool((np.diff(finite) > 0).all())
+
+
+def _valid(values: Float[np.ndarray, "n k"], source: ChannelSource) -> Float[np.ndarray, "m k"]:
+    if source.valid is None:
+        return values
+    with np.errstate(invalid="ignore"):
+        return values[((values >= source.valid[0]) & (values <= source.valid[1])).all(axis=1)]
+
+
+def _unwrapped(values: Float[np.ndarray, "n k"], wrap: Wrap) -> Float[np.ndarray, "n k"]:
+    return np.where(values > wrap.above, values - wrap.period, values)
+
+
+def _round(value: float) -> float:
+    """Two digits: a threshold in the middle of nowhere needs no more."""
+    return float(f"{value:.2g}")

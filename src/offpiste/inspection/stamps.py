@@ -1,0 +1,261 @@
+"""Stamps: rate, gaps, repeats, steps back, clocks that do not fit together."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.rig.rig import Clock
+
+_LATE = 2.0
+"""A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
+_RATES = (0.2, 20_000.0)
+"""A vehicle's topic outside of these rates is stamped in another unit than seconds [Hz]."""
+_APART = 0.5
+"""Messages that arrive this much later after their header than others do have another clock [s]."""
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a topic is stamped.
+
+    Attributes:
+        rate: one over the median interval [Hz]; NaN for fewer than three samples.
+        jitter: half the spread from the 5th to the 95th percentile of the intervals, over the median interval.
+        lost: share of samples missing by that rate, gaps left aside.
+        repeated, backward: counts of stamps equal to, or before, the one before.
+        gaps: intervals longer than the clock's `max_gap` and ten times the median one [s], and where they begin.
+    """
+
+    start: float
+    end: float
+    count: int
+    rate: float
+    jitter: float
+    lost: float
+    repeated: int
+    backward: int
+    gaps: tuple[tuple[float, float], ...]
+
+
+def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
+    """Statistics of stamps [s]; those that are not finite are left out."""
+    time = time[np.isfinite(time)]
+    step = np.diff(time)
+    forward = step[step > 0]
+    start, end = (float(time.min()), float(time.max())) if len(time) else (np.nan, np.nan)
+    repeated, backward = int((step == 0).sum()), int((step < 0).sum())
+    if len(forward) < 2:
+        return Timing(start, end, len(time), np.nan, 0.0, 0.0, repeated, backward, ())
+    low, typical, high = np.percentile(forward, (5, 50, 95))
+    # Where samples arrive in bunches or at odd times only the mean tells the rate; else losses would spoil the mean.
+    lost = _lost(forward[forward <= max(max_gap, 10 * typical)] / typical) if repeated < 0.02 * len(time) else None
+    interval = float(typical if lost is not None else np.mean(step[(step >= 0) & (step <= max(max_gap, 10 * typical))]))
+    is_gap = step > max(max_gap, 10 * interval)
+    gaps = tuple((float(time[i]), float(step[i])) for i in np.flatnonzero(is_gap))
+    return Timing(
+        start, end, len(time), 1 / interval, (high - low) / 2 / interval, lost or 0.0, repeated, backward, gaps
+    )
+
+
+def _lost(periods: Float[np.ndarray, " n"]) -> float | None:
+    """Share of samples missing, from the intervals in periods; None where they are no whole numbers of them."""
+    whole = np.round(periods)
+    if len(periods) < 50 or np.mean(np.abs(periods - whole)) > 0.1:
+        return None
+    return float(np.sum(whole - 1) / max(np.sum(whole), 1))
+
+
+def check_stamps(recorded: dict[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:
+    """Findings on every topic's stamps.
+
+    Args:
+        used: topics that a rig reads; what the others have is but a note.
+    """
+    findings: list[Finding] = []
+    origin = min((float(np.nanmin(r.time)) for r in recorded.values() if np.isfinite(r.time).any()), default=0.0)
+    for name, topic in recorded.items():
+        where = name or "table"
+        seen = timing(topic.time, max_gap=clock.max_gap)
+        said = _order(where, topic, seen, origin, clock) + _intervals(where, seen, origin, clock, used=name in used)
+        findings += said if name in used else [replace(f, severity="note") for f in said]
+    return _merged(findings) + _clocks(recorded, clock)
+
+
+def _merged(findings: list[Finding]) -> list[Finding]:
+    """Notes that say the same of several topics become one."""
+    together: dict[tuple[str, str], list[Finding]] = {}
+    for finding in findings:
+        key = (finding.what, finding.mend) if finding.severity == "note" else (finding.where, finding.what)
+        together.setdefault(key, []).append(finding)
+    return [
+        group[0]
+        if len(group) == 1
+        else replace(
+            group[0],
+            where=", ".join(f.where for f in group),
+            evidence="; ".join(f"{f.where} {f.evidence}" for f in group),
+            score=max(f.score for f in group),
+        )
+        for group in together.values()
+    ]
+
+
+def check_spans(recorded: dict[str, Recorded], pose: str, *, used: bool) -> list[Finding]:
+    """Topics that do not cover the time of the topic `pose`."""
+    findings = []
+    start, end = _span(recorded[pose])
+    for name, topic in recorded.items():
+        if np.isfinite(topic.time).sum() < 3 or name == pose:
+            continue
+        first, last = _span(topic)
+        if last < start or first > end:
+            findings.append(
+                Finding(
+                    "fatal" if used else "note",
+                    name,
+                    f"its clock does not overlap that of {pose}",
+                    f"{first:.2f} to {last:.2f} s against {start:.2f} to {end:.2f} s",
+                    'clock.stamps = "receive"' if topic.other is not None else "drop the topic, or mend its stamps",
+                    1.0,
+                )
+            )
+            continue
+        missing = max(first - start, 0.0) + max(end - last, 0.0)
+        if max(first - start, end - last) > _LATE:
+            share = missing / (end - start)
+            findings.append(
+                Finding(
+                    "warning" if used and share > 0.1 else "note",
+                    name,
+                    "starts late or stops early",
+                    f"{max(first - start, 0):.1f} s after the start and {max(end - last, 0):.1f} s before the end of "
+                    f"{pose}: {share:.0%} of it",
+                    "nothing where the rest is enough: those rows are left out",
+                    share,
+                )
+            )
+    return findings
+
+
+def _span(topic: Recorded) -> tuple[float, float]:
+    return (float(np.nanmin(topic.time)), float(np.nanmax(topic.time)))
+
+
+def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:
+    findings = []
+    total = len(topic.time)
+    step = np.diff(topic.time)
+    receives = topic.other is not None and clock.stamps == "header" and bool((np.diff(topic.other) > 0).mean() > 0.99)
+    remedy = 'clock.stamps = "receive"' if receives else "nothing: those samples are dropped on reading"
+    if seen.count < total:
+        share = 1 - seen.count / total
+        findings.append(
+            Finding("warning", where, "stamps are not finite", f"{total - seen.count} of {total}", remedy, share)
+        )
+    if seen.backward:
+        worst = int(np.nanargmin(step))
+        share = seen.backward / total
+        findings.append(
+            Finding(
+                "warning",
+                where,
+                "stamps go back",
+                f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s",
+                remedy,
+                share,
+            )
+        )
+    if seen.repeated:
+        share = seen.repeated / total
+        findings.append(
+            Finding(
+                "warning" if share > 0.2 else "note",
+                where,
+                "stamps repeat",
+                f"{seen.repeated} of {total} ({share:.1%})",
+                remedy
+                if share <= 0.02 or receives
+                else "nothing: one sample a stamp is kept; samples arrive in bunches",
+                share,
+            )
+        )
+    return findings
+
+
+def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: bool) -> list[Finding]:
+    findings: list[Finding] = []
+    if not np.isfinite(seen.rate):
+        return findings
+    if used and seen.count > 20 and not _RATES[0] < seen.rate < _RATES[1]:
+        # Vehicles are recorded at some 50 Hz: the unit that comes nearest to that.
+        wanted = np.log10(_SECONDS[clock.unit] * seen.rate / 50)
+        unit = min(_SECONDS, key=lambda name: abs(np.log10(_SECONDS[name]) - wanted))
+        said = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
+        return [Finding("fatal", where, "stamps are in another unit", said, f'clock.unit = "{unit}"', 1.0)]
+    if 1 / seen.rate > clock.max_gap and used:
+        findings.append(
+            Finding(
+                "warning",
+                where,
+                "is slower than the longest gap that is interpolated",
+                f"one sample in {1 / seen.rate:.2f} s, clock.max_gap is {clock.max_gap} s",
+                f"clock.max_gap = {number_above(2 / seen.rate)}, or use another topic",
+                1.0,
+            )
+        )
+    # Topics without a steady rate speak when they have something to say; their silence is no gap.
+    elif seen.gaps and (used or seen.jitter < 0.5):
+        at, longest = max(seen.gaps, key=lambda gap: gap[1])
+        share = sum(length for _, length in seen.gaps) / (seen.end - seen.start)
+        findings.append(
+            Finding(
+                "warning",
+                where,
+                "has gaps" if len(seen.gaps) > 1 else "has a gap",
+                f"{len(seen.gaps)}, the longest {longest:.2f} s at {at - origin:.2f} s; {share:.1%} of the time",
+                "nothing where the rest is enough: the drive is cut there (clock.max_gap)",
+                share,
+            )
+        )
+    if seen.lost > 0.02:
+        findings.append(
+            Finding(
+                "warning" if seen.lost > 0.1 else "note",
+                where,
+                "samples are missing",
+                f"{seen.lost:.1%} at a rate of {seen.rate:.1f} Hz",
+                "record with a larger queue; short holes are interpolated",
+                seen.lost,
+            )
+        )
+    return findings
+
+
+def _clocks(recorded: dict[str, Recorded], clock: Clock) -> list[Finding]:
+    """Header against arrival: headers never filled in, or one topic's clock apart from the others'."""
+    both = {name: r for name, r in recorded.items() if r.other is not None and len(r.time) > 2}
+    if clock.stamps != "header" or not both:
+        return []
+    late = {name: float(np.nanmedian(r.other - r.time)) for name, r in both.items() if r.other is not None}
+    usual = float(np.median(list(late.values())))
+    findings = []
+    for name, r in both.items():
+        if np.ptp(r.time) == 0:
+            what, said, score = "all header stamps are equal", f"{r.time[0]:.3f} s in {len(r.time)} messages", 1.0
+        elif abs(late[name] - usual) > _APART and len(both) > 1:
+            what, score = "its header's clock is apart from the others'", 0.6
+            said = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
+        else:
+            continue
+        findings.append(Finding("warning", name, what, said, 'clock.stamps = "receive"', score))
+    return findings
+
+
+def number_above(value: float) -> str:
+    """A round number at least as large."""
+    return f"{np.ceil(value * 10) / 10:.1f}"

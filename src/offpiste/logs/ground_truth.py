@@ -1,0 +1,94 @@
+"""Ground truth of a simulated log: what no real log has, read by oracles only."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from offpiste.conventions import GROUND_PROPERTIES
+from offpiste.errors import LogError
+from offpiste.logs.bag import BagLog
+from offpiste.logs.grid_map import MapLayers, layers_from_grid_map
+from offpiste.logs.measurements import points_from_message
+from offpiste.logs.open import open_log
+
+WHEELS_TOPIC, MAP_TOPIC = "/truth/wheels", "/truth/map"
+
+WHEEL = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", *GROUND_PROPERTIES, "load", "slip_ratio", "slip_angle", "kind")]
+)
+"""A wheel's record on `WHEELS_TOPIC`; the units are those of `Truth`."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulator knew; wheels are front-left, front-right, rear-left, rear-right.
+
+    Attributes:
+        time: header stamps [s].
+        contact: where the wheels touch the ground, in the world frame [m].
+        properties: of the ground there (`conventions.GROUND_PROPERTIES`).
+        kind: of the ground there.
+        load: normal load [N].
+        slip_ratio: limited to [-1, 1].
+        slip_angle: [rad].
+        map: the whole world: `elevation` [m], ground properties, share of each ground kind, `wetness`.
+    """
+
+    time: Float[np.ndarray, " n"]
+    contact: Float[np.ndarray, "n 4 3"]
+    properties: Float[np.ndarray, "n 4 4"]
+    kind: Int[np.ndarray, "n 4"]
+    load: Float[np.ndarray, "n 4"]
+    slip_ratio: Float[np.ndarray, "n 4"]
+    slip_angle: Float[np.ndarray, "n 4"]
+    map: MapLayers
+
+
+def read_truth(path: str | Path) -> Truth:
+    """The ground truth of a simulated drive.
+
+    Raises:
+        LogError: the log has none, or cannot be read.
+    """
+    log, layers = _simulated(path), read_truth_map(path)
+    rows = [(time, points_from_message(message)) for time, message in log.messages(WHEELS_TOPIC)]
+    if not rows or any(len(points) != 4 or points.dtype.names != WHEEL.names for _, points in rows):
+        raise LogError("its ground truth is incomplete", where=path, how="record it again with `offpiste simulate`")
+    wheels = np.stack([points for _, points in rows])
+    return Truth(
+        time=np.array([time for time, _ in rows]),
+        contact=_columns(wheels, ("x", "y", "z")),
+        properties=_columns(wheels, GROUND_PROPERTIES),
+        kind=wheels["kind"].astype(np.int64),
+        load=wheels["load"].astype(np.float64),
+        slip_ratio=wheels["slip_ratio"].astype(np.float64),
+        slip_angle=wheels["slip_angle"].astype(np.float64),
+        map=layers,
+    )
+
+
+def read_truth_map(path: str | Path) -> MapLayers:
+    """The true map of a simulated drive.
+
+    Raises:
+        LogError: the log has none, or cannot be read.
+    """
+    grid = next((message for _, message in _simulated(path).messages(MAP_TOPIC)), None)
+    if grid is None:
+        raise LogError("its true map is missing", where=path, how="record it again with `offpiste simulate`")
+    return layers_from_grid_map(grid)
+
+
+def _simulated(path: str | Path) -> BagLog:
+    log = open_log(path)
+    if not isinstance(log, BagLog) or not {WHEELS_TOPIC, MAP_TOPIC} <= set(log.topics):
+        raise LogError(
+            "no ground truth in it: only simulated logs have it", where=path, how="record one with `offpiste simulate`"
+        )
+    return log
+
+
+def _columns(wheels: np.ndarray, names: tuple[str, ...]) -> Float[np.ndarray, "n 4 k"]:
+    return np.stack([wheels[name].astype(np.float64) for name in names], axis=2)

@@ -1,0 +1,242 @@
+"""Images and clouds of a log in the order of time, calibrated and cleaned, read through its rig."""
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import LogError
+from offpiste.logs.bag import BagLog, BagSensors
+from offpiste.logs.coverage import DRIFT_LIMIT, clock_difference, clock_note, jump_note, span_notes
+from offpiste.logs.drive import drive_from_log
+from offpiste.logs.log import Log, RawCloud, RawImage, SensorSource, Transform
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.poses import Poses, between, poses_from_drive
+from offpiste.rig.camera import model_from_intrinsics
+from offpiste.rig.rig import Rig
+from offpiste.rig.sensors import CameraSource, LidarSource, Mounting
+
+_PATIENCE = 10
+"""Messages in a row without anything usable, after which a sensor is given up."""
+_T = TypeVar("_T")
+
+
+class SensorLog:
+    """Cameras, LiDARs and poses of one log; `open_sensors` makes one.
+
+    Attributes:
+        cameras, lidars: by name; those that are optional and not in the log are left out.
+        poses: `world_from_body`.
+    """
+
+    def __init__(
+        self,
+        source: SensorSource,
+        rig: Rig,
+        cameras: dict[str, Camera],
+        lidars: dict[str, Lidar],
+        poses: Poses,
+        notes: list[str],
+    ) -> None:
+        self.path, self.rig = source.log.path, rig
+        self.cameras, self.lidars, self.poses = cameras, lidars, poses
+        self._source, self._notes = source, notes
+        self._read: Counter[str] = Counter()
+        self._dropped: Counter[tuple[str, str]] = Counter()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out or dropped, as far as the log has been read, in words."""
+        dropped = (f"{name}: {n} of {self._read[name]} {what}" for (name, what), n in sorted(self._dropped.items()))
+        return (*self._notes, *dropped)
+
+    def stream(
+        self, names: Iterable[str] | None = None, *, start: float = -np.inf, end: float = np.inf
+    ) -> Iterator[Image | Cloud]:
+        """Images and clouds in the order of their times; one message a sensor is held at a time.
+
+        Args:
+            names: of cameras and LiDARs; all of them by default.
+            start, end: first and last time [s].
+
+        Raises:
+            LogError: the log is damaged, or a sensor's messages are of no use.
+        """
+        chosen = (*self.cameras, *self.lidars) if names is None else tuple(names)
+        streams: list[Iterator[Image | Cloud]] = []
+        for name in chosen:
+            found = self._images(self.cameras[name]) if name in self.cameras else self._clouds(self.lidars[name])
+            streams.append(_between(found, start, end))
+        yield from heapq.merge(*streams, key=lambda measured: measured.time)
+
+    def stamps(self, name: str) -> Float[np.ndarray, " n"]:
+        """Times of a sensor's messages in the order of the file [s], without decoding them."""
+        source = self._sensor(name).source
+        return self._source.stamps(source.topic) - source.delay
+
+    def coverage(self) -> tuple[str, ...]:
+        """Poses that jump, sensors that start late, stop early or pause, clocks that drift, in words; reads all stamps.
+
+        Raises:
+            LogError: a sensor has no message while the vehicle's pose is known, or its clock drifts away from theirs.
+        """
+        (first, last), notes = self.poses.span, jump_note(self.poses)
+        for name in (*self.cameras, *self.lidars):
+            time = self.stamps(name)
+            inside = np.sort(time[(time >= first) & (time <= last)])
+            if not len(inside):
+                what = f"'{name}' has no message from {first:.3f} to {last:.3f} s, where the pose is known"
+                raise LogError(what, where=self.path, how='use clock.stamps = "receive", or mend its delay')
+            notes += span_notes(name, inside, (first, last)) + self._clock(name, time)
+        return tuple(notes)
+
+    def _clock(self, name: str, stamps: Float[np.ndarray, " n"]) -> list[str]:
+        """What its clock does against that of the poses."""
+        position = self.rig.channels["position"]
+        arrivals, pose_arrivals = (self._source.arrivals(t) for t in (self._sensor(name).source.topic, position.topic))
+        if arrivals is None or pose_arrivals is None:
+            return []
+        pose_stamps = self._source.stamps(position.topic) - position.delay
+        found = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
+        if found is None:
+            return []
+        if abs(found[1]) > DRIFT_LIMIT:
+            what = f"'{name}': its stamps drift against the poses' by {abs(found[1]):.2f} s over the drive"
+            raise LogError(what, where=self.path, how='use clock.stamps = "receive", or remove the sensor from the rig')
+        return clock_note(name, *found)
+
+    def _sensor(self, name: str) -> Camera | Lidar:
+        return self.cameras[name] if name in self.cameras else self.lidars[name]
+
+    def _images(self, camera: Camera) -> Iterator[Image]:
+        def convert(raw: RawImage) -> Image | str:
+            if raw.pixels is None:
+                return "images cannot be decoded and were dropped"
+            height, width = raw.pixels.shape[:2]
+            if (width, height) != (camera.model.width, camera.model.height):
+                what = f"'{camera.name}' has images of {width}x{height}, and a calibration for"
+                size = f"{camera.model.width}x{camera.model.height}"
+                raise LogError(f"{what} {size}", where=self.path, how="give the calibration of these images in the rig")
+            return Image(raw.time - camera.source.delay, camera.name, raw.pixels)
+
+        return self._converted(camera.name, self._source.images(camera.source.topic), convert)
+
+    def _clouds(self, lidar: Lidar) -> Iterator[Cloud]:
+        def convert(raw: RawCloud) -> Cloud | str:
+            cloud = cloud_from_records(raw, lidar)
+            return cloud if len(cloud.points) else "clouds have no usable point and were dropped"
+
+        return self._converted(lidar.name, self._source.clouds(lidar.source.topic), convert)
+
+    def _converted(
+        self, name: str, raw: Iterator[RawImage] | Iterator[RawCloud], convert: Callable[..., _T | str]
+    ) -> Iterator[_T]:
+        """What can be used, in the order of time; the rest is counted."""
+        latest, useless = -np.inf, 0
+        self._read[name] = 0
+        for key in [key for key in self._dropped if key[0] == name]:
+            del self._dropped[key]
+        for measured in raw:
+            self._read[name] += 1
+            if not measured.time > latest:
+                self._dropped[name, "stamps repeat or go back; those messages were dropped"] += 1
+                continue
+            converted = convert(measured)
+            if isinstance(converted, str):
+                self._dropped[name, converted] += 1
+                useless += 1
+                if useless >= _PATIENCE:
+                    what = f"'{name}': {useless} {converted.removesuffix(' and were dropped')}, one after the other"
+                    raise LogError(what, where=self.path, how="record it again, or remove the sensor from the rig")
+                continue
+            latest, useless = measured.time, 0
+            yield converted
+
+
+def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog:
+    """Cameras, LiDARs and poses of a log that is open already.
+
+    Args:
+        poses: instead of the log's own.
+
+    Raises:
+        LogError: the log's format has no images or clouds, or it lacks a topic, a calibration or a transform.
+        RigError: the rig names no sensors, or its channels give no full poses.
+    """
+    source, absent = sensor_source(log, rig), []
+    entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
+    present: dict[str, CameraSource | LidarSource] = {}
+    for name, entry in entries.items():
+        found = log.topics.get(entry.topic)
+        if found is not None and found.count:
+            present[name] = entry
+        elif entry.optional:
+            absent.append(name)
+        else:
+            how = f"it has: {', '.join(sorted(log.topics)) or 'none'}; or set optional = true"
+            raise LogError(f"'{name}': no messages on topic '{entry.topic}'", where=log.path, how=how)
+    if not present:
+        raise LogError(
+            f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="mend the rig"
+        )
+    transforms = source.transforms(rig.frames.topics)
+    cameras = {n: _camera(source, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
+    lidars = {n: _lidar(source, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
+    known = poses or poses_from_drive(drive_from_log(log, rig))
+    notes = [f"no messages of {', '.join(absent)}: the log is read without"] if absent else []
+    return SensorLog(source, rig, cameras, lidars, known, notes)
+
+
+def sensor_source(log: Log, rig: Rig) -> SensorSource:
+    """What reads the sensors of a log's format.
+
+    Raises:
+        LogError: that format has none.
+    """
+    from offpiste.logs.kitti import KittiLog, KittiSensors
+
+    if isinstance(log, BagLog):
+        return BagSensors(log, rig.clock.stamps)
+    if isinstance(log, KittiLog):
+        return KittiSensors(log)
+    raise LogError("this format holds no images or clouds", where=log.path, how="give a ROS bag or a KITTI drive")
+
+
+def _camera(source: SensorSource, rig: Rig, name: str, entry: CameraSource, transforms: list[Transform]) -> Camera:
+    camera_from_image = np.eye(4)
+    if entry.intrinsics is not None:
+        model = model_from_intrinsics(entry.intrinsics)
+    elif entry.info not in source.log.topics:
+        what = f"'{name}': images without calibration: no topic '{entry.info}'"
+        raise LogError(what, where=source.log.path, how=f"give cameras.{name}.intrinsics in the rig")
+    else:
+        model, camera_from_image = source.camera_model(entry.info, rectified=entry.rectified)
+    mounting = _mounted(source, rig, entry, entry.body_from_camera, transforms)
+    return Camera(name, model, mounting @ camera_from_image, entry)
+
+
+def _lidar(source: SensorSource, rig: Rig, name: str, entry: LidarSource, transforms: list[Transform]) -> Lidar:
+    return Lidar(name, _mounted(source, rig, entry, entry.body_from_lidar, transforms), entry)
+
+
+def _mounted(
+    source: SensorSource,
+    rig: Rig,
+    entry: CameraSource | LidarSource,
+    given: Mounting | None,
+    transforms: list[Transform],
+) -> Float[np.ndarray, "4 4"]:
+    if given is not None:
+        return given.matrix()
+    return between(transforms, rig.frames.body, entry.frame or source.frame(entry.topic), path=source.log.path)
+
+
+def _between(measured: Iterator[Image] | Iterator[Cloud], start: float, end: float) -> Iterator[Image | Cloud]:
+    for item in measured:
+        if item.time > end:
+            return
+        if item.time >= start:
+            yield item

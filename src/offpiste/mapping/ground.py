@@ -1,0 +1,144 @@
+"""Loops over the columns of voxels: the ground, what stands on it and what it looks like. `reference.py` says the same.
+
+Only columns that changed are looked into; what they show is kept, wrapped around as the voxels are. Rows `first` to
+`last` are those of the layers, from the map's lowest cell.
+"""
+
+import numpy as np
+
+from offpiste.compilation import MAPPING
+from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
+
+
+@MAPPING.inlined
+def over_ground(voxels, slot, up, hit, size):  # type: ignore[no-untyped-def]
+    """How high over the lowest hit of its column the voxel `up` levels above it was hit."""
+    return (np.float32(up) + voxels.seen[slot, Z] - hit[Z]) * size
+
+
+@MAPPING.inlined
+def obstacle_above(voxels, occupied, slots, hit, size, reach):  # type: ignore[no-untyped-def]
+    """Height over the ground of the highest voxel that was hit at most `reach` above it."""
+    levels = int(reach / size) + 1
+    for up in range(levels if levels < LEVELS else LEVELS - 1, 0, -1):
+        if (occupied >> up) & 1:
+            above = over_ground(voxels, slots[up], up, hit, size)
+            if above <= reach:
+                return above
+    return np.float32(0)
+
+
+@MAPPING.inlined
+def keep_features(seen, kept):  # type: ignore[no-untyped-def]
+    """Keep the distance from which a voxel's features were seen, and these."""
+    kept[0] = seen[FEATURE_DISTANCE]
+    for k in range(1, len(kept)):
+        kept[k] = seen[FEATURES + k - 1]
+
+
+@MAPPING.inlined  # a call hands over every array of its arguments, which takes as long as the work itself
+def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
+    """Keep what a column shows."""
+    head, slots = voxels.heads[row, across], voxels.slots[row, across]
+    surface.feature_height[row, across] = np.float32(np.nan)
+    if head[OCCUPIED] == 0:
+        surface.z[row, across] = np.float32(np.nan)
+        return
+    hit, featured = voxels.seen[head[LOWEST]], head[FEATURED]
+    surface.level[row, across] = head[BASE]
+    surface.x[row, across], surface.y[row, across], surface.z[row, across] = hit[X], hit[Y], hit[Z]
+    surface.obstacle[row, across] = np.float32(0)
+    if head[OCCUPIED] != 1:
+        surface.obstacle[row, across] = obstacle_above(voxels, head[OCCUPIED], slots, hit, size, reach)
+    if featured & 1:
+        surface.feature_height[row, across] = np.float32(0)
+        keep_features(hit, surface.features[row, across])
+    elif featured != 0:
+        up = 1
+        while not (featured >> up) & 1:
+            up += 1
+        surface.feature_height[row, across] = over_ground(voxels, slots[up], up, hit, size)
+        keep_features(voxels.seen[slots[up]], surface.features[row, across])
+
+
+@MAPPING.entry
+def see_columns(first, last, since, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
+    """Keep what the columns show that changed after `since`; rows are those of the voxels."""
+    n, block = voxels.changed.shape[0], 32
+    for row in range(first, last):
+        for start in range(0, n, block):
+            changed, newest = voxels.changed[row, start : start + block], np.int32(0)
+            for i in range(len(changed)):
+                newest = max(newest, changed[i])
+            if newest > since:
+                for i in range(len(changed)):
+                    if changed[i] > since:
+                        see_column(row, start + i, size, reach, voxels, surface)
+
+
+@MAPPING.loop
+def put_lower(a, out):  # type: ignore[no-untyped-def]
+    """Put a where it is less."""
+    for i in range(len(out)):
+        out[i] = a[i] if a[i] < out[i] else out[i]
+
+
+@MAPPING.loop
+def put_lowest_beside(height, radius, lowest):  # type: ignore[no-untyped-def]
+    """The lowest ground within `radius` cells along a row; infinite if none."""
+    n = len(height)
+    for i in range(n):
+        lowest[i] = height[i] if height[i] == height[i] else np.float32(np.inf)
+    for k in range(1, radius + 1):  # what is not a number is not less
+        put_lower(height[k:], lowest[: n - k])
+        put_lower(height[: n - k], lowest[k:])
+
+
+@MAPPING.loop
+def put_heights(level, z, reference, size, out):  # type: ignore[no-untyped-def]
+    """Put heights over the floor of the reference level."""
+    for i in range(len(out)):
+        out[i] = (np.float32(level[i] - reference) + z[i]) * size
+
+
+@MAPPING.loop
+def put(a, out):  # type: ignore[no-untyped-def]
+    """Put a."""
+    for i in range(len(out)):
+        out[i] = a[i]
+
+
+@MAPPING.entry
+def read_columns(first, last, low, reference, size, radius, surface, scratch):  # type: ignore[no-untyped-def]
+    """What the columns show, in the layers' order, and the lowest ground within `radius` cells along the row."""
+    n = scratch.height.shape[0]
+    start = low[0] % n
+    for j in range(first, last):
+        row = (low[1] + j) % n
+        for to, at in ((slice(0, n - start), slice(start, n)), (slice(n - start, n), slice(0, start))):
+            put_heights(surface.level[row, at], surface.z[row, at], np.int32(reference), size, scratch.height[j, to])
+            put(surface.x[row, at], scratch.x[j, to])
+            put(surface.y[row, at], scratch.y[j, to])
+            put(surface.obstacle[row, at], scratch.obstacle[j, to])
+            put(surface.feature_height[row, at], scratch.feature_height[j, to])
+        put_lowest_beside(scratch.height[j], radius, scratch.lowest[j])
+
+
+@MAPPING.entry
+def drop_overhangs(first, last, radius, reach, feature_height, scratch):  # type: ignore[no-untyped-def]
+    """Columns whose lowest voxel is a branch have no ground; features too far above their ground do not count.
+
+    Heights of features become those over the reference level.
+    """
+    n = scratch.height.shape[0]
+    nothing = np.float32(np.nan)
+    for j in range(first, last):
+        lowest, height, feature = scratch.centre[j], scratch.height[j], scratch.feature_height[j]
+        lowest[:] = np.float32(np.inf)
+        for jj in range(max(j - radius, 0), min(j + radius + 1, n)):
+            put_lower(scratch.lowest[jj], lowest)
+        for i in range(n):
+            good = (feature[i] <= feature_height) & (height[i] <= lowest[i] + reach)
+            feature[i] = height[i] + feature[i] if good else nothing
+        for i in range(n):
+            height[i] = height[i] if height[i] <= lowest[i] + reach else nothing

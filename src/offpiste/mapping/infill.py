@@ -1,0 +1,186 @@
+"""Loops that fill gaps and write the layers, over blocks `first` to `last` of the `blocks` that the rows are cut into.
+
+The nearest cell is found for a whole row at once: neighbours are gone through from the furthest to the nearest, each
+writing over what those before it left.
+"""
+
+import numpy as np
+
+from offpiste.compilation import MAPPING
+
+
+@MAPPING.loop
+def add(out, a):  # type: ignore[no-untyped-def]
+    """Add a."""
+    for i in range(len(out)):
+        out[i] += a[i]
+
+
+@MAPPING.entry
+def smooth_residuals(first, last, blocks, radius, scratch):  # type: ignore[no-untyped-def]
+    """Roughness: root mean square of the residuals in the square around each cell that has a plane."""
+    n = scratch.height.shape[0]
+    for block in range(first, last):
+        room = scratch.sums[block, 0]
+        count, total, near_count, near_total = room[0], room[1], room[2], room[3]
+        for j in range(n * block // blocks, n * (block + 1) // blocks):
+            room[:] = np.float32(0)
+            for jj in range(max(0, j - radius), min(n, j + radius + 1)):
+                residual = scratch.residual[jj]
+                for i in range(n):
+                    count[i] += np.float32(1) if residual[i] == residual[i] else np.float32(0)
+                for i in range(n):
+                    total[i] += residual[i] if residual[i] == residual[i] else np.float32(0)
+            for k in range(-radius, radius + 1):
+                to, at = slice(max(0, -k), min(n, n - k)), slice(max(0, k), min(n, n + k))
+                add(near_count[to], count[at])
+                add(near_total[to], total[at])
+            rise, roughness = scratch.rise_x[j], scratch.roughness[j]
+            for i in range(n):
+                value = np.sqrt(near_total[i] / near_count[i])
+                roughness[i] = value if rise[i] == rise[i] else np.float32(np.nan)
+
+
+@MAPPING.loop
+def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyped-def]
+    """For each cell of a row, the number of the first offset that leads to ground, and how high that was hit."""
+    n = len(which)
+    which[:] = np.int32(-1)
+    ground[:] = np.float32(np.nan)
+    for k in range(len(offsets) - 1, -1, -1):
+        jj, right = j + offsets[k, 0], offsets[k, 1]
+        if 0 <= jj < n:
+            to, at = slice(max(0, -right), min(n, n - right)), slice(max(0, right), min(n, n + right))
+            found, height_here, height_there, number = which[to], ground[to], height[jj, at], np.int32(k)
+            for i in range(len(found)):
+                found[i] = number if height_there[i] == height_there[i] else found[i]
+            for i in range(len(found)):
+                height_here[i] = height_there[i] if height_there[i] == height_there[i] else height_here[i]
+
+
+@MAPPING.loop
+def nearest_features(j, offsets, limit, feature_height, ground, which):  # type: ignore[no-untyped-def]
+    """For each cell of a row, the number of the first offset to features seen within `limit` of the ground here."""
+    n = len(ground)
+    which[:] = np.int32(-1)
+    for k in range(len(offsets) - 1, -1, -1):
+        jj, right = j + offsets[k, 0], offsets[k, 1]
+        if 0 <= jj < n:
+            to, at = slice(max(0, -right), min(n, n - right)), slice(max(0, right), min(n, n + right))
+            found, here, height, number = which[to], ground[to], feature_height[jj, at], np.int32(k)
+            for i in range(len(found)):
+                off = height[i] - here[i]
+                found[i] = number if (off <= limit) & (off >= -limit) else found[i]
+
+
+@MAPPING.entry
+def fill_gaps(first, last, blocks, offsets, limit, scratch):  # type: ignore[no-untyped-def]
+    """Where each cell's ground and features come from.
+
+    Args:
+        offsets: rows and columns to neighbours, nearest first, the cell itself at [0] [K, 2].
+        limit: how far from the ground features may have been seen [m].
+    """
+    n = scratch.height.shape[0]
+    for block in range(first, last):
+        ground = scratch.line[block, 0]
+        for j in range(n * block // blocks, n * (block + 1) // blocks):
+            nearest_grounds(j, offsets, scratch.height, scratch.which[j], ground)
+            nearest_features(j, offsets, limit, scratch.feature_height, ground, scratch.which_feature[j])
+
+
+@MAPPING.loop
+def put_up(rise_x, rise_y, out):  # type: ignore[no-untyped-def]
+    """Upward parts of the unit normals."""
+    for i in range(len(out)):
+        out[i] = np.float32(1) / np.sqrt(np.float32(1) + (rise_x[i] * rise_x[i] + rise_y[i] * rise_y[i]))
+
+
+@MAPPING.loop
+def write_own_ground(j, floor, up, scratch, layers):  # type: ignore[no-untyped-def]
+    """The ground of a row, not a number where a cell has none of its own."""
+    rise_x, rise_y, height = scratch.rise_x[j], scratch.rise_y[j], scratch.height[j]
+    elevation, centre, slope, normal = layers.elevation[j], scratch.centre[j], layers.slope[j], layers.normal[j]
+    obstacle, obstacle_here = layers.obstacle_height[j], scratch.obstacle[j]
+    roughness, roughness_here = layers.roughness[j], scratch.roughness[j]
+    put_up(rise_x, rise_y, up)
+    for i in range(len(up)):
+        elevation[i] = floor + centre[i]
+    for i in range(len(up)):
+        normal[i, 0], normal[i, 1], normal[i, 2] = -rise_x[i] * up[i], -rise_y[i] * up[i], up[i]
+    for i in range(len(up)):
+        slope[i] = np.sqrt(rise_x[i] * rise_x[i] + rise_y[i] * rise_y[i])
+    for i in range(len(up)):
+        roughness[i] = roughness_here[i]
+    for i in range(len(up)):
+        obstacle[i] = obstacle_here[i] if height[i] == height[i] else np.float32(np.nan)
+
+
+@MAPPING.loop
+def write_filled_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped-def]
+    """The ground of those cells of a row that others fill."""
+    which = scratch.which[j]
+    for i in range(len(which)):
+        if which[i] > 0:
+            jj, ii = j + offsets[which[i], 0], i + offsets[which[i], 1]
+            rise_x, rise_y = scratch.rise_x[jj, ii], scratch.rise_y[jj, ii]
+            squared = rise_x * rise_x + rise_y * rise_y
+            up = np.float32(1) / np.sqrt(np.float32(1) + squared)
+            layers.elevation[j, i] = floor + scratch.centre[jj, ii]
+            layers.normal[j, i, 0], layers.normal[j, i, 1], layers.normal[j, i, 2] = -rise_x * up, -rise_y * up, up
+            layers.slope[j, i] = np.sqrt(squared)
+            layers.roughness[j, i] = scratch.roughness[jj, ii]
+            layers.obstacle_height[j, i] = scratch.obstacle[jj, ii]
+
+
+@MAPPING.loop
+def write_flags(which, which_feature, observed, known, valid):  # type: ignore[no-untyped-def]
+    """Whether each cell of a row was hit, has ground, has features."""
+    for i in range(len(which)):
+        observed[i] = which[i] == 0
+    for i in range(len(which)):
+        known[i] = which[i] >= 0
+    for i in range(len(which)):
+        valid[i] = which_feature[i] >= 0
+
+
+@MAPPING.loop
+def write_features(j, low, offsets, surface, scratch, layers):  # type: ignore[no-untyped-def]
+    """The features of a row; cells that had none already stay as they are."""
+    n, channels = layers.valid.shape[0], layers.features.shape[2]
+    which, valid = scratch.which_feature[j], layers.valid[j]
+    start_x, start_y = low[0] % n, low[1] % n + j
+    for i in range(n):
+        k = which[i]
+        if k >= 0:
+            row, across = start_y + offsets[k, 0], start_x + i + offsets[k, 1]
+            seen = surface.features[row - n if row >= n else row, across - n if across >= n else across]
+            layers.distance[j, i] = seen[0]
+            for q in range(channels):
+                layers.features[j, i, q] = seen[1 + q]
+        elif valid[i]:
+            layers.distance[j, i] = np.float32(np.nan)
+            for q in range(channels):
+                layers.features[j, i, q] = np.float32(np.nan)
+
+
+@MAPPING.entry
+def write_layers(first, last, blocks, floor, low, offsets, surface, scratch, layers):  # type: ignore[no-untyped-def]
+    """Write the layers.
+
+    Args:
+        floor: height of the reference level in the world [m].
+        low: integer coordinates x, y of the lowest cell [2].
+        offsets: as `fill_gaps` was given.
+        surface: `scratch.Surface`.
+        layers: `scratch.Layers`.
+    """
+    n = scratch.height.shape[0]
+    for block in range(first, last):
+        for j in range(n * block // blocks, n * (block + 1) // blocks):
+            write_own_ground(j, floor, scratch.line[block, 0], scratch, layers)
+            write_filled_ground(j, floor, offsets, scratch, layers)
+            write_features(j, low, offsets, surface, scratch, layers)
+            write_flags(
+                scratch.which[j], scratch.which_feature[j], layers.observed[j], layers.known[j], layers.valid[j]
+            )

@@ -1,0 +1,230 @@
+"""Least-squares planes through what was hit around each cell, by moving sums: z over x, y, each hit where it was.
+
+Rows are summed over the window's columns, then over its rows; coordinates are always relative to the window's centre,
+so that float32 is enough. Every inner loop writes one row only: with more, LLVM does not turn it into vectors.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from offpiste.compilation import MAPPING
+
+N, SX, SY, SZ, SXX, SXY, SYY, SXZ, SYZ = range(9)
+"""Sums over a window's points: their number, x, y, z and products."""
+
+SUMS: Final = 9
+
+MIN_SPREAD: Final = 0.2
+"""Least variance of a window's points in any direction for a plane [cells^2]: two full lines of cells side by side
+have 0.25 or more, a single one about 0.08."""
+
+
+@MAPPING.loop
+def put_product(a, b, out):  # type: ignore[no-untyped-def]
+    """Put a b."""
+    for i in range(len(out)):
+        out[i] = a[i] * b[i]
+
+
+@MAPPING.loop
+def put_present(a, z, out):  # type: ignore[no-untyped-def]
+    """Put a where z is a number, else 0."""
+    for i in range(len(out)):
+        out[i] = a[i] if z[i] == z[i] else np.float32(0)
+
+
+@MAPPING.loop
+def put_moments(x, y, z, radius, out):  # type: ignore[no-untyped-def]
+    """What each cell of a row adds to the sums of its own window; out: [SUMS, n + 2 radius], 0 at the ends."""
+    inner = slice(radius, radius + len(z))
+    count, px, py, pz = out[N, inner], out[SX, inner], out[SY, inner], out[SZ, inner]
+    for i in range(len(count)):
+        count[i] = np.float32(1) if z[i] == z[i] else np.float32(0)
+    put_present(x, z, px)
+    put_present(y, z, py)
+    put_present(z, z, pz)
+    put_product(px, px, out[SXX, inner])
+    put_product(px, py, out[SXY, inner])
+    put_product(py, py, out[SYY, inner])
+    put_product(px, pz, out[SXZ, inner])
+    put_product(py, pz, out[SYZ, inner])
+
+
+@MAPPING.loop
+def put(a, out):  # type: ignore[no-untyped-def]
+    """Put a."""
+    for i in range(len(out)):
+        out[i] = a[i]
+
+
+@MAPPING.loop
+def add(out, a, b):  # type: ignore[no-untyped-def]
+    """Add what two cells have, one on either side."""
+    for i in range(len(out)):
+        out[i] += a[i] + b[i]
+
+
+@MAPPING.loop
+def add_first(out, a, b, lower_a, lower_b, shift):  # type: ignore[no-untyped-def]
+    """Add sums over a coordinate that has its zero in the cell at +shift and at -shift."""
+    for i in range(len(out)):
+        out[i] += a[i] + b[i] + shift * (lower_a[i] - lower_b[i])
+
+
+@MAPPING.loop
+def add_second(out, a, b, lower_a, lower_b, lowest_a, lowest_b, shift):  # type: ignore[no-untyped-def]
+    """Add sums over that coordinate's square."""
+    twice, squared = shift + shift, shift * shift
+    for i in range(len(out)):
+        out[i] += a[i] + b[i] + twice * (lower_a[i] - lower_b[i]) + squared * (lowest_a[i] + lowest_b[i])
+
+
+@MAPPING.loop
+def sum_columns(moments, radius, out):  # type: ignore[no-untyped-def]
+    """Sums over the cells up to `radius` to the left and to the right."""
+    n = out.shape[1]
+    for q in range(SUMS):
+        put(moments[q, radius : radius + n], out[q])
+    for k in range(1, radius + 1):
+        shift = np.float32(k)
+        at, to = slice(radius + k, radius + k + n), slice(radius - k, radius - k + n)
+        count_a, count_b, x_a, x_b = moments[N, at], moments[N, to], moments[SX, at], moments[SX, to]
+        y_a, y_b, z_a, z_b = moments[SY, at], moments[SY, to], moments[SZ, at], moments[SZ, to]
+        add(out[N], count_a, count_b)
+        add_first(out[SX], x_a, x_b, count_a, count_b, shift)
+        add(out[SY], y_a, y_b)
+        add(out[SZ], z_a, z_b)
+        add_second(out[SXX], moments[SXX, at], moments[SXX, to], x_a, x_b, count_a, count_b, shift)
+        add_first(out[SXY], moments[SXY, at], moments[SXY, to], y_a, y_b, shift)
+        add(out[SYY], moments[SYY, at], moments[SYY, to])
+        add_first(out[SXZ], moments[SXZ, at], moments[SXZ, to], z_a, z_b, shift)
+        add(out[SYZ], moments[SYZ, at], moments[SYZ, to])
+
+
+@MAPPING.loop
+def sum_rows(ring, j, radius, out):  # type: ignore[no-untyped-def]
+    """Sums over the rows up to `radius` below and above row j; row jj is ring[jj mod its length]."""
+    window = len(ring)
+    for q in range(SUMS):
+        put(ring[j % window, q], out[q])
+    for k in range(1, radius + 1):
+        shift = np.float32(k)
+        a, b = ring[(j + k) % window], ring[(j - k) % window]
+        add(out[N], a[N], b[N])
+        add(out[SX], a[SX], b[SX])
+        add_first(out[SY], a[SY], b[SY], a[N], b[N], shift)
+        add(out[SZ], a[SZ], b[SZ])
+        add(out[SXX], a[SXX], b[SXX])
+        add_first(out[SXY], a[SXY], b[SXY], a[SX], b[SX], shift)
+        add_second(out[SYY], a[SYY], b[SYY], a[SY], b[SY], a[N], b[N], shift)
+        add(out[SXZ], a[SXZ], b[SXZ])
+        add_first(out[SYZ], a[SYZ], b[SYZ], a[SZ], b[SZ], shift)
+
+
+@MAPPING.loop
+def subtract_means(product, a, b):  # type: ignore[no-untyped-def]
+    """Take a b away."""
+    for i in range(len(product)):
+        product[i] -= a[i] * b[i]
+
+
+@MAPPING.loop
+def to_covariances(sums):  # type: ignore[no-untyped-def]
+    """Sums of a row become means and covariances; the number of points stays."""
+    for k in range(SX, SUMS):
+        some, count = sums[k], sums[N]
+        for i in range(len(count)):
+            some[i] /= count[i]
+    subtract_means(sums[SXX], sums[SX], sums[SX])
+    subtract_means(sums[SXY], sums[SX], sums[SY])
+    subtract_means(sums[SYY], sums[SY], sums[SY])
+    subtract_means(sums[SXZ], sums[SX], sums[SZ])
+    subtract_means(sums[SYZ], sums[SY], sums[SZ])
+
+
+@MAPPING.loop
+def put_determinants(z, count, xx, xy, yy, out):  # type: ignore[no-untyped-def]
+    """Of the points' covariance; not a number where they do not carry a plane, or the cell has no ground."""
+    least = np.float32(MIN_SPREAD)
+    for i in range(len(out)):
+        trace, determinant = xx[i] + yy[i], xx[i] * yy[i] - xy[i] * xy[i]
+        # Both eigenvalues are at least `least`.
+        spread = (trace >= least + least) & (determinant - least * trace + least * least >= 0)
+        good = spread & (count[i] >= 3) & (z[i] == z[i])
+        out[i] = determinant if good else np.float32(np.nan)
+
+
+@MAPPING.loop
+def put_rise(az, bz, bb, ab, determinant, scale, out):  # type: ignore[no-untyped-def]
+    """Rise of the planes along a, from the covariances with the other coordinate, b [m per m]."""
+    for i in range(len(out)):
+        out[i] = scale * (az[i] * bb[i] - bz[i] * ab[i]) / determinant[i]
+
+
+@MAPPING.loop
+def put_centre(x, y, z, rise_x, rise_y, size, out):  # type: ignore[no-untyped-def]
+    """Height at the cells' centres: from the hit along the plane, at most a cell's size up or down."""
+    for i in range(len(out)):
+        down = size * (rise_x[i] * x[i] + rise_y[i] * y[i])
+        down = down if down == down else np.float32(0)
+        down = size if down > size else down
+        down = -size if down < -size else down
+        out[i] = z[i] - down
+
+
+@MAPPING.loop
+def put_offset(x, mean_x, rise_x, size, out):  # type: ignore[no-untyped-def]
+    """How much higher a plane is at x than at the mean."""
+    for i in range(len(out)):
+        out[i] = size * rise_x[i] * (x[i] - mean_x[i])
+
+
+@MAPPING.loop
+def put_residual(z, mean_z, along_x, along_y, out):  # type: ignore[no-untyped-def]
+    """Squared distance of each hit from its plane, along z [m^2]."""
+    for i in range(len(out)):
+        off = z[i] - mean_z[i] - along_x[i] - along_y[i]
+        out[i] = off * off
+
+
+@MAPPING.entry
+def fit_planes(first, last, blocks, radius, size, scratch):  # type: ignore[no-untyped-def]
+    """Planes around the cells, for blocks `first` to `last` of the `blocks` that the rows are cut into.
+
+    Args:
+        radius: of the windows [cells].
+        size: of a cell [m].
+        scratch: reads x, y, height; writes rise_x, rise_y, centre, residual (`flatten_kernels.Scratch`).
+    """
+    n, window = scratch.height.shape[0], 2 * radius + 1
+    for block in range(first, last):
+        ring, total, moments = scratch.sums[block, :window], scratch.sums[block, window], scratch.moments[block]
+        begin, end = n * block // blocks, n * (block + 1) // blocks
+        for ahead in range(begin - radius, end + radius):
+            row = ring[ahead % window]
+            if 0 <= ahead < n:
+                x, y, z = scratch.x[ahead], scratch.y[ahead], scratch.height[ahead]
+                put_moments(x, y, z, radius, moments)
+                sum_columns(moments, radius, row)
+            else:
+                row[:] = np.float32(0)
+            j = ahead - radius
+            if j >= begin:
+                sum_rows(ring, j, radius, total)
+                solve_row(total, scratch.line[block, 0], scratch.line[block, 1], j, size, scratch)
+
+
+@MAPPING.loop
+def solve_row(total, line, other, j, size, scratch):  # type: ignore[no-untyped-def]
+    """The planes of a row from its sums, and where its hits lie to them."""
+    x, y, z, scale = scratch.x[j], scratch.y[j], scratch.height[j], np.float32(1) / size
+    rise_x, rise_y = scratch.rise_x[j], scratch.rise_y[j]
+    to_covariances(total)
+    put_determinants(z, total[N], total[SXX], total[SXY], total[SYY], line)
+    put_rise(total[SXZ], total[SYZ], total[SYY], total[SXY], line, scale, rise_x)
+    put_rise(total[SYZ], total[SXZ], total[SXX], total[SXY], line, scale, rise_y)
+    put_centre(x, y, z, rise_x, rise_y, size, scratch.centre[j])
+    put_offset(x, total[SX], rise_x, size, line)
+    put_offset(y, total[SY], rise_y, size, other)
+    put_residual(z, total[SZ], line, other, scratch.residual[j])

@@ -1,0 +1,1 @@
+"""Backbones: RGB images in, one feature vector a patch out."""

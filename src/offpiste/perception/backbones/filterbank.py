@@ -1,0 +1,124 @@
+"""Colour and oriented texture of each patch at several scales: the offline stand-in for a learned backbone.
+
+It knows nothing of what it sees: no weights, nothing to fetch. Texture is the mean magnitude of derivatives of
+Gaussians, after Leung and Malik, "Representing and Recognizing the Visual Appearance of Materials using
+Three-dimensional Textons", 2001. Everything is computed on logarithms of the colours: exposure multiplies all of them,
+so it is a constant there, which differences and the image's own median take out.
+"""
+
+import math
+from typing import Any, final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from offpiste.perception.backbones.backbone import FILTERBANK, Backbone
+
+ORIENTATIONS = 4
+SCALES = (1.0, 2.0, 4.0)
+"""Standard deviations of the Gaussians behind the derivatives [px]."""
+
+CONTEXT = (3, 7)
+"""Sides of the neighbourhoods, in patches, over which colour and texture are averaged as well."""
+
+_DARKEST = 0.03
+"""Added to a colour before its logarithm, so that noise in the dark does not become colour and texture."""
+
+_FAINTEST = 0.01
+"""Added to a mean response before its logarithm: about what a camera's noise makes."""
+
+_WEIGHTS = {"brightness": 0.45, "colour": 4.0, "spread": 0.7, "texture": 0.35}
+"""Bring the groups to variances of one size, so that a PCA starts with none of them alone."""
+
+
+@final
+class Filterbank(Backbone):
+    """The stand-in; its patches are DINOv2's."""
+
+    name = FILTERBANK
+    patch = 14
+    channels = 3 * (1 + len(CONTEXT)) + 3 + 2 * len(SCALES) * (ORIENTATIONS + len(CONTEXT))
+
+    def __init__(self, *, device: torch.device | None = None) -> None:
+        self._device = device or torch.device("cpu")
+        self._fine = oriented_filters(SCALES[0]).to(self._device)
+        # The two coarser scales are seen in the image at half its size.
+        self._coarse = [oriented_filters(scale / 2).to(self._device) for scale in SCALES[1:]]
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self._device
+
+    def settings(self) -> dict[str, Any]:
+        """Of the filters."""
+        return {
+            "kind": FILTERBANK,
+            "version": 1,
+            "patch": self.patch,
+            "scales": list(SCALES),
+            "orientations": ORIENTATIONS,
+            "context": list(CONTEXT),
+            "darkest": _DARKEST,
+            "faintest": _FAINTEST,
+            "weights": _WEIGHTS,
+        }
+
+    def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
+        planes = opponent_planes(images)
+        colour = functional.avg_pool2d(planes, self.patch)
+        spread = (functional.avg_pool2d(planes.square(), self.patch) - colour.square()).clamp_min(0.0).sqrt()
+        texture = self._texture(planes[:, :1])
+
+        reference = colour[:, :1].flatten(1).median(dim=1).values
+        relative = torch.cat((colour[:, :1] - reference[:, None, None, None], colour[:, 1:]), dim=1)
+        relative = relative * relative.new_tensor([_WEIGHTS["brightness"], *2 * [_WEIGHTS["colour"]]]).view(1, 3, 1, 1)
+        texture = _WEIGHTS["texture"] * texture
+        overall = texture.unflatten(1, (2 * len(SCALES), ORIENTATIONS)).mean(dim=2)
+        near = [neighbourhood_mean(part, side) for side in CONTEXT for part in (relative, overall)]
+        features = torch.cat((relative, _WEIGHTS["spread"] * torch.log(spread + _FAINTEST), texture, *near), dim=1)
+        return features.permute(0, 2, 3, 1).contiguous()
+
+    def _texture(self, brightness: Float[Tensor, "B 1 h w"]) -> Float[Tensor, "B k rows columns"]:
+        """Logarithms of the mean magnitude of each filter's response in each patch."""
+        half = functional.avg_pool2d(brightness, 2)
+        # At the finest scale every second pixel is enough for a mean.
+        means = [functional.avg_pool2d(respond(brightness, self._fine, stride=2).abs(), self.patch // 2)]
+        means += [functional.avg_pool2d(respond(half, bank).abs(), self.patch // 2) for bank in self._coarse]
+        return torch.log(torch.cat(means, dim=1) + _FAINTEST)
+
+
+def opponent_planes(images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B 3 h w"]:
+    """Brightness, red against green, blue against both, as logarithms: the last two do not change with exposure."""
+    red, green, blue = torch.log(images + _DARKEST).unbind(1)
+    return torch.stack(((red + green + blue) / 3, red - green, blue - (red + green) / 2), dim=1)
+
+
+def oriented_filters(scale: float) -> Float[Tensor, "k 1 size size"]:
+    """First, then second derivatives of a Gaussian in `ORIENTATIONS` directions; zero mean, magnitudes sum to 1.
+
+    Args:
+        scale: standard deviation of the Gaussian [px].
+    """
+    reach = math.ceil(3 * scale)
+    across = torch.arange(-reach, reach + 1, dtype=torch.float64) / scale
+    y, x = torch.meshgrid(across, across, indexing="ij")
+    gaussian = torch.exp(-(x.square() + y.square()) / 2)
+    angles = [math.pi * number / ORIENTATIONS for number in range(ORIENTATIONS)]
+    along = [x * math.cos(angle) + y * math.sin(angle) for angle in angles]
+    filters = torch.stack([-u * gaussian for u in along] + [(u.square() - 1) * gaussian for u in along])
+    filters = filters - filters.mean(dim=(1, 2), keepdim=True)
+    return (filters / filters.abs().sum(dim=(1, 2), keepdim=True)).float().unsqueeze(1)
+
+
+def respond(plane: Float[Tensor, "B 1 h w"], filters: Float[Tensor, "k 1 s s"], *, stride: int = 1) -> Tensor:
+    """Responses to filters, the image mirrored at its edges."""
+    reach = filters.shape[-1] // 2
+    return functional.conv2d(functional.pad(plane, (reach,) * 4, mode="reflect"), filters, stride=stride)
+
+
+def neighbourhood_mean(features: Float[Tensor, "B k rows columns"], side: int) -> Float[Tensor, "B k rows columns"]:
+    """Mean over side x side patches around each, of those that there are."""
+    return functional.avg_pool2d(features, side, stride=1, padding=side // 2, count_include_pad=False)

@@ -1,0 +1,190 @@
+"""DINOv2 and its family through transformers: features of the last layer's patches, after its LayerNorm.
+
+Oquab et al., "DINOv2: Learning Robust Visual Features without Supervision", 2023. Position embeddings are interpolated
+by the model itself (bicubic, to the size of the image's grid), as transformers does it.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.errors import PerceptionError
+from offpiste.perception.backbones.backbone import DINOV2_SMALL, FILTERBANK, Backbone, Precision
+
+if TYPE_CHECKING:
+    from transformers import PreTrainedModel
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+"""Of RGB in [0, 1] over ImageNet; what DINOv2 was trained with, and what is used where a model does not say."""
+
+FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
+"""`model_type` of the configurations whose tokens are known to be: class, registers, patches row after row."""
+
+_FILES = ("config.json", "preprocessor_config.json", "model.safetensors")
+_INSTEAD = f"or use the backbone {FILTERBANK!r}, which needs no weights"
+
+
+@final
+class VisionTransformer(Backbone):
+    """A vision transformer.
+
+    Args:
+        model: of `FAMILY`, with its weights.
+        mean, std: of RGB in [0, 1], as the model expects.
+    """
+
+    def __init__(
+        self,
+        model: "PreTrainedModel",
+        *,
+        name: str,
+        mean: tuple[float, float, float] = IMAGENET_MEAN,
+        std: tuple[float, float, float] = IMAGENET_STD,
+        device: torch.device | None = None,
+        precision: Precision = "fp32",
+    ) -> None:
+        if model.config.model_type not in FAMILY:
+            raise PerceptionError(
+                f"a model of type {model.config.model_type!r}", where=name, how=f"use one of {', '.join(FAMILY)}"
+            )
+        self.name, self.patch, self.channels = name, int(model.config.patch_size), int(model.config.hidden_size)
+        self._weights = weights_hash(model)
+        self._mean, self._std = mean, std
+        self._device = device or torch.device("cpu")
+        self._precision = precision
+        module: torch.nn.Module = model
+        self._model = module.to(self._device).eval().requires_grad_(False)
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self._device
+
+    def settings(self) -> dict[str, Any]:
+        """Architecture, normalisation and a hash of the weights."""
+        config: Any = self._model.config
+        return {
+            "kind": config.model_type,
+            "patch": self.patch,
+            "channels": self.channels,
+            "layers": config.num_hidden_layers,
+            "heads": config.num_attention_heads,
+            "mean": list(self._mean),
+            "std": list(self._std),
+            "weights": self._weights,
+        }
+
+    def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
+        mean, std = (images.new_tensor(values).view(1, 3, 1, 1) for values in (self._mean, self._std))
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._precision == "bf16"):
+            tokens = self._model(pixel_values=(images - mean) / std).last_hidden_state
+        rows, columns = images.shape[2] // self.patch, images.shape[3] // self.patch
+        return tokens[:, -rows * columns :].float().reshape(len(images), rows, columns, self.channels)
+
+
+def weights_hash(model: torch.nn.Module) -> str:
+    """Of a model's parameters, whatever they are called: names change between versions of transformers."""
+    parameters = (parameter.detach().float().cpu().contiguous() for parameter in model.parameters())
+    digests = sorted(hashlib.sha256(parameter.numpy().tobytes()).hexdigest() for parameter in parameters)
+    return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
+
+
+def load_vision_transformer(name: str, *, device: torch.device, precision: Precision = "fp32") -> VisionTransformer:
+    """A model of `FAMILY` from a folder, the hub's cache or the hub, in this order; safetensors only.
+
+    Raises:
+        PerceptionError: transformers is not installed, or weights that cannot be had.
+    """
+    try:
+        from transformers import AutoModel
+        from transformers.utils import logging
+    except ImportError as error:
+        raise PerceptionError(
+            "vision transformers need the package transformers",
+            where=name,
+            how=f"pip install 'offpiste[vit]', {_INSTEAD}",
+        ) from error
+    folder = Path(name) if Path(name).is_dir() else _hub_folder(name)
+    mean, std = _normalisation(folder)
+    bars = logging.is_progress_bar_enabled()
+    logging.disable_progress_bar()  # type: ignore[no-untyped-call]
+    try:
+        model, found = AutoModel.from_pretrained(
+            folder, local_files_only=True, use_safetensors=True, dtype=torch.float32, output_loading_info=True
+        )
+    except (OSError, ValueError, RuntimeError) as error:
+        raise PerceptionError(
+            f"no vision transformer can be read there: {_first_line(error)}",
+            where=folder,
+            how=f"give a folder with config.json and model.safetensors, {_INSTEAD}",
+        ) from error
+    finally:
+        if bars:
+            logging.enable_progress_bar()  # type: ignore[no-untyped-call]
+    lacking = sorted(found["missing_keys"]) + sorted(str(key) for key in found["mismatched_keys"])
+    if lacking:
+        raise PerceptionError(
+            f"weights lack {lacking[0]} and {len(lacking) - 1} others", where=folder, how="fetch them again"
+        )
+    return VisionTransformer(model, name=name, mean=mean, std=std, device=device, precision=precision)
+
+
+def _hub_folder(name: str) -> Path:
+    """The folder of a hub's model in the cache, fetched if it is not there."""
+    from huggingface_hub import HfApi, snapshot_download
+    from huggingface_hub.errors import HFValidationError
+
+    try:
+        return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES), local_files_only=True)))
+    except HFValidationError as error:
+        raise PerceptionError(
+            "neither a folder nor a model's name", where=name, how=f"give {DINOV2_SMALL}, {_INSTEAD}"
+        ) from error
+    except OSError:
+        pass
+    try:
+        # Asked first, since a download repeats itself for half a minute where there is no network.
+        HfApi().model_info(name, timeout=10)
+        return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES))))
+    except Exception as error:
+        # Whatever the hub's client raises, the way out is the same.
+        fetch = f"`hf download {name} {' '.join(_FILES)} --local-dir FOLDER`"
+        raise PerceptionError(
+            f"weights are neither in the hub's cache nor could they be fetched ({_first_line(error)})",
+            where=name,
+            how=f"run {fetch} where there is a network and give FOLDER as the backbone, {_INSTEAD}",
+        ) from error
+
+
+def _complete(folder: Path) -> Path:
+    for needed in ("config.json", "model.safetensors"):
+        if not (folder / needed).is_file():
+            raise FileNotFoundError(f"no {needed}")
+    return folder
+
+
+def _normalisation(folder: Path) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Mean and standard deviation of RGB that a model's own preprocessor uses; ImageNet's where it has none."""
+    path = folder / "preprocessor_config.json"
+    if not path.is_file():
+        return IMAGENET_MEAN, IMAGENET_STD
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        red_green_blue = [tuple(float(value) for value in content[key]) for key in ("image_mean", "image_std")]
+        (m_red, m_green, m_blue), (s_red, s_green, s_blue) = red_green_blue
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise PerceptionError(
+            "no image_mean and image_std of three values", where=path, how="fetch the file again"
+        ) from error
+    return (m_red, m_green, m_blue), (s_red, s_green, s_blue)
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[0] if lines else type(error).__name__).rstrip(".")

@@ -1,0 +1,56 @@
+"""Backbone and PCA as one look at an image."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+
+from offpiste.perception.backbones.backbone import Backbone, open_backbone
+from offpiste.perception.pca import PrincipalComponents, load_pca
+
+
+@dataclass(frozen=True)
+class Looking:
+    """What turns rectified images into features."""
+
+    backbone: Backbone
+    pca: PrincipalComponents
+
+    @property
+    def patch(self) -> int:
+        """Side of a patch [px]."""
+        return self.backbone.patch
+
+    @property
+    def channels(self) -> int:
+        """How many features a patch has."""
+        return self.pca.components
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the features."""
+        return tuple(f"pca_{number}" for number in range(self.channels))
+
+    @property
+    def identity(self) -> str:
+        """What tells this PCA and backbone from others."""
+        return self.pca.identity
+
+    @torch.no_grad()
+    def look(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
+        """Features of the patches of an image."""
+        return np.asarray(self.pca.project(self.backbone(pixels[None])[0]).cpu().numpy(), np.float32)
+
+
+def load_looking(path: Path, device: str = "cpu") -> Looking:
+    """A PCA and the backbone that it names.
+
+    Raises:
+        PerceptionError: no such file, no weights for the backbone, or others than the PCA was fitted with.
+    """
+    pca = load_pca(path)
+    backbone = open_backbone(pca.backbone, device=device)
+    pca.check(backbone, where=path)
+    return Looking(backbone, pca)

@@ -1,0 +1,89 @@
+"""Points that a camera cannot see because something nearer stands before them.
+
+A LiDAR sits elsewhere than the cameras and sees past what hides from them; its points are sparse, so what is hidden
+shows between those of what hides it. A z-buffer alone would let it through, and one of larger cells would take ground
+further up a slope for hidden by ground nearer in the same cell. So a point counts as hidden when points that are nearer
+by more than a tolerance lie around it on all sides: within a small window, no gap between their directions, counted in
+eighths of a turn, is wider than `FREE` of these. Nearer points of one flat surface all lie on one side, so a plane
+never hides itself, however steeply it is seen. The idea is that of Pintus et al., "Real-time rendering of massive
+unstructured raw point clouds using screen-space operators", VAST 2011.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from offpiste.compilation import OCCLUSION
+
+SECTORS: Final = 8
+FREE: Final = 2
+"""Widest gap between nearer points, in sectors, through which a point is not yet seen."""
+
+
+def hidden_points(
+    pixels: Float[np.ndarray, "n 2"],
+    depth: Float[np.ndarray, " n"],
+    size: tuple[int, int],
+    *,
+    reach: float,
+    cell: int = 2,
+    relative: float = 0.06,
+    absolute: float = 0.3,
+) -> Bool[np.ndarray, " n"]:
+    """Which points are hidden by others.
+
+    Args:
+        pixels: x, y of points inside the image [px].
+        depth: distances along the optical axis, positive [m].
+        size: width and height of the image [px].
+        reach: half of the window in which nearer points hide a point [px]: about the distance between a LiDAR's rings.
+        cell: of the z-buffer, which keeps the nearest point of each [px].
+        relative, absolute: a point hides others that are further by more than relative * depth + absolute [m].
+    """
+    if not len(pixels):
+        return np.zeros(0, dtype=bool)
+    width, height = (length // cell + 1 for length in size)
+    column = np.clip(np.floor((pixels[:, 0] + 0.5) / cell), 0, width - 1).astype(np.int64)
+    row = np.clip(np.floor((pixels[:, 1] + 0.5) / cell), 0, height - 1).astype(np.int64)
+    nearest = np.full((height, width), np.inf)
+    np.minimum.at(nearest, (row, column), depth)
+    window = max(1, int(np.ceil(reach / cell)))
+    return np.asarray(_surrounded(nearest, row, column, depth, window, _sectors(window), relative, absolute))
+
+
+def _sectors(window: int) -> UInt8[np.ndarray, "k k"]:
+    """The eighth of a turn, around east, north-east, ..., that each cell of the window lies in."""
+    y, x = np.mgrid[-window : window + 1, -window : window + 1]
+    return (np.round(np.arctan2(y, x) / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS).astype(np.uint8)
+
+
+def _surrounded_loop(  # type: ignore[no-untyped-def]
+    nearest, row, column, depth, window, sectors, relative, absolute
+) -> Any:
+    height, width = nearest.shape
+    hidden = np.zeros(len(depth), np.bool_)
+    for i in range(len(depth)):
+        limit = depth[i] - (relative * depth[i] + absolute)
+        if nearest[row[i], column[i]] < limit:
+            hidden[i] = True
+            continue
+        taken = 0
+        for dy in range(-window, window + 1):
+            y = row[i] + dy
+            if y < 0 or y >= height:
+                continue
+            for dx in range(-window, window + 1):
+                x = column[i] + dx
+                if 0 <= x < width and dx * dx + dy * dy <= window * window and nearest[y, x] < limit:
+                    taken |= 1 << sectors[dy + window, dx + window]
+        gap = 0
+        widest = 0
+        for k in range(2 * SECTORS):
+            gap = 0 if taken >> (k % SECTORS) & 1 else gap + 1
+            widest = max(widest, gap)
+        hidden[i] = widest <= FREE
+    return hidden
+
+
+_surrounded = OCCLUSION.entry(_surrounded_loop)

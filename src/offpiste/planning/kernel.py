@@ -1,0 +1,227 @@
+"""Costs of control sequences by one kernel: what `rollouts.driving_costs` computes, several times as fast, on the CPU.
+
+The first call compiles for some 20 seconds; the machine code is kept beside the sources where that folder can be
+written.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.conventions import ACTUATORS, CONTROL, DT, GRAVITY
+from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.hybrid import Hybrid, Parametric
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.autograd import supports
+from offpiste.dynamics.kernels.model_arrays import constants, networks
+from offpiste.dynamics.kernels.network import weights as matrices
+from offpiste.mapping.terrain_lookup import MapStack
+from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.kernel_rollout import Prices, roll_out
+from offpiste.planning.kernel_terrain import Grid, Ground, Raster
+from offpiste.planning.mppi import CostOf
+from offpiste.state import Carry
+from offpiste.threads import spread_threads
+
+Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
+"""Of the cells of a map, and of a cell without features."""
+
+PART: Final = 4096
+"""How many cells are encoded at a time."""
+
+
+@torch.no_grad()
+def encode_map(
+    maps: MapStack,
+    encoder: FeatureEncoder | None,
+    *,
+    centre: Float[Tensor, " 2"] | None = None,
+    reach: float = math.inf,
+) -> Codes:
+    """Codes of the cells of the first map of a stack: choosing a cell and encoding it commute.
+
+    Worth doing once a map, not once a plan. A map that holds codes already is `coded_map`'s.
+
+    Args:
+        centre: x, y in the world frame [m].
+        reach: cells further than this from it, along x or y, count as missing [m].
+    """
+    features = maps.features[0]
+    if encoder is None:
+        return features[..., :0].float(), torch.zeros(0, device=features.device)
+    wanted = features.isfinite().all(dim=-1)
+    if centre is not None:
+        rows, columns = (torch.arange(n, dtype=torch.float64, device=features.device) for n in wanted.shape)
+        x, y = (centre.to(maps.origin) - maps.origin[0]) / maps.resolution
+        cells = reach / maps.resolution
+        wanted &= ((rows - y).abs() <= cells)[:, None] & ((columns - x).abs() <= cells)
+    missing = encoder.missing()
+    codes = missing.repeat(*wanted.shape, 1)
+    # Few at a time stay in the cache; the others need no network.
+    for row, column in zip(*(index.split(PART) for index in wanted.nonzero(as_tuple=True)), strict=True):
+        there = torch.ones(len(row), dtype=torch.bool, device=features.device)
+        codes[row, column] = encoder(features[row, column].to(missing.dtype), there)
+    return codes, missing
+
+
+@torch.no_grad()
+def coded_map(maps: MapStack, encoder: FeatureEncoder) -> Codes:
+    """`encode_map` of a map whose features are codes already, as the paper's map holds them.
+
+    Raises:
+        ValueError: they are not as long as the encoder's.
+    """
+    codes, missing = maps.features[0], encoder.missing()
+    if codes.shape[-1] != encoder.size:
+        raise ValueError(f"the map holds {codes.shape[-1]} numbers a cell; codes are {encoder.size}")
+    return codes.to(missing.dtype).where(codes.isfinite().all(dim=-1, keepdim=True), missing), missing
+
+
+def fused_costs(
+    dynamics: Parametric | Hybrid, carry: Carry, situation: Situation, weights: Weights, codes: Codes
+) -> CostOf:
+    """Costs of driving on the situation's map; the same as `rollouts.driving_costs`, up to rounding.
+
+    Args:
+        dynamics: one that `dynamics.kernels.function.supports` is true for.
+        carry: the start, a batch of one.
+        codes: from `encode_map`.
+
+    Raises:
+        ValueError: a model, types or shapes that the kernel cannot take.
+    """
+    roll = _bind(dynamics, carry, situation, weights, codes)
+
+    def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
+        return roll(controls, torch.empty(0, 0, 6))
+
+    return cost_of
+
+
+def fused_rollout(
+    dynamics: Parametric | Hybrid,
+    carry: Carry,
+    controls: Float[Tensor, "K T 3"],
+    situation: Situation,
+    weights: Weights,
+    codes: Codes,
+) -> tuple[Float[Tensor, " K"], Float[Tensor, "K T 6"]]:
+    """The same costs, and the states after each step: to look at, and to test."""
+    states = torch.empty(*controls.shape[:2], 6)
+    return _bind(dynamics, carry, situation, weights, codes)(controls, states), states
+
+
+def fused_carry(
+    dynamics: Parametric | Hybrid,
+    carry: Carry,
+    controls: Float[Tensor, "T 3"],
+    situation: Situation,
+    codes: Codes,
+) -> Carry:
+    """What the model carries after controls; every step reads the ground where it is, also of models that hold codes.
+
+    Args:
+        controls: one step's at least.
+    """
+    packed = carry.pack()
+    after = torch.empty(1, len(controls), packed.shape[1])
+    _bind(dynamics, carry, situation, Weights(), codes, holds=False)(controls[None], after)
+    found = Carry.unpack(after[:, -1])
+    recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
+    return replace(found, actuators=found.actuators.where(recorded, carry.actuators))
+
+
+@torch.no_grad()
+def _bind(
+    dynamics: Parametric | Hybrid,
+    carry: Carry,
+    situation: Situation,
+    weights: Weights,
+    codes: Codes,
+    *,
+    holds: bool = True,
+) -> Callable[[Tensor, Tensor], Tensor]:
+    _check(dynamics, carry, codes)
+    vehicle = dynamics.vehicle
+    compensator = dynamics.compensator if isinstance(dynamics, Hybrid) else None
+    weighted = matrices(compensator, dynamics.force_scale if isinstance(dynamics, Hybrid) else None)
+    recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
+    given = (
+        situation.control.float().numpy(),
+        np.array(recorded),
+        constants(dynamics, torch.stack(dynamics.bicycle())),
+        networks(dynamics, weighted),
+        _ground(situation, codes),
+        _raster(situation),
+        _prices(weights),
+        holds and isinstance(dynamics, Hybrid) and dynamics.holds,
+    )
+    start = carry.pack()[0].contiguous().numpy()
+
+    def roll(controls: Tensor, states: Tensor) -> Tensor:
+        if controls.ndim != 3 or controls.shape[2] != 3 or controls.dtype != torch.float32 or controls.is_cuda:
+            raise ValueError(f"controls are {list(controls.shape)}, {controls.dtype}; [K, T, 3], float32 on the CPU")
+        costs = torch.empty(len(controls))
+        blocks = -(-len(controls) // layout.LANES)
+        spread_threads(blocks, roll_out, start, controls.contiguous().numpy(), *given, costs.numpy(), states.numpy())
+        return costs
+
+    return roll
+
+
+def _ground(situation: Situation, codes: Codes) -> Ground:
+    maps = situation.ground
+    cells, missing = codes
+    return Ground(
+        _grid(situation.offset - maps.origin[0], maps.resolution, cells),
+        _numbers(maps.slope[0]),
+        _numbers(cells),
+        *(part.float().contiguous().numpy() for part in (missing, situation.wheels)),
+    )
+
+
+def _raster(situation: Situation) -> Raster:
+    costs = situation.costs
+    grid = _grid(situation.offset - costs.origin, costs.resolution, costs.layers)
+    return Raster(grid, _numbers(costs.layers), np.float32(costs.outside))
+
+
+def _numbers(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
+    return cells.float().contiguous().numpy().reshape(-1)
+
+
+def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "ny nx _"]) -> Grid:
+    return Grid(shift.numpy().astype(np.float32), np.float32(1 / resolution), cells.shape[0], cells.shape[1])
+
+
+def _prices(w: Weights) -> Prices:
+    return Prices(
+        path=np.float32(w.path),
+        speed=np.float32(w.speed),
+        overspeed=np.float32(w.overspeed),
+        rollover=np.float32(w.rollover),
+        lateral_limit=np.float32(w.lateral_limit),
+        least_vertical=np.float32(w.least_vertical),
+        gravity=np.float32(GRAVITY),
+        dt=np.float32(DT),
+        effort=np.array(w.effort, np.float32),
+        jerk=np.array(w.jerk, np.float32),
+    )
+
+
+def _check(dynamics: Parametric | Hybrid, carry: Carry, codes: Codes) -> None:
+    """Refuse what the kernel would read out of bounds, or wrongly."""
+    if not supports(dynamics, carry.state.device, carry.state.dtype):
+        raise ValueError("no kernel for this model; see `supports`")
+    wanted = dynamics.codes if isinstance(dynamics, Hybrid) else 0
+    units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
+    if carry.pack().shape != (1, 10 + 2 * units):
+        raise ValueError(f"the start is {list(carry.pack().shape)}; the kernel wants {[1, 10 + 2 * units]}")
+    if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:
+        raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {wanted}")

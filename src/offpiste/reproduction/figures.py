@@ -1,0 +1,191 @@
+"""The paper's figures 3 and 4, in its form.
+
+The same ten windows, predicted with features seen from every distance.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float, Int
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import Dynamics
+from offpiste.evaluation.errors import trajectories
+from offpiste.evaluation.figures import grouped_boxes, whisker_top
+from offpiste.evaluation.models import Way
+from offpiste.reproduction.results import Findings
+from offpiste.reproduction.settings import Member, compression_sizes, feature_numbers, usual
+from offpiste.reproduction.tables import HINDSIGHT, MAP
+
+CAPTION = (
+    "Boxes: quartiles; whiskers: last value within 1.5 IQR, given by the values with arrows; green: median; orange: "
+    "mean. Several seeds: each window's error is their mean."
+)
+
+
+def fig3(found: Findings, stored: int) -> dict[str, Figure]:
+    """3a compression type, 3b compression size, 3c number of features; each at recorded places and on the map."""
+    named: dict[str, dict[str, Member]] = {
+        "a": {name.upper(): usual(name, stored) for name in ("b", "df", "cf")},
+        "b": {f"C {n}": member for n, member in compression_sizes(stored).items()},
+        "c": {f"C {n}": member for n, member in feature_numbers(stored).items()},
+    }
+    titles = {"a": "Compression type", "b": "Compression size n", "c": "Number of features"}
+    figures = {}
+    for way, where in ((HINDSIGHT, "recorded, hindsight"), (MAP, "map at predicted places")):
+        if way not in found.ways:
+            continue
+        groups = {
+            part: {name: {member.model: _distance(found, member, way)} for name, member in models.items()}
+            for part, models in named.items()
+        }
+        top = max(whisker_top(group) for group in groups.values())  # the paper keeps the axis the same
+        for part, group in groups.items():
+            name = f"3{part}" if way == HINDSIGHT else f"3{part} map"
+            figures[name] = grouped_boxes(group, title=f"{titles[part]}\n({where})", top=top)
+    return figures
+
+
+def fig4(found: Findings) -> dict[str, Figure]:
+    """4a naive training, 4b `dc`, by the distance that features were seen from; and all of them on the map."""
+    by_label = {member.label: member for member in found.members}
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.ways]
+    groups: dict[str, dict[str, dict[str, np.ndarray]]] = {
+        part: {
+            name: {label: _distance(found, by_label[label], ("recorded", name)) for label in labels} for name in sets
+        }
+        for part, labels in {"4a": ("b", "df", "cf"), "4b": ("b", "dc")}.items()
+    }
+    top = max(whisker_top(group) for group in groups.values())
+    titles = {"4a": "Trained on hindsight, recorded lookup", "4b": "Trained on random distances, recorded lookup"}
+    figures = {
+        part: grouped_boxes(group, title=titles[part], axis="features seen from [m]", top=top)
+        for part, group in groups.items()
+    }
+    if MAP in found.ways:
+        models = {label: {label: _distance(found, member, MAP)} for label, member in by_label.items()}
+        figures["4 map"] = grouped_boxes(models, title="Map at predicted places")
+    return figures
+
+
+def _distance(found: Findings, member: Member, way: Way) -> np.ndarray:
+    return found.over_seeds(member, way).distance()
+
+
+def caption(name: str) -> str:
+    """What stands below a picture."""
+    about = {
+        "3a": "B knows nothing of the ground, DF reads features as they are, CF compresses them.",
+        "3b": "CF by the length of its code; C 4 is CF.",
+        "3c": "CF by the number of features that it reads, the first ones of the PCA.",
+        "4a": "DF and CF, trained on hindsight, and B, by the distance that features and normals were seen from.",
+        "4b": "DC, trained on a random distance per trajectory, and B.",
+        "4": "The map as it was at the window's start, read where predictions go.",
+    }
+    return f"Fig. {name}: {about[name.split()[0]]} {CAPTION}"
+
+
+SHOWN = 10
+
+
+@dataclass(frozen=True)
+class SameWindows:
+    """Paths in the frame of each window's start: ahead, to the left [m].
+
+    Attributes:
+        names: drive and time of each window.
+        recorded: where the vehicle went.
+        predicted: by model and feature set.
+    """
+
+    names: tuple[str, ...]
+    recorded: Float[np.ndarray, "n T 2"]
+    predicted: Mapping[str, Mapping[str, Float[np.ndarray, "n T 2"]]]
+
+
+def spread_out(windows: Windows, *, count: int = SHOWN) -> Int[np.ndarray, " n"]:
+    """Windows far apart from each other, no two of which share a row; fewer where there are not so many."""
+    chosen: list[int] = []
+    row, apart = windows.row_in_drive(np.arange(len(windows))), HISTORY_STEPS + HORIZON_STEPS
+    for i in np.linspace(0, len(windows) - 1, 20 * count).astype(int):
+        near = chosen and windows.drive[i] == windows.drive[chosen[-1]] and row[i] - row[chosen[-1]] <= apart
+        if not near:
+            chosen.append(int(i))
+    index = np.array(chosen, dtype=np.int64)
+    return index[np.unique(np.linspace(0, len(index) - 1, min(count, len(index))).astype(int))]
+
+
+def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindows:
+    """Predict those windows with features of every set, read at recorded places."""
+    index = spread_out(windows)
+    batch = windows.gather(index)
+    yaw = batch.state[:, 2].cpu().numpy()
+    sets = FEATURE_SETS[: windows.sets]
+    predicted = {
+        label: {
+            name: turned(trajectories(dynamics, windows.reading(name), index, lookup="recorded")[..., :2], yaw)
+            for name in sets
+        }
+        for label, dynamics in models.items()
+    }
+    row = windows.row_in_drive(index)
+    names = [f"{windows.drive_names[d]}\n{0.02 * r:.0f} s" for d, r in zip(windows.drive[index], row, strict=True)]
+    return SameWindows(tuple(names), turned(batch.target[..., :2].cpu().numpy(), yaw), predicted)
+
+
+def turned(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
+    """World displacements as ahead and to the left of a start heading."""
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = paths[..., 0], paths[..., 1]
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+
+
+def draw_same(found: SameWindows) -> Figure:
+    """A line of panels a model, a column a window; heading up, a colour a distance."""
+    labels, count = list(found.predicted), len(found.names)
+    figure = Figure(figsize=(0.8 + 1.5 * count, 0.9 + 2.05 * len(labels)), dpi=110, layout="constrained")
+    panels = figure.subplots(len(labels), count, squeeze=False)
+    colours = _colours(list(next(iter(found.predicted.values()))))
+    for line, label in zip(panels, labels, strict=True):
+        for number, axes in enumerate(line):
+            paths = {name: path[number] for name, path in found.predicted[label].items()}
+            for name, path in reversed(paths.items()):  # hindsight lies on top
+                _path(axes, path, colours[name], 1.1, name if name == "hindsight" else f"{name} m")
+            _path(axes, found.recorded[number], "black", 1.6, "recorded")
+            axes.plot(0, 0, marker="^", color="black", markersize=5)
+            _frame(axes, found, number)
+        line[0].set_ylabel(f"{label}\nahead [m]", fontsize=9)
+    for axes, name in zip(panels[0], found.names, strict=True):
+        axes.set_title(name, fontsize=7)
+    handles, names = panels[0, 0].get_legend_handles_labels()
+    columns = min(len(names), count + 1)
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=8)
+    return figure
+
+
+def _frame(axes: Axes, found: SameWindows, number: int) -> None:
+    """The same metres for all models of a window, as long ahead as aside; what leaves the recorded path far is cut."""
+    ahead, left = np.concatenate((np.zeros((1, 2)), found.recorded[number])).T
+    tall = max(float(np.ptp(ahead)), 1.6 * float(np.ptp(left)), 6.0) * 1.35
+    across, along = -(left.min() + left.max()) / 2, (ahead.min() + ahead.max()) / 2
+    axes.set(xlim=(across - 0.36 * tall, across + 0.36 * tall), ylim=(along - tall / 2, along + tall / 2))
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=6)
+    axes.grid(color="#e5e5e5", linewidth=0.5)
+
+
+def _path(axes: Axes, path: Float[np.ndarray, "T 2"], colour: object, width: float, name: str) -> None:
+    ahead, left = np.concatenate((np.zeros((1, 2)), path)).T
+    axes.plot(-left, ahead, color=colour, linewidth=width, label=name)
+    axes.plot(-left[-1], ahead[-1], "o", color=colour, markersize=3)
+
+
+def _colours(names: Sequence[str]) -> dict[str, object]:
+    """Green for hindsight; the nearer, the darker."""
+    scale = matplotlib.colormaps["plasma"](np.linspace(0, 0.9, max(len(names) - 1, 1)))
+    return {"hindsight": "#1a7f37", **{name: tuple(c) for name, c in zip(names[1:], scale, strict=False)}}

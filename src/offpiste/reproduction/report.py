@@ -1,0 +1,143 @@
+"""The folder of a figure: report.html, which needs nothing but itself, its pictures, and metrics.json."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from matplotlib.figure import Figure
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.evaluation.evaluate import share_driven_in_training
+from offpiste.evaluation.report import png
+from offpiste.evaluation.results import LossUnits, provenance
+from offpiste.files import write_bytes, write_text
+from offpiste.reproduction import figures, tables
+from offpiste.reproduction.figures import draw_same, predict_same
+from offpiste.reproduction.pieces import said, times_by_kind
+from offpiste.reproduction.results import FigureMetrics, Findings
+from offpiste.reproduction.runs import PART, Work, driven_in
+from offpiste.reproduction.settings import PCA_SWEPT, Member, Reproduction
+from offpiste.training.losses import COMPONENTS
+from offpiste.training.run import load_run
+from offpiste.visualization.coverage import Covered, TextTable, covered
+from offpiste.visualization.coverage import tables as cover_tables
+from offpiste.visualization.coverage_figures import draw_differences, draw_rates
+from offpiste.visualization.page import page_html, picture_html, section_html
+
+SAME = "The same ten windows with features seen from every distance, read at recorded places. Up: ahead at the start."
+RATES = "Share of cells under the wheels that have features."
+APART = "Left: how far the same cells' features differ between distances. Right: a dot a feature."
+
+
+def write_figure(asked: Reproduction, work: Work, found: Findings) -> TextTable:
+    """Write everything, each file whole or not at all.
+
+    Returns:
+        What the paper says beside what was found.
+    """
+    dataset, folder = work.dataset, asked.out / asked.figure
+    stored = len(dataset.features)
+    seen = covered(dataset) if asked.figure == "fig4" else None
+    metrics = _metrics(asked, work, found, seen)
+    compared = tables.fig3_claims(found, stored) if asked.figure == "fig3" else tables.fig4_claims(found)
+    drawn = figures.fig3(found, stored) if asked.figure == "fig3" else figures.fig4(found)
+    sections = [section_html(compared)]
+    sections += [_shown(folder, name, figure, figures.caption(name)) for name, figure in drawn.items()]
+    wanted = [tables.error_table(metrics.results), tables.difference_table(found), tables.seed_table(found)]
+    if asked.figure == "fig4":
+        wanted += [
+            tables.distance_table(found, metrics.results, name) for name in tables.NAMES if name != "vy_error_mps"
+        ]
+        wanted.append(tables.seen_table(found, dataset))
+    sections += [section_html(table) for table in wanted if table.lines]
+    if asked.figure == "fig4":
+        sections += ["<h2>The same windows</h2>", _same(asked, work, found.members, folder)]
+    if seen is not None:
+        sections += [section_html(table) for table in cover_tables(seen)]
+        sections.append(_shown(folder, "rates", draw_rates(seen), RATES))
+        sections.append(_shown(folder, "differences", draw_differences(seen), APART))
+    main = "cf" if asked.figure == "fig3" else "dc"
+    title = f"offpiste reproduce {asked.figure} --size {asked.size.name}"
+    page = page_html(title, tables.sentences(found, main), _facts(asked, work, metrics), sections)
+    write_text(folder / "report.html", page)
+    write_text(folder / "metrics.json", msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
+    return compared
+
+
+def _shown(folder: Path, name: str, figure: Figure, caption: str) -> str:
+    content = png(figure)
+    write_bytes(folder / f"{name.replace(' ', '-')}.png", content)
+    return picture_html(content, caption)
+
+
+def _same(asked: Reproduction, work: Work, members: Sequence[Member], folder: Path) -> str:
+    models = {m.label: load_run(asked.runs / m.folder(0), device=asked.device).dynamics for m in members}
+    return _shown(folder, "same windows", draw_same(predict_same(models, work.windows)), SAME)
+
+
+def _metrics(asked: Reproduction, work: Work, found: Findings, seen: Covered | None) -> FigureMetrics:
+    dataset = work.dataset
+    pairs = [(member, way) for member in found.members if member != found.baseline for way in found.ways]
+    single = [run for pair in pairs for run in found.each_seed(*pair) if len(found.runs[pair]) > 1]
+    return FigureMetrics(
+        figure=asked.figure,
+        settings=asked.described(),
+        dataset=str(dataset.path),
+        split=dataset.split.text,
+        part=PART,
+        seeds={member.label: list(member.seeds(asked.size)) for member in found.members},
+        windows={" ".join(filter(None, way)): len(found.over_seeds(found.baseline, way).row) for way in found.ways},
+        made=provenance("", found.sampling.seed, asked.device),
+        loss=LossUnits(asdict(asked.size.train.weights), dict(zip(COMPONENTS, work.scale.tolist(), strict=True))),
+        against_b=[found.against(*pair) for pair in pairs] + single,
+        coverage={} if seen is None else _coverage(seen),
+        results=found.rows(),
+    )
+
+
+def _coverage(seen: Covered) -> dict[str, Any]:
+    """By feature set."""
+    return {
+        "feature_sets": list(FEATURE_SETS),
+        "valid": seen.whole.share.tolist(),
+        "valid_of_hindsight": seen.whole.of_hindsight.tolist(),
+        "valid_in_reach": seen.whole.in_reach.tolist(),
+        "l2_difference_over_range": seen.apart.length.tolist(),
+        "l2_difference_of_unrelated_cells": seen.unrelated,
+    }
+
+
+def _facts(asked: Reproduction, work: Work, metrics: FigureMetrics) -> dict[str, str]:
+    dataset, size, driven = work.dataset, asked.size, driven_in(work.dataset)
+    stored, most = len(dataset.features), max(PCA_SWEPT)
+    capped = "" if stored >= most else f"; the paper goes up to {most}, but there are no more here"
+    train = size.train
+    return {
+        "dataset": f"{dataset.path}, {len(dataset.drives)} drives, {stored} features{capped}",
+        "split": f"{dataset.split.text}; {_seen_before(asked, work)}",
+        "driven": f"{driven.train:.0f} s to train, {driven.validation:.0f} s to validate, {driven.test:.0f} s to test",
+        "judged": ", ".join(f"{number} windows of 5 s {where}" for where, number in _judged(metrics).items()),
+        "training": f"{train.epochs} epochs, batch {train.batch}, a window every {train.stride} rows; best epoch by "
+        "validation",
+        "seeds": ", ".join(f"{label}: {' '.join(map(str, seeds))}" for label, seeds in metrics.seeds.items()),
+        "spent": ", ".join(f"{kind} {said(time)}" for kind, time in times_by_kind(asked.times).items()),
+        "date": metrics.made.date,
+        "machine": metrics.made.machine,
+        "command": metrics.made.command,
+        "versions": ", ".join(f"{name} {version}" for name, version in metrics.made.versions.items()),
+    }
+
+
+def _judged(metrics: FigureMetrics) -> dict[str, int]:
+    """Windows at recorded places, the same for all feature sets, and on the map."""
+    kinds = {"recorded": "at recorded places", "map": "on the map"}
+    return {kinds[way.split()[0]]: number for way, number in metrics.windows.items()}
+
+
+def _seen_before(asked: Reproduction, work: Work) -> str:
+    if asked.dataset is None and asked.split == "drives":
+        return "every drive in a world of its own, test drives in worlds that never trained"
+    share = 100 * share_driven_in_training(work.dataset, PART)
+    return f"{share:.0f} % of the test path has coordinates within 5 m of training's"

@@ -1,0 +1,1 @@
+"""A vehicle and its log: geometry, sensors, and which topic or column feeds which channel."""

@@ -1,0 +1,1 @@
+"""The run time on a vehicle: sensor messages in, commands out."""

@@ -1,0 +1,170 @@
+"""The part of the map that a plan can come to, with its codes.
+
+What a model predicts on the ground that a plan can come to: by the kernel where there is one, else step by step.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import TypeGuard
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.hybrid import Hybrid, Parametric
+from offpiste.dynamics.kernels.autograd import supports
+from offpiste.mapping.terrain_lookup import Encode, MapStack, MapTerrain, as_codes, stack_maps
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.kernel import Codes, fused_carry, fused_costs, fused_rollout
+from offpiste.planning.mppi import CostOf
+from offpiste.planning.rollouts import driving_costs
+from offpiste.runtime.estimator import TrackRows
+from offpiste.state import Carry, History, Terrain
+
+KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
+"""From places x, y [m] to features of the ground there: a simulator's truth instead of what cameras see."""
+
+
+@dataclass(frozen=True)
+class Area:
+    """Layers, and the same as tensors.
+
+    Attributes:
+        stack: holds codes where `codes` does.
+        codes: as `fused_costs` reads them.
+    """
+
+    layers: TerrainLayers
+    stack: MapStack
+    codes: Codes
+
+    @property
+    def encode(self) -> Encode | None:
+        """Reads the codes of the stack; None where it holds none."""
+        missing = self.codes[1]
+        return as_codes(missing) if len(missing) else None
+
+    def terrain(self, offset: Float[Tensor, " 2"], wheels: Float[Tensor, "4 2"], count: int) -> MapTerrain:
+        """A source for as many states in the frame at `offset` [m]."""
+        number = torch.zeros(count, dtype=torch.long)
+        return MapTerrain(self.stack, number, offset.expand(count, 2), wheels, self.encode)
+
+
+def cropped(layers: TerrainLayers, centre: Float[np.ndarray, " 2"], half: float) -> TerrainLayers:
+    """The layers within a square; shares memory.
+
+    Args:
+        centre: x, y [m]; cells outside of the layers are left out, but for one.
+        half: of the square's side [m].
+    """
+    ny, nx = layers.known.shape
+    first = np.clip(np.floor((centre - half - layers.origin) / layers.resolution).astype(int), 0, [nx - 1, ny - 1])
+    last = np.clip(np.ceil((centre + half - layers.origin) / layers.resolution).astype(int), first, [nx - 1, ny - 1])
+    window = (slice(first[1], last[1] + 1), slice(first[0], last[0] + 1))
+    cut = {f.name: getattr(layers, f.name)[window] for f in fields(layers) if f.name not in ("origin", "resolution")}
+    return replace(layers, origin=layers.origin + first * layers.resolution, **cut)
+
+
+def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: KnownGround | None = None) -> Area:
+    """An area of a map that holds codes.
+
+    Args:
+        encoder: of the model; None where it reads no features.
+        ground: known features, which are encoded instead of the map's codes.
+    """
+    if encoder is None:
+        bare = replace(layers, features=layers.features[..., :0])
+        stack = stack_maps([bare.terrain_map()])
+        return Area(bare, stack, (stack.features[0], torch.zeros(0)))
+    missing = encoder.missing().detach()
+    if ground is not None:
+        codes = encoder(*_known(layers, ground)).detach().unflatten(0, layers.known.shape)
+    else:
+        held = torch.from_numpy(np.ascontiguousarray(layers.features, np.float32))
+        codes = torch.where(held.isfinite().all(dim=-1, keepdim=True), held, missing)
+    coded = replace(layers, features=codes.numpy())
+    return Area(coded, stack_maps([coded.terrain_map()]), (codes, missing))
+
+
+def _known(layers: TerrainLayers, ground: KnownGround) -> tuple[Tensor, Tensor]:
+    features = torch.from_numpy(np.asarray(ground(layers.centres.reshape(-1, 2)), np.float32))
+    return features, torch.ones(len(features), dtype=torch.bool)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where a plan would lead.
+
+    Attributes:
+        time: of its start [s].
+        state: after each step, in the world frame.
+    """
+
+    time: float
+    state: Float[np.ndarray, "T 6"]
+
+
+def carry_of(
+    model: Dynamics, rows: TrackRows, area: Area, wheels: Float[Tensor, "4 2"], offset: Float[Tensor, " 2"]
+) -> Carry:
+    """The vehicle's latest state, in the frame at `offset`, and what the model remembers of the rows before it."""
+    shift = np.concatenate((offset.numpy(), np.zeros(4)))
+    state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
+    actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
+    control = torch.as_tensor(rows.control, dtype=torch.float32)
+    past = len(state) - 1
+    under = area.terrain(offset, wheels, past).at(0, state[:past])
+    terrain = Terrain(under.normal[None], under.latent[None])
+    history = History(state[None, :past], actuators[None, :past], control[None, :past], terrain)
+    return model.start(history, state[past:], actuators[past:])
+
+
+def carry_after(model: Dynamics, carry: Carry, controls: Float[Tensor, "L 3"], area: Area, at: Situation) -> Carry:
+    """The state after some controls: where a plan begins to act that they are committed until.
+
+    Args:
+        at: its state and control are not read.
+    """
+    if len(controls) and _by_kernel(model, carry):
+        return fused_carry(model, carry, controls, at, area.codes)
+    for after in _stepped(model, carry, controls, area, at):
+        carry = after
+    return carry
+
+
+def costs_from(model: Dynamics, carry: Carry, area: Area, at: Situation, weights: Weights) -> CostOf:
+    """Costs of control sequences that begin at a state."""
+    if _by_kernel(model, carry):
+        return fused_costs(model, carry, at, weights, area.codes)
+    return driving_costs(model, carry, at, weights, area.encode)
+
+
+def predicted(
+    model: Dynamics, carry: Carry, controls: Float[Tensor, "T 3"], area: Area, at: Situation, weights: Weights
+) -> Float[np.ndarray, "T 6"]:
+    """The states that a plan leads through, in the world frame."""
+    if _by_kernel(model, carry):
+        found = fused_rollout(model, carry, controls[None], at, weights, area.codes)[1][0]
+    else:
+        found = torch.cat([after.state for after in _stepped(model, carry, controls, area, at)])
+    states = found.double().numpy()
+    states[:, :2] += at.offset.numpy()
+    return states
+
+
+def _stepped(
+    model: Dynamics, carry: Carry, controls: Float[Tensor, "T 3"], area: Area, at: Situation
+) -> Iterator[Carry]:
+    """After each step, one by one."""
+    source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
+    for t, given in enumerate(controls):
+        carry = step(carry, given[None], source.at(t, carry.state))
+        yield carry
+
+
+def _by_kernel(model: Dynamics, carry: Carry) -> TypeGuard[Parametric | Hybrid]:
+    return supports(model, carry.state.device, carry.state.dtype)

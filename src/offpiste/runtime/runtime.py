@@ -1,0 +1,332 @@
+"""The paper's on-line pipeline as one object: messages of sensors in, controls out.
+
+Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time comes from stamps only: the same
+messages give the same controls, however long they take to compute. A plan made from data at t acts from t + latency on;
+it starts from the state that the model predicts through the controls committed until then.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.hybrid import Hybrid
+from offpiste.errors import PlanningError
+from offpiste.logs.measurements import Cloud, Image
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.planning import mppi
+from offpiste.planning.cost_map import Course, Hazards, cost_map
+from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.pedal import PEDAL_AND_WHEEL, controls_of, feet_of, with_one_foot
+from offpiste.runtime.course_progress import Guide
+from offpiste.runtime.estimator import TrackRows, VehicleReading, VehicleTrack
+from offpiste.runtime.modes import Ages, Controls, Event, Judgement, Patience, judge
+from offpiste.runtime.perception import Seeing, Sight, Stopwatch
+from offpiste.runtime.prediction import (
+    Area,
+    KnownGround,
+    Prediction,
+    carry_after,
+    carry_of,
+    coded_area,
+    costs_from,
+    cropped,
+    predicted,
+)
+from offpiste.runtime.schedule import Launch, LaunchSettings, Schedule, TimedPlan
+from offpiste.state import Carry
+from offpiste.threads import only_kernels_spread
+
+
+@dataclass(frozen=True)
+class RuntimeSettings:
+    """How the vehicle is driven.
+
+    Attributes:
+        plan_rate: plans made a second [Hz].
+        latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
+        sampling: of pedal and steer (`one_foot`).
+        weights, hazards: of the planner.
+        replay: of images and scans, as the dataset was extracted with.
+        patience: with late inputs.
+        launch: where the plan's throttle does not move the vehicle.
+        slow: speed while scans are late [m/s].
+        stop: brake of a controlled stop [0..1].
+        forget: plans that ended their latency so long ago are not gone on from [s].
+        standstill: slower than this the vehicle stands [m/s].
+        arrived: so far before its end the course counts as driven [m].
+        margin: the map is read so far beyond what the plan can reach [m].
+        remember: predictions of so long are kept, 120 kB a second [s].
+
+    Raises:
+        PlanningError: rate and latency do not fit the steps of the controls.
+    """
+
+    plan_rate: float = 10.0
+    latency: float = 0.1
+    sampling: mppi.Settings = field(
+        default_factory=lambda: mppi.Settings(
+            PEDAL_AND_WHEEL,
+            (0.15, 0.15),
+            samples=512,
+            temperature=3.0,
+            iterations=2,
+            wide=0.3,
+            fresh=0.1,
+            fresh_width=5.0,
+            rest=(0.4, 0.0),
+        )
+    )
+    weights: Weights = field(default_factory=lambda: Weights(path=5.0))
+    hazards: Hazards = field(default_factory=Hazards)
+    replay: ReplaySettings = field(default_factory=ReplaySettings)
+    patience: Patience = field(default_factory=Patience)
+    launch: LaunchSettings = field(default_factory=LaunchSettings)
+    slow: float = 3.0
+    stop: float = 0.5
+    forget: float = 1.0
+    standstill: float = 0.3
+    arrived: float = 2.0
+    margin: float = 8.0
+    remember: float = 600.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
+            raise PlanningError(f"a latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
+        longest = self.patience.plan
+        if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
+            how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (patience.plan)"
+            raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
+
+
+def _is_steps(seconds: float) -> bool:
+    return abs(seconds / DT - round(seconds / DT)) < 1e-6
+
+
+class Runtime:
+    """Drives a vehicle along a course.
+
+    Args:
+        dynamics: that plans are made with; it is set to evaluate, without gradients.
+        wheels: in the body frame, from the pose point [m].
+        ground: known features of the ground, instead of what cameras see.
+        seed: of the sampled controls.
+
+    Raises:
+        PlanningError: the model reads features, and nothing looks for them.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        sight: Sight,
+        wheels: Float[np.ndarray, "4 2"],
+        course: Course,
+        settings: RuntimeSettings | None = None,
+        *,
+        ground: KnownGround | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._settings = settings or RuntimeSettings()
+        self._dynamics = dynamics.eval().requires_grad_(False)
+        self._encoder = dynamics.encoder if isinstance(dynamics, Hybrid) else None
+        self._ground = ground
+        if self._encoder is not None and ground is None and sight.look is None:
+            raise PlanningError("the model reads features, and no `look` gives any", how="give Sight(…, look=…)")
+        self._needed = np.isin(ACTUATORS, dynamics.vehicle.actuators)
+        self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
+        self._generator = torch.Generator().manual_seed(seed)
+        self.watch = Stopwatch()
+        self.guide = Guide(course)
+        self._track, self._schedule = VehicleTrack(), Schedule()
+        self._launch = Launch(self._settings.launch)
+        encoder = None if ground is not None else self._encoder
+        self._seeing = Seeing(sight, encoder, self._track, self._settings.replay, self.watch)
+        self._now, self._plan_due, self._map_empty, self._stopping = np.inf, -np.inf, False, False
+        self._predictions: deque[Prediction] = deque(maxlen=round(self._settings.remember * self._settings.plan_rate))
+        self.events: list[Event] = []
+        self.failures: list[str] = []
+
+    @property
+    def predictions(self) -> list[Prediction]:
+        """Where plans led, the latest last."""
+        return list(self._predictions)
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Messages that were no use, by why."""
+        return dict(self._seeing.dropped)
+
+    def vehicle(self, reading: VehicleReading) -> None:
+        """Take in what the vehicle says of itself; readings that are no use count as none (`dropped`)."""
+        latest = self._track.latest
+        if self._ahead("readings of the vehicle", reading.time):
+            return
+        if not reading.finite or not np.isfinite(reading.actuators[self._needed]).all():
+            self._seeing.dropped["readings of the vehicle that are not finite"] += 1
+        elif latest is not None and reading.time <= latest.time:
+            self._seeing.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
+        else:
+            if self._track.add(reading):
+                self._seeing.begin_anew()
+            self.guide.move(reading.position[:2])
+
+    def image(self, image: Image) -> None:
+        """Take in an image."""
+        if not self._ahead(image.camera, image.time):
+            self._seeing.image(image)
+
+    def scan(self, scan: Cloud) -> None:
+        """Take in a scan."""
+        if not self._ahead(scan.lidar, scan.time):
+            self._seeing.scan(scan)
+
+    def forget_map(self) -> None:
+        """Begin the map anew."""
+        self._seeing.begin_anew()
+
+    @torch.no_grad()
+    def command(self, now: float) -> Controls:
+        """What to do for the next `conventions.DT`; to be asked that often. If the clock goes back, all begins anew."""
+        if now < self._now < np.inf:
+            self._begin_anew()
+            self.events.append(Event(now, "stopping", "the clock went back"))
+        self._now = now
+        judgement = self._judge(now)
+        if now >= self._plan_due - 1e-6:
+            self._plan_due = now + 1 / self._settings.plan_rate
+            if judgement.mode != "stopping" or judgement.why in ("no plan", "empty map"):
+                with only_kernels_spread():
+                    self._plan(now, judgement)
+                judgement = self._judge(now)
+        controls = self._follow(now, judgement)
+        self._track.commanded(now, controls.command)
+        if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
+            self.events.append(Event(now, controls.mode, controls.why))
+        return controls
+
+    def _ahead(self, what: str, time: float) -> bool:
+        """Whether a stamp is ahead of the clock, and a note: taken in, it would make all that follows look old."""
+        ahead = time > self._now + self._settings.patience.ahead
+        if ahead:
+            self._seeing.dropped[f"{what}: stamps ahead of the clock"] += 1
+        return ahead
+
+    def _begin_anew(self) -> None:
+        self._track.clear()
+        self._schedule.clear()
+        self._seeing.begin_anew()
+        self._launch.reset()
+        self._plan_due = -np.inf
+
+    def _judge(self, now: float) -> Judgement:
+        seen, latest, followed = self._seeing, self._track.latest, self._schedule.acting(now)
+        ages = Ages(
+            state=now - (latest.time if latest else -np.inf),
+            scan=now - seen.scan_time,
+            image=now - seen.image_time if seen.looks else -np.inf,
+            plan=now - followed.start if followed else np.inf,
+        )
+        finished = self.guide.progress > self.guide.length - self._settings.arrived
+        return judge(ages, self._settings.patience, map_empty=self._map_empty, finished=finished)
+
+    def _follow(self, now: float, judgement: Judgement) -> Controls:
+        """The plan, or a controlled stop; a stop that has begun is ended, unless it was over before it began."""
+        planned = self._schedule.control(now)
+        stands = self._stands()
+        bad = judgement.mode == "stopping" or planned is None
+        if not bad and not (self._stopping and not stands):
+            self._stopping = False
+            assert planned is not None
+            planned[0] = self._launch.throttle(float(planned[0]), self._speed)
+            return Controls(now, planned, judgement.mode, judgement.why)
+        self._stopping = True
+        self._launch.reset()
+        # The wheels stay as they were planned: straight ahead may lead off the course.
+        steer = 0.0 if planned is None else float(planned[2])
+        command = np.array((0.0, self._settings.stop, steer))
+        why = judgement.why if bad or not self.events else self.events[-1].why
+        return Controls(now, command, "stopped" if stands else "stopping", why)
+
+    @property
+    def _speed(self) -> float:
+        latest = self._track.latest
+        return np.inf if latest is None else float(np.hypot(*latest.velocity[:2]))
+
+    def _stands(self) -> bool:
+        return self._speed < self._settings.standstill
+
+    def _plan(self, now: float, judgement: Judgement) -> None:
+        """Plan from the map as it is; a plan that fails leaves the last one."""
+        settings, latest = self._settings, self._track.latest
+        assert latest is not None
+        layers = self._seeing.layers()
+        rows = self._track.rows(latest.time)
+        state = rows.state[-1]
+        speed = max(float(np.hypot(*state[3:5])), self.guide.target)
+        half = 0.5 * speed * DT * HORIZON_STEPS
+        heading = np.array((np.cos(state[2]), np.sin(state[2])))
+        near = cropped(layers, state[:2] + half * heading, half + settings.margin)
+        self._map_empty = not near.known.any()
+        if self._map_empty:
+            return
+        with self.watch.of("encode map"):
+            area = coded_area(near, self._encoder, self._ground)
+        with self.watch.of("cost map"):
+            stretch = self.guide.stretch(at_most=settings.slow if judgement.slow else np.inf)
+            costs = cost_map(near, stretch, settings.hazards)
+        with self.watch.of("start"):
+            offset = torch.from_numpy(state[:2].copy())
+            given = self._committed(latest.time, now + settings.latency, rows)
+            committed = torch.as_tensor(given, dtype=torch.float32)
+            last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
+            carry = carry_of(self._dynamics, rows, area, self._wheels, offset)
+            at = Situation(area.stack, costs, self._wheels, offset, carry.state[0], last)
+            carry = carry_after(self._dynamics, carry, committed, area, at)
+            at = replace(at, state=carry.state[0])
+        with self.watch.of("plan"):
+            self._improve(now, area, carry, at)
+
+    def _committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
+        """What is commanded from the last reading until a new plan acts."""
+        latest = self._schedule.latest
+        if latest is not None and first - latest.start > self._settings.forget:
+            self._schedule.clear()
+        stop = np.array((0.0, self._settings.stop, 0.0))
+        steps = max(round((start - first) / DT), 0)
+        committed = self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
+        if self._stopping and not self._stands():  # the wheels follow the plan, the pedals do not
+            committed[:, :2] = stop[:2]
+        else:
+            committed[:, 0] = self._launch.ahead(committed[:, 0], self._speed)
+        return committed
+
+    def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
+        """A new plan, and where it leads; with no good one the last stays."""
+        settings, model = self._settings, self._dynamics
+        rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
+        start = now + settings.latency
+        before = self._schedule.continued(start, HORIZON_STEPS, rest)
+        cost_of = costs_from(model, carry, area, at, settings.weights)
+        try:
+            plan = mppi.improve(
+                feet_of(before),
+                with_one_foot(cost_of),
+                settings.sampling,
+                self._generator,
+                previous=feet_of(at.control),
+            )
+        except PlanningError as error:
+            self.failures.append(str(error))
+            return
+        if not plan.controls.isfinite().all():
+            self.failures.append("a plan that is not finite")
+            return
+        controls = controls_of(plan.controls)
+        self._schedule.add(TimedPlan(start, now, controls))
+        states = predicted(model, carry, controls, area, at, settings.weights)
+        self._predictions.append(Prediction(start, states))

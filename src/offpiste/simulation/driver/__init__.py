@@ -1,0 +1,1 @@
+"""The simulated driver: route, look-ahead and behaviour."""

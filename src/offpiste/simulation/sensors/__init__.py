@@ -1,0 +1,1 @@
+"""Simulated cameras and LiDARs, and the messages that they record."""

@@ -1,0 +1,172 @@
+"""A camera with lens distortion: rays through the distorted pixels, so that the image is what a real lens records."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from offpiste.compilation import RAYS
+from offpiste.simulation.sample import Pose
+from offpiste.simulation.sensors.own_body import body_hits
+from offpiste.simulation.sensors.scene import Hits, Scene, cast_rays, nearest
+from offpiste.simulation.sensors.shading import shade_rays
+from offpiste.simulation.world.appearance import Appearance
+from offpiste.simulation.world.noise import hashed
+
+LENS_BLUR = 0.6
+"""Standard deviation of the lens's and the demosaicing's blur [px]."""
+
+MIDDLE_GREY = 0.20
+"""Linear brightness that automatic exposure aims at; photographers' 18 %."""
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """One camera.
+
+    Attributes:
+        name: of the frame and the topic.
+        body_from_camera: optical frame: z forward, x right, y down.
+        rate: images [1/s].
+        width, height: [px].
+        focal_length: fx, fy [px].
+        centre: cx, cy [px]; the middle of the first pixel is (0, 0).
+        distortion: k1, k2, p1, p2, k3 of the `plumb_bob` model (Brown 1966, as in OpenCV and ROS CameraInfo).
+        vignetting: share of light lost in the corners.
+        full_well: electrons at full brightness; their square root is the shot noise.
+        read_noise: standard deviation over full brightness.
+    """
+
+    name: str
+    body_from_camera: Pose
+    rate: float = 10.0
+    width: int = 960
+    height: int = 594
+    focal_length: tuple[float, float] = (530.0, 530.5)
+    centre: tuple[float, float] = (483.2, 294.6)
+    distortion: tuple[float, float, float, float, float] = (-0.17, 0.028, 0.0006, -0.0004, 0.0)
+    vignetting: float = 0.25
+    full_well: float = 8000.0
+    read_noise: float = 0.002
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """K of CameraInfo."""
+        (fx, fy), (cx, cy) = self.focal_length, self.centre
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+class Camera:
+    """A camera on its vehicle; knows where its rays go and which of them end on the vehicle itself.
+
+    Attributes:
+        settings: what it was made from.
+        origin: of its rays in the body frame [m].
+        rays: unit vectors in the body frame, row after row of the distorted image.
+        own: where they end on the vehicle.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self.settings = settings
+        mount = settings.body_from_camera
+        self.origin: Float[np.ndarray, " 3"] = mount.position
+        self.rays: Float[np.ndarray, "n 3"] = (pixel_rays(settings) @ mount.rotation.T).astype(np.float32)
+        self.own = body_hits(np.broadcast_to(self.origin, self.rays.shape), self.rays)
+
+    def hits(self, scene: Scene, world_from_body: Pose) -> Hits:
+        """What each pixel's middle shows, row after row: the truth."""
+        origin = world_from_body.apply(self.origin[None])
+        rays = self.rays @ world_from_body.rotation.T.astype(np.float32)
+        return nearest(self.own, cast_rays(scene, np.broadcast_to(origin, rays.shape), rays))
+
+
+def pixel_rays(settings: CameraSettings) -> Float[np.ndarray, "n 3"]:
+    """Unit vectors in the optical frame through the middles of the pixels of the distorted image, row after row."""
+    u, v = np.meshgrid(np.arange(settings.width, dtype=float), np.arange(settings.height, dtype=float))
+    pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
+    distortion = np.array(settings.distortion)
+    flat = cv2.undistortPoints(pixels, settings.matrix, distortion, None, None, None, until)[:, 0]
+    rays = np.column_stack((flat, np.ones(len(flat))))
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def render(
+    scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, rng: np.random.Generator
+) -> UInt8[np.ndarray, "height width 3"]:
+    """One image, RGB, distorted, as the sensor's electronics hand it out."""
+    s = camera.settings
+    linear = np.empty((s.height, s.width, 3), np.float32)
+    _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
+    sharp = cv2.GaussianBlur(linear, (0, 0), LENS_BLUR)
+    image = np.empty((s.height, s.width, 3), np.uint8)
+    gain = exposure(linear) * appearance.light.exposure * appearance.light.balance.astype(np.float32)
+    seed, curve = int(rng.integers(2**31)), _tone_curve()
+
+    def block(first: int, last: int) -> None:
+        develop(sharp, first, last, gain, s.vignetting, s.full_well, s.read_noise, curve, seed, image)
+
+    scene.spread(s.height, block, size=32)
+    return image
+
+
+def exposure(linear: Float[np.ndarray, "height width 3"]) -> float:
+    """Gain that brings the lower two thirds of an image to middle grey, nearly: real ones lag and stop short."""
+    green = linear[linear.shape[0] // 3 :: 8, ::8, 1]
+    return float((MIDDLE_GREY / max(float(np.minimum(green, 1.5).mean()), 1e-3)) ** 0.8)
+
+
+def _shade(
+    scene: Scene,
+    appearance: Appearance,
+    camera: Camera,
+    world_from_body: Pose,
+    linear: Float[np.ndarray, "n 3"],
+) -> None:
+    """Fill in the light that reaches each pixel."""
+    position, rotation = world_from_body.position, world_from_body.rotation
+    origin = world_from_body.apply(camera.origin[None])[0]
+    turned = np.ascontiguousarray(rotation.T, np.float32)
+    pixel = 1 / max(camera.settings.focal_length)
+    look = (appearance.ground, appearance.light, appearance.shadow_boxes, appearance.paint, pixel)
+
+    def block(first: int, last: int) -> None:
+        rays = camera.rays[first:last] @ turned
+        own = Hits(**{name: values[first:last] for name, values in vars(camera.own).items()})
+        hits = nearest(own, scene.cast(np.broadcast_to(origin, rays.shape), rays))
+        found = (hits.distance, hits.surface, hits.item, hits.normal)
+        shade_rays(*look, origin, position, rotation, rays, *found, linear[first:last])
+
+    scene.spread(len(linear), block)
+
+
+@cache
+def _tone_curve() -> UInt8[np.ndarray, " n"]:
+    """Bytes by brightness 0 ... 2: sRGB (IEC 61966-2-1) with a soft shoulder, as cameras have it."""
+    value = np.linspace(0, 2, 4096)
+    value = np.where(value < 0.6, value, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)))
+    value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.rint(255 * value).astype(np.uint8)
+
+
+@RAYS.entry
+def develop(linear, first, last, gain, vignetting, full_well, read_noise, curve, seed, image):  # type: ignore[no-untyped-def]
+    """Rows of an image from the light that fell on them: fall-off, shot and read noise (EMVA 1288), tone curve.
+
+    Noise depends on the seed and the pixel alone, not on how rows are split over threads.
+    """
+    height, width = linear.shape[:2]
+    for v in range(first, last):
+        for u in range(width):
+            radius2 = ((u - 0.5 * width) ** 2 + (v - 0.5 * height) ** 2) / (0.25 * (width * width + height * height))
+            fall_off = 1 - vignetting * radius2
+            for channel in range(3):
+                value = max(linear[v, u, channel] * gain[channel] * fall_off, 0.0)
+                # A sum of four even numbers is nearly normal; its variance is 1/3.
+                even = hashed(3 * u + channel, v, seed) + hashed(3 * u + channel, v, seed + 1)
+                even += hashed(v, 3 * u + channel, seed) + hashed(v, 3 * u + channel, seed + 1)
+                sigma = np.sqrt(value / full_well + read_noise * read_noise)
+                value += (even - 2) * 1.732 * sigma
+                image[v, u, channel] = curve[int(min(max(value, 0.0) * 2047.5, 4095.0))]

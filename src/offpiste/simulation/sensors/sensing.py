@@ -1,0 +1,73 @@
+"""What cameras and LiDARs see along a drive: each at its own rate, as messages."""
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from offpiste.conventions import DT
+from offpiste.simulation.recorder import Recorder
+from offpiste.simulation.sample import Motion, Pose, VehicleSample
+from offpiste.simulation.sensors.camera import Camera, render
+from offpiste.simulation.sensors.lidar import Lidar
+from offpiste.simulation.sensors.messages import camera_info_message, image_message, points_message
+from offpiste.simulation.sensors.scene import Scene, world_scene
+from offpiste.simulation.sensors.suite import SensorSuite
+from offpiste.simulation.world.appearance import make_appearance
+from offpiste.simulation.world.world import World
+
+
+class Sensing:
+    """Looks at a world from a moving vehicle.
+
+    Args:
+        suite: the sensors; their rates must divide 50 Hz.
+        rng: of noise, and of the light of the day.
+        scene: of the world, where it is built already.
+    """
+
+    def __init__(
+        self, world: World, suite: SensorSuite, rng: np.random.Generator, *, scene: Scene | None = None
+    ) -> None:
+        self._scene, day = scene or world_scene(world), int(rng.integers(2**31))
+        self._look = make_appearance(world, self._scene, day) if suite.cameras else None
+        self._cameras = [Camera(settings) for settings in suite.cameras]
+        self._lidars = [Lidar(settings) for settings in suite.lidars]
+        self._rng = rng
+        turns = [round(1 / (lidar.settings.rate * DT)) for lidar in self._lidars]
+        self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
+
+    def observe(self, sample: VehicleSample, recorder: Recorder) -> Iterator[tuple[str, Any]]:
+        """Topics and messages of all measurements that are complete with this sample."""
+        self._past.append(sample)
+        row = round(sample.time / DT)
+        for camera in self._cameras:
+            if row % round(1 / (camera.settings.rate * DT)) == 0:
+                yield from self._picture(camera, sample, recorder)
+        for lidar in self._lidars:
+            turn = round(1 / (lidar.settings.rate * DT))
+            if row % turn == 0 and row >= turn:
+                yield self._turn(lidar, list(self._past)[-turn - 1 :], recorder)
+
+    def _picture(self, camera: Camera, sample: VehicleSample, recorder: Recorder) -> Iterator[tuple[str, Any]]:
+        s = camera.settings
+        assert self._look is not None
+        image = render(self._scene, self._look, camera, Pose(sample.position, sample.orientation), self._rng)
+        stamp = recorder.sensor_stamp_ns(sample.time)
+        yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)
+        size = (s.width, s.height)
+        yield (
+            f"/{s.name}/camera_info",
+            camera_info_message(s.matrix, np.asarray(s.distortion), size, stamp, s.name),
+        )
+
+    def _turn(self, lidar: Lidar, samples: list[VehicleSample], recorder: Recorder) -> tuple[str, Any]:
+        motion = Motion(
+            np.array([s.time for s in samples]),
+            np.stack([s.position for s in samples]),
+            np.stack([s.orientation for s in samples]),
+        )
+        scan = lidar.scan(self._scene, motion, samples[0].time, self._rng)
+        stamp, name = recorder.sensor_stamp_ns(samples[0].time), lidar.settings.name
+        return f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name)

@@ -1,0 +1,1 @@
+"""The simulated side-by-side: rigid bodies, tyres, drivetrain and chassis."""

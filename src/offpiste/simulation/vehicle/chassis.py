@@ -1,0 +1,130 @@
+"""What acts on the chassis itself: air, plants, the ground where it touches, and trees (compiled scalars).
+
+Touching is a soft penalty: nothing here is meant to be a crash test, only to keep the vehicle above ground.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.compilation import PHYSICS
+from offpiste.simulation.vehicle.tyre import add, cross, dot, turned
+from offpiste.simulation.world.surface import height
+from offpiste.simulation.world.world import World
+
+TOUCH_STIFFNESS, TOUCH_DAMPING, TOUCH_FRICTION = 80e3, 4e3, 0.5
+"""Of one chassis point on the ground [N/m, N s/m, 1]."""
+
+TREE_STIFFNESS, TREE_DAMPING = 300e3, 30e3
+"""Of a trunk against the body [N/m, N s/m]."""
+
+PUSH_SPEED = 0.3
+"""Below it drag of plants and friction of the body fade out [m/s]."""
+
+
+def surroundings(
+    world: World, x: float, y: float, cos_yaw: float, sin_yaw: float, length: float, width: float
+) -> Float[np.ndarray, " 4"]:
+    """The nearest trunk's x, y, radius [m] (radius 0: none near) and the drag of all bushes under the body [N].
+
+    Args:
+        x, y: centre of the body [m].
+        cos_yaw, sin_yaw: of its heading.
+        length, width: of the body [m].
+    """
+    around = np.zeros(4)
+    trees, bushes = world.trees, world.bushes
+    if len(trees.trunk_radius):
+        gap = np.hypot(trees.foot[:, 0] - x, trees.foot[:, 1] - y) - trees.trunk_radius
+        nearest = int(np.argmin(gap))
+        if gap[nearest] < length:
+            around[:3] = *trees.foot[nearest, :2], trees.trunk_radius[nearest]
+    if len(bushes.radius):
+        dx, dy = bushes.foot[:, 0] - x, bushes.foot[:, 1] - y
+        ahead, aside = np.abs(cos_yaw * dx + sin_yaw * dy), np.abs(cos_yaw * dy - sin_yaw * dx)
+        gap = np.hypot(np.maximum(ahead - length / 2, 0), np.maximum(aside - width / 2, 0))
+        around[3] = bushes.drag[gap < bushes.radius].sum()
+    return around
+
+
+@PHYSICS.entry
+def chassis_forces(q, around, body, qpos, qvel, elevation, x0, y0, resolution, touched, body_forces):  # type: ignore[no-untyped-def]
+    """Add the forces on the chassis to row 1 of `body_forces`; arguments as of `forces.substep`."""
+    velocity = (qvel[0], qvel[1], qvel[2])
+    com = (q.sprung_com_x, q.sprung_com_y, q.sprung_com_z)
+    speed = np.sqrt(dot(velocity, velocity))
+    planar = np.sqrt(qvel[0] * qvel[0] + qvel[1] * qvel[1])
+    air = 0.5 * q.air_density * q.drag_area * speed
+    bush = around[3] * np.tanh(planar / PUSH_SPEED) / (planar + 1e-9)
+    pull = (-(air + bush) * qvel[0], -(air + bush) * qvel[1], -air * qvel[2])
+    _push(pull, com, com, body, body_forces)
+
+    half, side = 0.5 * q.length, 0.5 * q.width
+    for number in range(12):
+        sx, sy = 1.0 if number % 2 == 0 else -1.0, 1.0 if number % 4 < 2 else -1.0
+        if number < 4:
+            point = (sx * half, sy * side, q.bumper_height)
+        elif number < 8:
+            point = (sx * 0.25 * q.wheelbase, sy * 0.5 * side, q.belly_height)
+        else:
+            point = (sx * 0.2 * q.length - 0.1 * q.length, sy * 0.85 * side, q.roof_height)
+        if _touch_ground(point, com, body, qpos, qvel, elevation, x0, y0, resolution, body_forces) and number >= 8:
+            touched[0] = 1.0
+    if around[2] > 0.0:
+        _touch_tree(q, around, com, body, qpos, qvel, touched, body_forces)
+
+
+@PHYSICS.entry
+def _push(force, point, com, body, body_forces):  # type: ignore[no-untyped-def]
+    # A world-frame force at a body-frame point; MuJoCo wants its torque about the centre of mass.
+    torque = cross(turned(add(point, com, -1.0), body[0], body[1], body[2]), force)
+    for k in range(3):
+        body_forces[1, k] += force[k]
+        body_forces[1, 3 + k] += torque[k]
+
+
+@PHYSICS.entry
+def _moving(point, body, qvel):  # type: ignore[no-untyped-def]
+    turn = turned(cross((qvel[3], qvel[4], qvel[5]), point), body[0], body[1], body[2])
+    return add((qvel[0], qvel[1], qvel[2]), turn, 1.0)
+
+
+@PHYSICS.entry
+def _touch_ground(point, com, body, qpos, qvel, elevation, x0, y0, resolution, body_forces):  # type: ignore[no-untyped-def]
+    place = add((qpos[0], qpos[1], qpos[2]), turned(point, body[0], body[1], body[2]), 1.0)
+    depth = height(elevation, x0, y0, resolution, place[0], place[1]) - place[2]
+    if depth <= 0.0:
+        return False
+    velocity = _moving(point, body, qvel)
+    load = max(TOUCH_STIFFNESS * depth - TOUCH_DAMPING * velocity[2], 0.0)
+    planar = np.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
+    drag = TOUCH_FRICTION * load * np.tanh(planar / PUSH_SPEED) / (planar + 1e-9)
+    _push((-drag * velocity[0], -drag * velocity[1], load), point, com, body, body_forces)
+    return True
+
+
+@PHYSICS.entry
+def _touch_tree(q, around, com, body, qpos, qvel, touched, body_forces):  # type: ignore[no-untyped-def]
+    # Circle against the body's footprint in the plane, pushed at bumper height.
+    forward = body[0]
+    size = np.sqrt(forward[0] * forward[0] + forward[1] * forward[1]) + 1e-9
+    c, s = forward[0] / size, forward[1] / size
+    dx, dy = around[0] - qpos[0], around[1] - qpos[1]
+    x, y = c * dx + s * dy, c * dy - s * dx
+    half, side = 0.5 * q.length, 0.5 * q.width
+    near_x, near_y = min(max(x, -half), half), min(max(y, -side), side)
+    gap_x, gap_y = x - near_x, y - near_y
+    gap = np.sqrt(gap_x * gap_x + gap_y * gap_y)
+    depth = around[2] - gap
+    if depth <= 0.0:
+        return
+    touched[1] = 1.0
+    if gap > 1e-6:
+        nx, ny = gap_x / gap, gap_y / gap
+    else:  # the trunk's centre is inside: out through the nearer end
+        nx, ny = (1.0 if x > 0.0 else -1.0), 0.0
+        depth += half - abs(x)
+    normal = (c * nx - s * ny, s * nx + c * ny, 0.0)
+    point = (near_x, near_y, q.bumper_height)
+    closing = dot(_moving(point, body, qvel), normal)
+    load = max(TREE_STIFFNESS * depth + TREE_DAMPING * closing, 0.0)
+    _push((-load * normal[0], -load * normal[1], 0.0), point, com, body, body_forces)

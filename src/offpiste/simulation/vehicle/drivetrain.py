@@ -1,0 +1,142 @@
+"""From the commands to torques at the wheels: engine, CVT, four-wheel drive, brakes and steering (compiled scalars).
+
+Engine and wheels are five inertias (engine, then wheels in the order of `WHEELS`) joined by couplings that turn slip
+into torque: a centrifugal clutch behind which the belt's ratio applies, a centre coupling (four-wheel drive without
+centre differential), and both differentials (front open, rear viscous). One implicit step solves them all; couplings
+and brakes are passive in it, so that a stiff one only slows things down, never rings.
+"""
+
+import numpy as np
+
+from offpiste.compilation import PHYSICS
+
+COULOMB_SPEED = 1e-4
+"""Below this wheel speed [rad/s] a brake holds like stiff oil instead of like dry friction."""
+
+
+@PHYSICS.entry
+def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
+    """Torque of the engine with limiter and idle governor [N m].
+
+    Args:
+        speed: [rad/s].
+        throttle: 0..1: between friction alone and the full curve.
+    """
+    bend = (speed - p.engine_torque_speed) / p.engine_torque_speed
+    full = p.engine_torque * max(1.0 - p.engine_torque_bend * bend * bend, 0.0)
+    open_share = throttle * min(max((p.limiter_speed - speed) / p.limiter_band, 0.0), 1.0)
+    drag = (p.engine_drag + p.engine_drag_slope * speed) * min(speed / 10.0, 1.0)
+    idle = p.idle_gain * max(p.idle_speed - speed, 0.0) * (1.0 - throttle)
+    return open_share * full - (1.0 - open_share) * drag + idle
+
+
+@PHYSICS.entry
+def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyped-def]
+    """The belt's ratio one step later: it follows, with a lag, the ratio that holds the engine at its wanted speed.
+
+    Args:
+        ratio: engine over secondary shaft.
+        shaft_speed: of the secondary shaft [rad/s].
+    """
+    wanted_speed = p.cruise_speed + (p.power_speed - p.cruise_speed) * throttle
+    wanted = min(max(wanted_speed / max(shaft_speed, 1.0), p.ratio_high), p.ratio_low)
+    return ratio + (wanted - ratio) * dt / (p.shift_time + dt)
+
+
+@PHYSICS.entry
+def clutch_rate(engine_speed, slip, p):  # type: ignore[no-untyped-def]
+    """Torque over slip of the centrifugal clutch, so that its capacity is not exceeded [N m s/rad].
+
+    Args:
+        engine_speed: [rad/s].
+        slip: engine speed minus the speed behind the clutch; the faster side engages it (a sprag gives engine braking).
+    """
+    speed = max(engine_speed, engine_speed - slip)
+    capacity = p.clutch_gain * max(speed * speed - p.clutch_speed * p.clutch_speed, 0.0)
+    return min(p.clutch_rate, capacity / max(abs(slip), 1e-6))
+
+
+@PHYSICS.entry
+def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: ignore[no-untyped-def]
+    """Engine and wheels one step later.
+
+    Args:
+        speeds: [5], overwritten [rad/s].
+        ratio: of the belt.
+        throttle: 0..1.
+        brake: pressure, 0..1.
+        tyre_torque: [4], of the ground on the wheels [N m].
+        matrix: [5, 6], scratch.
+    """
+    total = ratio * p.final_ratio
+    matrix[:] = 0.0
+    matrix[0, 0] = p.engine_inertia / dt
+    matrix[0, 5] = p.engine_inertia / dt * speeds[0] + engine_torque(speeds[0], throttle, p)
+    for i in range(4):
+        share = p.brake_front_share if i < 2 else 1.0 - p.brake_front_share
+        dry = 0.5 * share * brake * p.brake_torque + p.shaft_drag
+        hold = dry / max(abs(speeds[i + 1]), COULOMB_SPEED) + p.shaft_drag_slope
+        matrix[i + 1, i + 1] = p.wheel_inertia / dt + hold
+        matrix[i + 1, 5] = p.wheel_inertia / dt * speeds[i + 1] + tyre_torque[i]
+    slip = speeds[0] - total * 0.25 * (speeds[1] + speeds[2] + speeds[3] + speeds[4])
+    side = -0.25 * total
+    _couple(matrix, clutch_rate(speeds[0], slip, p), 1.0, side, side, side, side)
+    _couple(matrix, p.centre_rate, 0.0, 0.5, 0.5, -0.5, -0.5)
+    _couple(matrix, p.front_rate, 0.0, 1.0, -1.0, 0.0, 0.0)
+    _couple(matrix, p.rear_rate, 0.0, 0.0, 0.0, 1.0, -1.0)
+    _solve(matrix, speeds)
+    speeds[0] = max(speeds[0], 0.0)
+
+
+@PHYSICS.entry
+def _couple(matrix, rate, engine, front_left, front_right, rear_left, rear_right):  # type: ignore[no-untyped-def]
+    # A coupling whose slip is u . speeds and whose torques are -rate (u . speeds) u adds rate u u^T.
+    u = (engine, front_left, front_right, rear_left, rear_right)
+    for i in range(5):
+        for j in range(5):
+            matrix[i, j] += rate * u[i] * u[j]
+
+
+@PHYSICS.entry
+def _solve(matrix, solution):  # type: ignore[no-untyped-def]
+    # Gauss without pivoting: the matrix is symmetric and positive definite.
+    for k in range(5):
+        for i in range(k + 1, 5):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k, 6):
+                matrix[i, j] -= factor * matrix[k, j]
+    for k in range(4, -1, -1):
+        value = matrix[k, 5]
+        for j in range(k + 1, 5):
+            value -= matrix[k, j] * solution[j]
+        solution[k] = value / matrix[k, k]
+
+
+@PHYSICS.entry
+def braked_pressure(pressure, command, dt, p):  # type: ignore[no-untyped-def]
+    """Brake pressure one step later, a first-order lag behind the (delayed) command [0..1]."""
+    return pressure + (command - pressure) * dt / (p.brake_time + dt)
+
+
+@PHYSICS.entry
+def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
+    """Steering angle [rad] and its rate [rad/s] one step later: second order, both limited.
+
+    Args:
+        command: -1..1, + left, of the largest angle.
+    """
+    frequency = p.steer_frequency
+    pull = frequency * frequency * (command * p.max_steer - angle) - 2.0 * p.steer_damping * frequency * rate
+    rate = min(max(rate + pull * dt, -p.max_steer_rate), p.max_steer_rate)
+    moved = angle + rate * dt
+    if abs(moved) > p.max_steer:
+        return min(max(moved, -p.max_steer), p.max_steer), 0.0
+    return moved, rate
+
+
+@PHYSICS.entry
+def wheel_angles(angle, p):  # type: ignore[no-untyped-def]
+    """Angles of the front-left and front-right wheel after Ackermann, for the angle of one wheel between them [rad]."""
+    curvature = np.tan(angle) / p.wheelbase
+    side = 0.5 * p.track * curvature
+    return np.arctan(p.wheelbase * curvature / (1.0 - side)), np.arctan(p.wheelbase * curvature / (1.0 + side))

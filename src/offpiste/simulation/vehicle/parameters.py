@@ -1,0 +1,162 @@
+"""What a vehicle is made of: numbers with their sources in a TOML, checked key by key when they are read."""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from offpiste.conventions import GRAVITY
+from offpiste.errors import OffpisteError
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
+Height = float
+
+
+class VehicleError(OffpisteError):
+    """A vehicle's file is wrong."""
+
+
+class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A side-by-side; meaning, unit and source of every value stand in side_by_side.toml.
+
+    The pose point is the centre of the wheel base at the height of the wheel centres at rest; wheels stand at
+    x = +-wheelbase / 2, y = +-track / 2 of it.
+    """
+
+    wheelbase: Positive
+    track: Positive
+    mass: Positive
+    front_share: Share
+    com_height: Positive
+    roll_inertia: Positive
+    pitch_inertia: Positive
+    yaw_inertia: Positive
+    length: Positive
+    width: Positive
+    belly_height: Height
+    bumper_height: Height
+    roof_height: Positive
+    drag_area: Positive
+    air_density: Positive
+
+    unsprung_mass: Positive
+    spring_front: Positive
+    spring_rear: Positive
+    damper_front: Positive
+    damper_rear: Positive
+    damper_asymmetry: Share
+    anti_roll_front: Positive
+    anti_roll_rear: Positive
+    bump_travel: Positive
+    droop_travel: Positive
+    stop_stiffness: Positive
+    stop_damping: Positive
+
+    wheel_radius: Positive
+    rolling_radius: Positive
+    tyre_width: Positive
+    tyre_stiffness: Positive
+    tyre_damping: Positive
+    rim_deflection: Positive
+    rim_stiffness: Positive
+    wheel_inertia: Positive
+    slip_stiffness_ratio: Positive
+    relaxation_length: Positive
+    standstill_damping: Positive
+    standstill_speed: Positive
+    envelope_length: Positive
+    resistance_speed: Positive
+
+    engine_torque: Positive
+    engine_torque_speed: Positive
+    engine_torque_bend: Positive
+    engine_drag: Positive
+    engine_drag_slope: Positive
+    engine_inertia: Positive
+    idle_speed: Positive
+    idle_gain: Positive
+    limiter_speed: Positive
+    limiter_band: Positive
+
+    ratio_low: Positive
+    ratio_high: Positive
+    final_ratio: Positive
+    shift_time: Positive
+    cruise_speed: Positive
+    power_speed: Positive
+    clutch_speed: Positive
+    clutch_gain: Positive
+    clutch_rate: Positive
+    centre_rate: Positive
+    front_rate: Positive
+    rear_rate: Positive
+    shaft_drag: Positive
+    shaft_drag_slope: Positive
+
+    brake_torque: Positive
+    brake_front_share: Share
+    brake_delay: Positive
+    brake_time: Positive
+    max_steer: Annotated[float, msgspec.Meta(gt=0, lt=1.2)]
+    max_steer_rate: Positive
+    steer_frequency: Positive
+    steer_damping: Positive
+
+    @property
+    def static_load_front(self) -> float:
+        """Of one front wheel on flat ground [N]."""
+        return self.mass * GRAVITY * self.front_share / 2
+
+    @property
+    def static_load_rear(self) -> float:
+        """Of one rear wheel on flat ground [N]."""
+        return self.mass * GRAVITY * (1 - self.front_share) / 2
+
+    @property
+    def rest_height(self) -> float:
+        """Of the pose point above flat ground at rest [m]: mean of the loaded radii."""
+        return self.wheel_radius - self.mass * GRAVITY / 4 / self.tyre_stiffness
+
+    @property
+    def sprung_mass(self) -> float:
+        """Chassis without the wheels [kg]."""
+        return self.mass - 4 * self.unsprung_mass
+
+    @property
+    def sprung_com(self) -> tuple[float, float, float]:
+        """Centre of the sprung mass from the pose point, in the body frame [m]."""
+        scale = self.mass / self.sprung_mass
+        return (
+            scale * self.wheelbase * (self.front_share - 0.5),
+            0.0,
+            scale * (self.com_height - self.rest_height),
+        )
+
+    def as_record(self) -> np.record:
+        """The same for compiled code: a record with a float64 field of each name."""
+        values: dict[str, Any] = msgspec.structs.asdict(self)
+        values |= {name: getattr(self, name) for name in ("static_load_front", "static_load_rear", "rest_height")}
+        values |= dict(zip(("sprung_com_x", "sprung_com_y", "sprung_com_z"), self.sprung_com, strict=True))
+        return np.rec.array([tuple(values.values())], dtype=[(name, np.float64) for name in values])[0]
+
+
+def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
+    """Read a vehicle's TOML; None: the side-by-side that is shipped.
+
+    Raises:
+        VehicleError: the file is missing, no TOML, or a key is unknown, missing or out of its range.
+    """
+    file = resources.files("offpiste.simulation.vehicle") / "side_by_side.toml" if path is None else Path(path)
+    try:
+        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), VehicleParameters)
+    except OSError as error:
+        raise VehicleError(f"cannot read the vehicle: {error.strerror}", where=str(file)) from error
+    except tomllib.TOMLDecodeError as error:
+        raise VehicleError(f"not TOML: {error}", where=str(file)) from error
+    except msgspec.ValidationError as error:
+        how = "compare with offpiste/simulation/side_by_side.toml"
+        raise VehicleError(f"{error}".replace("$.", ""), where=str(file), how=how) from error

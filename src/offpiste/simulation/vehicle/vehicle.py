@@ -1,0 +1,272 @@
+"""The rigid bodies of the vehicle as MuJoCo sees them: a free chassis and four wheels that slide up and down on it.
+
+MuJoCo integrates the bodies; every force on them is ours (`offpiste.simulation.vehicle.forces`), so contacts and constraints
+are off. Wheels do not spin here: their spin is a state of its own, and its reaction acts as a torque.
+
+A side-by-side that drives in a `World`: MuJoCo's rigid bodies under our own tyres, drive train and ground.
+"""
+
+from collections import deque
+from copy import deepcopy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from offpiste.conventions import DT, GRAVITY
+from offpiste.simulation.sample import VehicleSample, WheelTruth
+from offpiste.simulation.vehicle.chassis import surroundings
+from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep
+from offpiste.simulation.vehicle.parameters import VehicleParameters
+from offpiste.simulation.world.surface import height, main_kind
+from offpiste.simulation.world.world import World
+
+CHASSIS, FIRST_WHEEL = 1, 2
+"""Body numbers in MuJoCo; wheels follow in the order of `WHEELS`."""
+
+_MODEL = """
+<mujoco model="side-by-side">
+  <option timestep="{timestep}" gravity="0 0 -{gravity}" integrator="Euler">
+    <flag contact="disable" constraint="disable"/>
+  </option>
+  <worldbody>
+    <body name="chassis">
+      <freejoint/>
+      <inertial pos="{com[0]} {com[1]} {com[2]}" mass="{mass}" diaginertia="{roll} {pitch} {yaw}"/>
+      {wheels}
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+_WHEEL = """
+      <body name="wheel-{number}" pos="{x} {y} 0">
+        <joint type="slide" axis="0 0 1"/>
+        <inertial pos="0 0 0" mass="{mass}" diaginertia="{tilt} {spin} {tilt}"/>
+      </body>"""
+
+
+def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
+    """The `mujoco.MjModel` of a vehicle: qpos = pose point (3), quaternion wxyz (4), travel of the wheels, + up (4).
+
+    Args:
+        timestep: of one `mj_step` [s].
+    """
+    import mujoco
+
+    p = parameters
+    x, y = p.wheelbase / 2, p.track / 2
+    places = ((x, y), (x, -y), (-x, y), (-x, -y))
+    # A wheel is a ring about as wide as half its radius: its inertia across is a bit over half of that about its axis.
+    inertia = {"mass": p.unsprung_mass, "spin": p.wheel_inertia, "tilt": 0.6 * p.wheel_inertia}
+    wheels = "".join(_WHEEL.format(number=i, x=x, y=y, **inertia) for i, (x, y) in enumerate(places))
+    xml = _MODEL.format(
+        timestep=timestep,
+        gravity=GRAVITY,
+        com=p.sprung_com,
+        mass=p.sprung_mass,
+        roll=p.roll_inertia,
+        pitch=p.pitch_inertia,
+        yaw=p.yaw_inertia,
+        wheels=wheels,
+    )
+    return mujoco.MjModel.from_xml_string(xml)
+
+
+SUBSTEPS = 10
+"""Of 2 ms in one step of `DT`; the fastest oscillation (a wheel's spin on its tyre) has about 100 rad/s."""
+
+SETTLING_STEPS = 40
+"""Steps in which a vehicle that is put on the ground finds its springs' rest."""
+
+TILT_LIMIT = np.cos(np.radians(70))
+BORDER = 3.0
+"""Leaving the world: nearer than this to its edge [m]."""
+
+
+class VehicleSimulation:
+    """A vehicle put on the ground of a world and driven by commands.
+
+    The pose point is the centre of the wheel base at the height of the wheel centres at rest. Same inputs, same bytes.
+
+    Args:
+        world: the ground, trees and bushes.
+        parameters: of the vehicle.
+        x, y: of the pose point at the start [m].
+        yaw: heading there [rad].
+        speed: forwards [m/s].
+    """
+
+    def __init__(
+        self, world: World, parameters: VehicleParameters, *, x: float, y: float, yaw: float, speed: float = 0.0
+    ) -> None:
+        self._world, self._parameters = world, parameters
+        self._record = parameters.as_record()
+        self._grid = _grid_of(world)
+        self._model = build_bodies(parameters, DT / SUBSTEPS)
+        self._look_into(mujoco.MjData(self._model))
+        self._actuators, self._speeds = np.zeros(4), np.zeros(5)
+        self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
+        self._touched, self._scratch = np.zeros(2), np.zeros((6, 6))
+        self._command = np.zeros(3)
+        self._brakes: deque[float] = deque([0.0] * round(parameters.brake_delay / DT))
+        self._steps = 0
+        self._reported: set[str] = set()
+        self._events: list[str] = []
+        self._put(x, y, yaw)
+        self._start(speed)
+
+    def branch(self, world: World) -> "VehicleSimulation":
+        """A second vehicle in the same state, in a world of the same shape whose ground may differ; this one stays."""
+        other = deepcopy(
+            self, {id(shared): shared for shared in (self._world, self._grid, self._model, self._parameters)}
+        )
+        other._world, other._grid = world, _grid_of(world)
+        other._look_into(other._data)
+        return other
+
+    @property
+    def time(self) -> float:
+        """Since the start [s]."""
+        return self._steps * DT
+
+    def step(self, throttle: float, brake: float, steer: float) -> None:
+        """Advance by `DT` under one command, held.
+
+        Args:
+            throttle, brake: 0..1.
+            steer: -1..1, + left.
+        """
+        self._command[:] = np.clip((throttle, brake, steer), (0, 0, -1), (1, 1, 1))
+        self._brakes.append(float(self._command[1]))
+        held = np.array((self._command[0], self._brakes.popleft(), self._command[2]))
+        around = self._surroundings()
+        for _ in range(SUBSTEPS):
+            self._apply(held, around)
+            mujoco.mj_step(self._model, self._data)
+        self._steps += 1
+        self._watch()
+
+    def sample(self) -> VehicleSample:
+        """What the vehicle's sensors and the truth say now; events are told once."""
+        quaternion = self._qpos[[4, 5, 6, 3]]
+        events, self._events = tuple(self._events), []
+        return VehicleSample(
+            time=self.time,
+            position=self._qpos[:3].copy(),
+            orientation=quaternion / np.linalg.norm(quaternion),
+            velocity=self._qvel[:3].copy(),
+            angular_velocity=self._qvel[3:6].copy(),
+            command=self._command.copy(),
+            brake_pressure=float(self._actuators[PRESSURE]),
+            steer_angle=float(self._actuators[STEER]),
+            steer_rate=float(self._actuators[STEER_RATE]),
+            engine_speed=float(self._speeds[0] * 60 / (2 * np.pi)),
+            wheel_speed=self._speeds[1:] * self._parameters.rolling_radius,
+            suspension=self._qpos[7:] + self._parameters.droop_travel,
+            truth=self._wheel_truth(),
+            events=events,
+        )
+
+    def _look_into(self, data: mujoco.MjData) -> None:
+        # Views into MuJoCo's memory: they move with it.
+        self._data = data
+        self._qpos, self._qvel = data.qpos, data.qvel
+        self._body_forces, self._joint_forces = data.xfrc_applied, data.qfrc_applied
+
+    def _apply(self, command: np.ndarray, around: np.ndarray) -> None:
+        substep(
+            self._record, DT / SUBSTEPS, command, around, *self._grid,
+            self._qpos, self._qvel, self._actuators, self._speeds, self._deflection, self._truth, self._touched,
+            self._body_forces, self._joint_forces, self._scratch,
+        )  # fmt: skip
+
+    def _surroundings(self) -> np.ndarray:
+        w, x, y, z = self._qpos[3:7]
+        yaw = np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
+        p = self._parameters
+        return surroundings(
+            self._world, self._qpos[0], self._qpos[1], float(np.cos(yaw)), float(np.sin(yaw)), p.length, p.width
+        )
+
+    def _put(self, x: float, y: float, yaw: float) -> None:
+        # On the plane through the ground under the wheels, then down onto the springs without moving sideways.
+        p = self._parameters
+        c, s = np.cos(yaw), np.sin(yaw)
+        offsets = np.array([(i * p.wheelbase / 2, j * p.track / 2) for i in (1, -1) for j in (1, -1)])
+        places = (x, y) + offsets @ np.array(((c, s), (-s, c)))
+        elevation, _, x0, y0, resolution = self._grid
+        heights = np.array([height(elevation, x0, y0, resolution, *place) for place in places])
+        along = (heights[:2].sum() - heights[2:].sum()) / 2 / p.wheelbase
+        across = (heights[::2].sum() - heights[1::2].sum()) / 2 / p.track
+        forward = np.array((c, s, along)) / np.hypot(1, along)
+        up = np.cross(forward, (-s, c, across))
+        up /= np.linalg.norm(up)
+        rotation = np.stack((forward, np.cross(up, forward), up), axis=1)
+        self._qpos[:3] = x, y, heights.mean() + p.rest_height / up[2]
+        mujoco.mju_mat2Quat(self._qpos[3:7], rotation.ravel())
+        self._actuators[RATIO] = p.ratio_low
+        self._speeds[0] = p.idle_speed
+        around = np.zeros(4)
+        for _ in range(SETTLING_STEPS * SUBSTEPS):
+            self._apply(np.zeros(3), around)
+            mujoco.mj_step(self._model, self._data)
+            self._qpos[:2] = x, y
+            self._qvel[:2], self._qvel[5] = 0, 0
+            self._deflection[:], self._speeds[1:] = 0, 0
+            self._actuators[PRESSURE] = 0
+
+    def _start(self, speed: float) -> None:
+        p = self._parameters
+        forward = self._data.xmat[1].reshape(3, 3)[:, 0]
+        self._qvel[:] = 0
+        self._qvel[:3] = speed * forward
+        self._speeds[1:] = speed / p.rolling_radius
+        shaft = p.final_ratio * speed / p.rolling_radius
+        self._actuators[:] = 0
+        self._actuators[RATIO] = np.clip(p.cruise_speed / max(shaft, 1.0), p.ratio_high, p.ratio_low)
+        self._speeds[0] = max(p.idle_speed, shaft * self._actuators[RATIO])
+        self._touched[:] = 0
+
+    def _watch(self) -> None:
+        x, y = self._qpos[:2]
+        elevation, _, x0, y0, resolution = self._grid
+        ny, nx = elevation.shape
+        inside = (
+            x0 + BORDER <= x <= x0 + (nx - 1) * resolution - BORDER
+            and y0 + BORDER <= y <= y0 + (ny - 1) * resolution - BORDER
+        )
+        tilt = 1 - 2 * (self._qpos[4] ** 2 + self._qpos[5] ** 2)
+        found = {
+            "rollover": tilt < TILT_LIMIT or bool(self._touched[0]),
+            "collision with a tree": bool(self._touched[1]),
+            "left the world": not inside,
+        }
+        for event, happened in found.items():
+            if happened and event not in self._reported:
+                self._reported.add(event)
+                self._events.append(event)
+
+    def _wheel_truth(self) -> WheelTruth:
+        truth = self._truth.copy()
+        _, _, x0, y0, resolution = self._grid
+        kinds = [main_kind(self._world.kinds, x0, y0, resolution, x, y) for x, y in truth[:, :2]]
+        return WheelTruth(
+            contact=truth[:, :3],
+            properties=truth[:, 3:7],
+            kind=np.array(kinds),
+            load=truth[:, 7],
+            slip_ratio=truth[:, 8],
+            slip_angle=truth[:, 9],
+        )
+
+
+def _grid_of(world: World) -> tuple[np.ndarray, np.ndarray, float, float, float]:
+    """What `substep` reads of a world."""
+    return (
+        np.ascontiguousarray(world.elevation, dtype=np.float64),
+        np.ascontiguousarray(world.properties, dtype=np.float64),
+        float(world.origin[0]),
+        float(world.origin[1]),
+        float(world.resolution),
+    )

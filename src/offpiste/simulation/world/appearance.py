@@ -1,0 +1,295 @@
+"""The light of one drive: sun, sky, clouds, haze and the camera's mood. It varies from drive to drive and says nothing
+about grip.
+
+How a world looks on one drive: colours and textures of its ground, light, and what says nothing about grip.
+"""
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from offpiste.simulation.sensors.own_body import BOXES
+from offpiste.simulation.sensors.scene import Scene
+from offpiste.simulation.sensors.shading import (
+    BLADES,
+    CHANNELS,
+    COARSE,
+    FINE,
+    GLOSS,
+    HIGH,
+    LOW,
+    MOST_RELIEF,
+    OPEN,
+    RELIEF,
+    RIPPLES,
+    STONES,
+    SUN,
+    TRAIL,
+    TRAIL_REACH,
+    Ground,
+)
+from offpiste.simulation.world.ground import colour_table
+from offpiste.simulation.world.noise import WAVELENGTHS, octave_turns, random_lattice, smooth_noise, smooth_step
+from offpiste.simulation.world.surface import normals_of
+from offpiste.simulation.world.world import GROUND_KINDS, World
+
+WARMER, GREENER = np.array((1.0, 0.0, -1.0)), np.array((-0.5, 1.0, -0.5))
+"""How a camera's white balance errs: mostly along the colours of daylight."""
+
+
+class Light(NamedTuple):
+    """Colours are linear RGB; white ground in full sun has about 1.
+
+    Attributes:
+        sun: unit vector to it, in the world frame.
+        sun_colour, sky_colour: light of the sun on a surface that faces it, and of the whole sky on a level one.
+        horizon_colour, zenith_colour: of the sky as one sees it.
+        haze: share of light lost per metre [1/m].
+        overcast: share of the sky with clouds [0..1].
+        clouds: offset of their pattern.
+        exposure: times what the automatic exposure chooses.
+        balance: of red, green and blue by the camera.
+    """
+
+    sun: Float[np.ndarray, " 3"]
+    sun_colour: Float[np.ndarray, " 3"]
+    sky_colour: Float[np.ndarray, " 3"]
+    horizon_colour: Float[np.ndarray, " 3"]
+    zenith_colour: Float[np.ndarray, " 3"]
+    haze: float
+    overcast: float
+    clouds: Float[np.ndarray, " 2"]
+    exposure: float
+    balance: Float[np.ndarray, " 3"]
+
+
+def draw_light(rng: np.random.Generator, noise: float) -> Light:
+    """The light of a drive.
+
+    Args:
+        noise: 0: always the same clear afternoon; 1: any weather without rain, sun 20 to 70 degrees high.
+    """
+    azimuth = 2.3 + noise * rng.uniform(-np.pi, np.pi)
+    elevation = np.radians(np.clip(48 + noise * rng.uniform(-26, 22), 15, 80))
+    overcast = float(np.clip(0.15 + noise * rng.uniform(-0.15, 0.75) * rng.uniform(), 0.0, 0.95))
+    visibility = 1500 * np.exp(noise * rng.uniform(-1.2, 1.2))
+    sun = np.array((np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)))
+    # The lower the sun, the redder (the path through the air grows with 1 / sin), and the weaker.
+    red = np.exp(-np.array((0.06, 0.10, 0.17)) / np.sin(elevation))
+    sun_colour = 0.95 * red * (1 - 0.9 * overcast)
+    grey, blue = np.array((0.75, 0.78, 0.82)), np.array((0.30, 0.50, 0.90))
+    sky = blue + overcast * (grey - blue)
+    return Light(
+        sun=sun,
+        sun_colour=sun_colour,
+        sky_colour=(0.22 + 0.25 * overcast) * (0.4 * grey + 0.6 * sky),
+        horizon_colour=0.45 * grey + 0.15 * sky + 0.15 * red,
+        zenith_colour=0.55 * sky,
+        haze=float(1 / visibility),
+        overcast=overcast,
+        clouds=rng.uniform(0, 100, 2),
+        exposure=float(2.0 ** np.clip(noise * rng.normal(0, 0.25), -1.5, 1.5)),
+        balance=np.exp(np.clip(noise * (rng.normal(0, 0.05) * WARMER + rng.normal(0, 0.015) * GREENER), -0.3, 0.3)),
+    )
+
+
+def sunlit_ground(
+    world: World, scene: Scene, light: Light, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "ny nx"], Float[np.ndarray, "ny nx"]]:
+    """How much of the sun each node gets [0..1]: by the ground, with its slope and all shadows; by plants above it."""
+    nodes = world.elevation.shape
+    x, y = (origin + world.resolution * np.arange(n) for origin, n in zip(world.origin, nodes[::-1], strict=True))
+    clouds = smooth_noise(rng, x, y, 40.0) + 0.4 * smooth_noise(rng, x, y, 15.0)
+    open_sky = 1 - 0.7 * smooth_step(clouds, 2.0 - 2.5 * light.overcast, 2.8 - 2.5 * light.overcast)
+    facing = np.maximum(normals_of(world.elevation, world.resolution) @ light.sun.astype(np.float32), 0)
+
+    place = np.empty((*nodes, 3), np.float32)
+    place[..., 0], place[..., 1], place[..., 2] = x, y[:, None], world.elevation + 0.03
+    towards = np.broadcast_to(light.sun.astype(np.float32), (place.size // 3, 3))
+    shadow = scene.occluded(place.reshape(-1, 3), towards).reshape(nodes)
+    return np.where(shadow, 0.0, facing * open_sky), open_sky
+
+
+@dataclass(frozen=True)
+class Texture:
+    """How one kind of ground varies from place to place; drawn after photographs, not measured.
+
+    Attributes:
+        fine, coarse: share of brightness of each octave of noise up to 5 cm, and from 80 cm; half of both between.
+        accent: what large noise adds to the colour, linear RGB.
+        relief: how strongly bumps show against the sun.
+        stones, blades, ripples: shares of brightness of pebbles, of short grass, of wind ripples.
+    """
+
+    fine: float
+    coarse: float
+    accent: tuple[float, float, float]
+    relief: float
+    stones: float = 0.0
+    blades: float = 0.0
+    ripples: float = 0.0
+
+
+TEXTURES: Final[dict[str, Texture]] = {
+    "packed_sand": Texture(0.12, 0.06, (0.02, 0.005, -0.012), 0.10, stones=0.12),
+    "loose_sand": Texture(0.08, 0.05, (0.025, 0.005, -0.01), 0.12, ripples=0.13),
+    "dirt_trail": Texture(0.17, 0.08, (0.02, 0.005, -0.01), 0.14, stones=0.14),
+    "gravel": Texture(0.25, 0.06, (0.025, 0.005, -0.015), 0.22, stones=0.50),
+    "mud": Texture(0.10, 0.14, (0.015, 0.01, 0.0), 0.20),
+    "dry_grass": Texture(0.26, 0.11, (-0.07, 0.01, -0.02), 0.16, blades=0.35),
+    "wet_grass": Texture(0.26, 0.11, (0.05, 0.025, 0.0), 0.16, blades=0.45),
+}
+
+COMMON_ROCK: Final = 0.3
+"""How much alike the kinds of ground of one world are in colour, at `appearance_noise` 1."""
+
+SOIL: Final = (0.20, 0.14, 0.09)
+PLANTS: Final = ((0.14, 0.11, 0.08), (0.12, 0.17, 0.06), (0.20, 0.22, 0.13), (1.1, 1.15, 1.0))
+"""Linear RGB of the soil between blades; of trunks, crowns and bushes; blades of tall grass over the ground below."""
+
+PAINT: Final = {"hood": (0.25, 0.03, 0.02), "fender": (0.25, 0.03, 0.02), "roof": (0.05, 0.05, 0.06)}
+PLASTIC: Final = (0.03, 0.03, 0.033)
+"""Linear RGB of the vehicle's boxes, by a part of their names, and of all others."""
+
+SHADOWS: Final = ("roof", "hood", "cargo bed", "seats", "chassis")
+"""Boxes of the vehicle that throw a shadow on the ground."""
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """All that shading needs to know beside where rays end."""
+
+    ground: Ground
+    light: Light
+    shadow_boxes: Float[np.ndarray, "n 2 3"]
+    paint: Float[np.ndarray, "m 3"]
+
+
+def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: float = 0.12) -> Appearance:
+    """The looks of a world on one drive; takes about 2 s for the shadows.
+
+    The world's seed decides on what stays: textures, tints, colours of plants. The drive's decides on light and clouds.
+    `WorldSettings.appearance_noise` scales all of it.
+
+    Args:
+        scene: of the world; throws the shadows.
+        ragged: how far the borders of kinds wander in the texture [m].
+    """
+    noise = world.settings.appearance_noise
+    of_world, of_drive = np.random.default_rng([world.settings.seed, 5]), np.random.default_rng([drive_seed, 6])
+    light = draw_light(of_drive, noise)
+    boxes = np.array([box for name, box in BOXES.items() if name in SHADOWS])
+    paint = [next((colour for part, colour in PAINT.items() if part in name), PLASTIC) for name in BOXES]
+    return Appearance(
+        ground=_ground(world, scene, light, of_world, of_drive, ragged),
+        light=light,
+        shadow_boxes=boxes,
+        paint=np.array(paint),
+    )
+
+
+def _ground(
+    world: World,
+    scene: Scene,
+    light: Light,
+    of_world: np.random.Generator,
+    of_drive: np.random.Generator,
+    ragged: float,
+) -> Ground:
+    turn = octave_turns(of_world)
+    unit = turn * WAVELENGTHS[:, None]
+    # x' = cos x + sin y, y' = cos y - sin x: the sun's direction turned the same way.
+    sun = np.stack((unit @ light.sun[:2], unit @ np.array((light.sun[1], -light.sun[0]))), axis=1)
+    leaves = np.exp(np.clip(world.settings.appearance_noise * of_world.normal(0, 0.08, (len(PLANTS), 3)), -0.4, 0.4))
+    return Ground(
+        nodes=_nodes(world, scene, light, of_world, of_drive),
+        x0=world.origin[0],
+        y0=world.origin[1],
+        resolution=world.resolution,
+        elevation=np.asarray(world.elevation, np.float32),
+        lattice=random_lattice(of_world),
+        turn=turn,
+        sun=sun.astype(np.float32),
+        soil=np.array(SOIL, np.float32),
+        ragged=ragged,
+        plants=(np.array(PLANTS) * leaves).astype(np.float32),
+    )
+
+
+def _nodes(
+    world: World, scene: Scene, light: Light, of_world: np.random.Generator, of_drive: np.random.Generator
+) -> UInt8[np.ndarray, "ny nx c"]:
+    """`Ground.nodes`."""
+    noise, resolution = world.settings.appearance_noise, world.resolution
+    nodes = np.empty((*world.elevation.shape, CHANNELS), np.uint8)
+    shares = np.square(world.kinds, dtype=np.float32)
+    shares /= shares.sum(axis=0)
+
+    # Colour: of the kinds, dry and wet, and from place to place for no reason.
+    x, y = (resolution * np.arange(n) for n in world.elevation.shape[::-1])
+    bright, warm = (0.12 * noise * _patches(of_world, x, y) for _ in range(2))
+    for channel, (dry, wet) in enumerate(_colours(of_world, noise).transpose(2, 0, 1, 3)):
+        tint = np.exp(bright + (0.5, 0.0, -0.5)[channel] * warm)
+        for first, shift in ((LOW, 0), (HIGH, 1)):
+            mixed = _mix(shares, dry[shift]) * (1 - world.wetness) + _mix(shares, wet[shift]) * world.wetness
+            nodes[..., first + channel] = _byte(np.sqrt(mixed * tint))
+
+    textures = [TEXTURES[kind] for kind in GROUND_KINDS]
+    for channel, name, full in (
+        (FINE, "fine", MOST_RELIEF),
+        (COARSE, "coarse", MOST_RELIEF),
+        (RELIEF, "relief", MOST_RELIEF),
+        (STONES, "stones", 1.0),
+        (BLADES, "blades", 1.0),
+        (RIPPLES, "ripples", 1.0),
+    ):
+        nodes[..., channel] = _byte(_mix(shares, np.array([getattr(t, name) for t in textures]) / full))
+    nodes[..., GLOSS] = _byte(world.wetness**2 * (0.15 + 0.45 * shares[GROUND_KINDS.index("mud")]))
+    nodes[..., TRAIL] = _byte(_distance_to_trails(world) / TRAIL_REACH)
+    for channel, light_there in zip((SUN, OPEN), sunlit_ground(world, scene, light, of_drive), strict=True):
+        nodes[..., channel] = _byte(light_there)
+    return nodes
+
+
+def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3 K"]:
+    """Linear RGB: dry and wet, either side of the accent. Soils differ from country to country, whatever their grip."""
+    colour = linear_from_srgb(colour_table())
+    local = noise * (rng.normal(0, 0.10, (len(GROUND_KINDS), 1)) + rng.normal(0, 0.04, (len(GROUND_KINDS), 3)))
+    colour = colour * np.exp(np.clip(local, -0.6, 0.6))
+    # All soils of one country are made of much the same rock.
+    colour += min(COMMON_ROCK * noise, 0.6) * (colour.mean(axis=1, keepdims=True) - colour)
+    accent = np.array([TEXTURES[kind].accent for kind in GROUND_KINDS])
+    sides = np.stack((colour - accent, colour + accent), axis=1)
+    return np.clip(sides, 0.01, 1.0).transpose(0, 1, 3, 2)
+
+
+def _patches(
+    rng: np.random.Generator, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, "ny nx"]:
+    return np.clip(smooth_noise(rng, x, y, 11.0) + 0.5 * smooth_noise(rng, x, y, 3.0), -3, 3)
+
+
+def _mix(shares: Float[np.ndarray, "K ny nx"], values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "ny nx"]:
+    return np.einsum("kji,k->ji", shares, values.astype(np.float32))
+
+
+def _distance_to_trails(world: World) -> Float[np.ndarray, "ny nx"]:
+    """To the nearest centre line, to about half a node [m]."""
+    free = np.full(world.elevation.shape, 255, np.uint8)
+    for trail in world.trails:
+        pixels = np.rint((trail - np.array(world.origin)) / world.resolution).astype(np.int32)
+        cv2.polylines(free, [pixels.reshape(-1, 1, 2)], True, 0)
+    distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * world.resolution
+    return np.asarray(cv2.GaussianBlur(distance, (0, 0), 1.0))
+
+
+def linear_from_srgb(colour: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """IEC 61966-2-1, both in [0..1]."""
+    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+
+
+def _byte(share: Float[np.ndarray, "ny nx"]) -> UInt8[np.ndarray, "ny nx"]:
+    return np.clip(255 * share + 0.5, 0, 255).astype(np.uint8)

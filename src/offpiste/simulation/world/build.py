@@ -1,0 +1,73 @@
+"""A world from its settings."""
+
+import zlib
+
+import numpy as np
+
+from offpiste.errors import OffpisteError
+from offpiste.simulation.world.ground import lay_grounds, mix_properties
+from offpiste.simulation.world.terrain import carve_trails, distance_to_trails, make_hills, make_trails
+from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
+from offpiste.simulation.world.world import World, WorldSettings, load_preset
+
+MIN_SIZE = 60.0
+"""A smaller square has no room for a trail [m]."""
+
+_PARTS = ("trails", "hills", "carving", "grounds", "trees", "bushes", "grass")
+"""Each draws from its own stream, so that changing one leaves the others as they are."""
+
+
+def make_world(settings: WorldSettings) -> World:
+    """The world of some settings: the same ones give the same bytes on the same machine.
+
+    Raises:
+        OffpisteError: a setting is out of its range, or there is no such preset.
+    """
+    preset = load_preset(settings.preset)
+    _check(settings)
+    of_preset = zlib.crc32(settings.preset.encode())
+    random = {part: np.random.default_rng([settings.seed, of_preset, i]) for i, part in enumerate(_PARTS)}
+
+    # A square of nodes around the origin.
+    nodes = round(settings.size / settings.resolution) + 1
+    x = y = (np.arange(nodes) - (nodes - 1) / 2) * settings.resolution
+
+    # The country, and where one can drive through it.
+    trails = make_trails(random["trails"], float(x[-1] - x[0]))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    trail_distance = distance_to_trails(trails, places).reshape(nodes, nodes)
+    hills = make_hills(random["hills"], preset, x, y)
+    elevation = carve_trails(random["carving"], preset, x, y, hills, trails, trail_distance)
+
+    # What it is made of, and what that does to a tyre.
+    kinds, wetness = lay_grounds(random["grounds"], preset, x, y, elevation, trail_distance)
+    properties = mix_properties(kinds, wetness, settings.grip_contrast * preset.grip)
+
+    # What grows there.
+    return World(
+        settings=settings,
+        origin=(float(x[0]), float(y[0])),
+        resolution=settings.resolution,
+        elevation=elevation,
+        kinds=kinds,
+        wetness=wetness,
+        properties=properties,
+        grass_height=grow_grass(random["grass"], preset, x, y, kinds, trail_distance),
+        trees=plant_trees(random["trees"], preset, x, y, elevation, trail_distance),
+        bushes=plant_bushes(random["bushes"], preset, x, y, elevation, trail_distance),
+        trails=trails,
+    )
+
+
+def _check(settings: WorldSettings) -> None:
+    """Complain about the first setting out of its range."""
+    allowed = {
+        "seed": (settings.seed >= 0, "0 or more"),
+        "size": (MIN_SIZE <= settings.size <= 2000, f"{MIN_SIZE:g} to 2000 m"),
+        "resolution": (0.05 <= settings.resolution <= 2, "0.05 to 2 m"),
+        "grip_contrast": (0 <= settings.grip_contrast <= 1, "0 to 1"),
+        "appearance_noise": (0 <= settings.appearance_noise <= 10, "0 to 10"),
+    }
+    for name, (good, wanted) in allowed.items():
+        if not good:
+            raise OffpisteError(f"{name} is {getattr(settings, name)}", where="world settings", how=f"choose {wanted}")

@@ -1,0 +1,126 @@
+"""The slope of the driven path read where a prediction goes, not where the vehicle went: a map of one line.
+
+Where a model reads the ground: under the recorded wheels, or on a map under the wheels that it predicts.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics, Hybrid
+from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.errors import DatasetError
+from offpiste.mapping.terrain_lookup import HeldCodes, MapTerrain
+from offpiste.state import Terrain, TerrainSource
+
+
+@dataclass(frozen=True)
+class PathTerrain:
+    """Normals of the recorded path, read at its point nearest to the predicted place.
+
+    Reading row t's normal at step t tells a model how far the vehicle went (DESIGN.md, "Leak"); this does not.
+
+    Attributes:
+        position: points of the path relative to each window's start [m]; infinite where there is none.
+        normal: surface normals there, in the world frame, the same under all wheels.
+    """
+
+    position: Float[Tensor, "B P 2"]
+    normal: Float[Tensor, "B P 3"]
+
+    def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
+        """The ground at the predicted place; `t` is not looked at."""
+        squared = (self.position.to(state.dtype) - state[:, None, :2]).square().sum(dim=-1)
+        nearest = squared.argmin(dim=1)
+        normal = self.normal[torch.arange(len(nearest), device=nearest.device), nearest]
+        under_wheels = normal[:, None, :].expand(-1, 4, -1)
+        return Terrain(under_wheels, under_wheels[..., :0])
+
+
+def path_terrain(windows: Windows, index: Int[np.ndarray, " B"]) -> PathTerrain:
+    """The path around each window, from 1 s before its start to 8 s after, as far as its drive has valid rows."""
+    return PathTerrain(*windows.path(index))
+
+
+def encoder_of(dynamics: Dynamics) -> FeatureEncoder | None:
+    """The encoder of a model that reads terrain features."""
+    return dynamics.encoder if isinstance(dynamics, Hybrid) else None
+
+
+def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
+    """The batch with the codes of the recorded ground, as `dynamics` encodes it; each cell is encoded once.
+
+    Raises:
+        DatasetError: the model reads features and the dataset has none.
+    """
+    encoder = encoder_of(dynamics)
+    if encoder is None:
+        return batch
+    if batch.ground is None:
+        raise DatasetError(
+            "the model reads terrain features and the dataset has none", how="extract with --pca (see fit-pca)"
+        )
+    codes = encoder(batch.ground.features, batch.ground.valid).to(batch.state.dtype)
+    ahead = batch.ground.ahead
+    if isinstance(dynamics, Hybrid) and dynamics.holds:
+        ahead = ahead[:, :1].expand_as(ahead)
+    past = Terrain(batch.history.terrain.normal, codes[batch.ground.past])
+    return replace(
+        batch,
+        history=replace(batch.history, terrain=past),
+        terrain=Terrain(batch.terrain.normal, codes[ahead]),
+    )
+
+
+def on_map(
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
+) -> tuple[Batch, TerrainSource]:
+    """The ground where predictions go, as a planner reads it: on the map, or else the slope of the driven path.
+
+    What lay under the wheels before the start comes from the map as well: hindsight knows more than the vehicle did.
+
+    Args:
+        batch: of the same windows, encoded.
+
+    Returns:
+        the batch, its past read on the map, and the source of what lies ahead.
+
+    Raises:
+        DatasetError: a drive has no map.
+    """
+    if not windows.maps.any:
+        return batch, path_terrain(windows, index)
+    source = map_terrain(dynamics, windows, index)
+    batch = with_past_on(source, batch)
+    held = isinstance(dynamics, Hybrid) and dynamics.holds
+    return batch, HeldCodes.of(source, batch.state) if held else source
+
+
+def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:
+    """The maps of windows, read under wheels and encoded by a model.
+
+    Raises:
+        DatasetError: a drive has no map.
+    """
+    maps, number = windows.maps.of(index)
+    if (number < 0).any():
+        name = windows.drive_names[windows.drive[index][number < 0][0]]
+        raise DatasetError(f"drive '{name}' has no map", how="extract it again")
+    return MapTerrain(
+        maps,
+        torch.as_tensor(number, device=windows.device),
+        windows.places(index),
+        windows.wheels,
+        encoder_of(dynamics),
+    )
+
+
+def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
+    """The batch, with what lay under the wheels before its start as a source has it."""
+    past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
+    known = Terrain(torch.stack([t.normal for t in past], dim=1), torch.stack([t.latent for t in past], dim=1))
+    return replace(batch, history=replace(batch.history, terrain=known))

@@ -1,0 +1,253 @@
+"""The report of a dataset's visual features as numbers, by drive and in all (`offpiste.dataset.feature_coverage`).
+
+The report of a dataset's features as rows of text, for the terminal and for the page alike.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+from rich.markup import escape
+from rich.table import Table
+
+from offpiste.conventions import DT, FEATURE_SETS
+from offpiste.dataset import feature_coverage
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.feature_coverage import HINDSIGHT, PAPER_RATES
+from offpiste.dataset.passes import Passes, find_passes
+from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.evaluation.tables import number
+from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.terrain_map import wheel_places
+from offpiste.rig.rig import Rig
+
+STRIDE = 5
+"""Rows between two looks at where the vehicle was: 0.1 s."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Valid rates by feature set, of a drive or of all.
+
+    Attributes:
+        name: of the drive.
+        cells: how many, each counted once a pass.
+        share: of all cells.
+        of_hindsight: of those that are valid in hindsight, which is 1 there, as in the paper's table.
+        in_reach: of those from which the vehicle was as far away as the set says; NaN where that cannot be told.
+    """
+
+    name: str
+    cells: int
+    share: Float[np.ndarray, " D"]
+    of_hindsight: Float[np.ndarray, " D"]
+    in_reach: Float[np.ndarray, " D"]
+
+
+@dataclass(frozen=True)
+class Covered:
+    """What the visual features of a dataset cover.
+
+    Attributes:
+        drives: with such features.
+        whole: of all of them together.
+        quartiles: of the distances at which features were observed [m].
+        apart: differences between sets, relative to the features' ranges between the 1st and the 99th percentile.
+        apart_of_total: the same relative to the total range of values, as the paper has it.
+        unrelated: of cells that have nothing to do with each other, as in `apart.length`.
+        contacts: of wheels with cells, by how often the place was passed before; empty where that cannot be told.
+    """
+
+    drives: tuple[Rates, ...]
+    whole: Rates
+    quartiles: Float[np.ndarray, "D 3"]
+    apart: feature_coverage.Differences
+    apart_of_total: feature_coverage.Differences
+    unrelated: float
+    contacts: Int[np.ndarray, " K"]
+
+
+def covered(dataset: Dataset, *, seed: int = 0) -> Covered | None:
+    """The numbers of a dataset; None if no drive of it has features by distance.
+
+    Args:
+        seed: of the pairs of cells that have nothing to do with each other.
+    """
+    found = [(drive, drive.rows.cells) for drive in dataset.drives if by_distance(drive.rows.cells)]
+    cells = [c for _, c in found if c is not None]
+    if not sum(c.valid.shape[1] for c in cells):
+        return None
+    passes = [passes_of(drive, dataset.rig) for drive, _ in found]
+    reached = [_reached(drive, p) for (drive, _), p in zip(found, passes, strict=True)]
+    drives = [_rates(d.name, [c], [r]) for (d, _), c, r in zip(found, cells, reached, strict=True)]
+    span, total = feature_coverage.feature_range(cells), feature_coverage.feature_range(cells, (0.0, 100.0))
+    counts = [feature_coverage.contacts_by_pass(p) for p in passes if p is not None]
+    contacts = np.zeros(max((len(c) for c in counts), default=0), np.int64)
+    for count in counts:
+        contacts[: len(count)] += count
+    return Covered(
+        tuple(drives),
+        _rates("all", cells, reached),
+        feature_coverage.observation_quartiles(cells),
+        feature_coverage.differences(cells, span),
+        feature_coverage.differences(cells, total),
+        feature_coverage.unrelated(cells, span, np.random.default_rng(seed)),
+        contacts if all(p is not None for p in passes) else contacts[:0],
+    )
+
+
+def by_distance(cells: Cells | None) -> bool:
+    """Whether these are visual features, with all feature sets."""
+    return cells is not None and len(cells.valid) == len(FEATURE_SETS) and cells.features.shape[2] > 0
+
+
+def passes_of(drive: StoredDrive, rig: Rig) -> Passes | None:
+    """The passes that a drive's cells stand for, found again; None where they are not those of the usual map."""
+    rows = drive.rows
+    xy = path_of(drive)
+    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
+    passes = find_passes(rows.time, xy, wheels, resolution=VoxelSettings().size)
+    same = rows.cells is not None and np.array_equal(passes.index, rows.cells.index)
+    return passes if same else None
+
+
+def path_of(drive: StoredDrive) -> Float[np.ndarray, "N 2"]:
+    """Places of the pose point in the world frame [m]; NaN where unknown."""
+    return np.asarray(drive.rows.state[:, :2].astype(np.float64) + drive.rows.origin)
+
+
+def seconds_of(drive: StoredDrive) -> float:
+    """How long it lasts [s]."""
+    return len(drive.rows.time) * DT
+
+
+def _reached(drive: StoredDrive, passes: Passes | None) -> np.ndarray:
+    if passes is None:
+        assert drive.rows.cells is not None
+        return np.zeros_like(drive.rows.cells.valid)
+    time, xy = drive.rows.time[::STRIDE], path_of(drive)[::STRIDE]
+    return feature_coverage.within_reach(passes, time, xy, VoxelSettings().size)
+
+
+def _rates(name: str, cells: Sequence[Cells], reached: Sequence[np.ndarray]) -> Rates:
+    return Rates(
+        name,
+        sum(c.valid.shape[1] for c in cells),
+        feature_coverage.valid_rates(cells),
+        feature_coverage.valid_rates(cells, feature_coverage.in_hindsight(cells)),
+        feature_coverage.valid_rates(cells, reached),
+    )
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text; the first column names the lines.
+
+    Attributes:
+        about: what its numbers are.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+    about: str = ""
+
+    def rich(self) -> Table:
+        """For the terminal."""
+        # Unescaped, rich takes a unit in brackets for a style.
+        table = Table(title=escape(self.title), title_justify="left")
+        for column, name in enumerate(self.names):
+            table.add_column(escape(name), justify="right" if column else "left", no_wrap=True)
+        for line in self.lines:
+            table.add_row(*map(escape, line))
+        return table
+
+
+def tables(found: Covered) -> tuple[TextTable, ...]:
+    """All of them, in the order in which they are read."""
+    counted = (_contacts(found),) if len(found.contacts) else ()
+    return (_rates_of_cover_table(found), _distances(found), _matrix(found), _neighbours(found), *counted)
+
+
+def _rates_of_cover_table(found: Covered) -> TextTable:
+    def line(name: str, rates: np.ndarray) -> tuple[str, ...]:
+        return (name, *(number(rate) for rate in rates))
+
+    def lines_of(rates: Rates) -> list[tuple[str, ...]]:
+        name = f"{rates.name} ({rates.cells} cells)"
+        return [
+            line(name, rates.share),
+            line("  of those valid in hindsight", rates.of_hindsight),
+            line("  of those within reach", rates.in_reach),
+        ]
+
+    drives = found.drives if len(found.drives) > 1 else ()
+    body = [line for rates in (*drives, found.whole) for line in lines_of(rates)]
+    about = (
+        "Share of cells under the wheels that have features, each counted once a pass. Within reach: only cells that "
+        "the vehicle was at the set's distance from on that pass, ± 5 m; the start of a drive was never seen from 40 m."
+    )
+    names = ("valid rate by distance [m]", *FEATURE_SETS)
+    return TextTable("Valid rates", names, (*body, line("paper", np.array(PAPER_RATES))), about)
+
+
+def _distances(found: Covered) -> TextTable:
+    lines = [
+        (name, *(number(value, 1) for value in column))
+        for name, column in zip(("25 %", "median", "75 %"), found.quartiles.T, strict=True)
+    ]
+    about = (
+        "From the sensor to the ground when the features were observed. The map keeps the closest observation, so what "
+        "lies behind the vehicle was seen just before it was driven over, unless a camera looks back."
+    )
+    names = ("observation distance [m]", *FEATURE_SETS)
+    return TextTable("Achieved observation distances", names, tuple(lines), about)
+
+
+def _matrix(found: Covered) -> TextTable:
+    length = found.apart.length
+    lines = [(name, *(number(v) for v in row)) for name, row in zip(FEATURE_SETS, length, strict=True)]
+    about = (
+        "Mean l2 norm of the difference of the same cells' features between two sets, where both are valid, divided by "
+        "the l2 norm of the features' ranges (1st to 99th percentile of all cells in hindsight). Two cells that have "
+        f"nothing to do with each other differ by {number(found.unrelated)}."
+    )
+    return TextTable("Differences between sets", ("l2 difference / range", *FEATURE_SETS), tuple(lines), about)
+
+
+def _neighbours(found: Covered) -> TextTable:
+    pairs = [f"{a}/{b}" for a, b in pairwise(FEATURE_SETS[1:])]
+    lines = []
+    for name, differences in (("1 to 99 %", found.apart), ("total", found.apart_of_total)):
+        each = differences.neighbours()
+        known = np.isfinite(each).any(axis=1)
+        for what, reduce in (("mean", np.nanmean), ("largest", np.nanmax)):
+            values = np.full(len(each), np.nan)
+            if known.any():
+                values[known] = reduce(each[known], axis=1)
+            lines.append((f"{what} of all features, range {name}", *(number(v) for v in values)))
+    about = (
+        "Mean absolute difference of each feature between distances next to each other, divided by that feature's own "
+        "range. The paper finds 0.3 of the total range of values."
+    )
+    return TextTable("Differences of single features", ("difference / range", *pairs), tuple(lines), about)
+
+
+def _contacts(found: Covered) -> TextTable:
+    share = found.contacts / found.contacts.sum()
+    names = [f"pass {n + 1}" for n in range(len(share))]
+    line = ("contacts", *(f"{c} ({s:.0%})" for c, s in zip(found.contacts, share, strict=True)))
+    about = "A wheel on a cell at a row, by how often that place was passed before: later passes have seen it nearby."
+    return TextTable("Rows by pass", ("wheels at rows", *names), (line,), about)
+
+
+def headline(found: Covered) -> str:
+    """One sentence with the main numbers."""
+    rates = ", ".join(
+        f"{name} {number(rate)}" for name, rate in zip(FEATURE_SETS, found.whole.share, strict=True) if rate == rate
+    )
+    far = found.apart.length[HINDSIGHT]
+    most = number(np.nanmax(far)) if np.isfinite(far).any() else "–"
+    return f"valid by distance: {rates}; features differ from hindsight's by up to {most} of their range"

@@ -1,0 +1,78 @@
+"""Pictures of what a dataset's visual features cover: rates, distances, differences."""
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.feature_coverage import PAPER_DIFFERENCE, PAPER_RATES
+from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
+from offpiste.visualization.coverage import Covered
+from offpiste.visualization.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain
+
+PLACES = np.arange(len(FEATURE_SETS))
+TICKS = [name if name == "hindsight" else f"{name} m" for name in FEATURE_SETS]
+
+
+def draw_rates(found: Covered) -> Figure:
+    """Valid rates by distance, of each drive, of all, and the paper's."""
+    figure = Figure(figsize=(8.4, 4.4), dpi=130, layout="constrained")
+    axes = plain(figure.subplots(), f"Valid features by distance, {found.whole.cells} cells")
+    for number, drive in enumerate(found.drives if len(found.drives) > 1 else ()):
+        axes.plot(PLACES, drive.share, color=SOFT, linewidth=0.8, label="" if number else "each drive")
+    axes.plot(PLACES, found.whole.share, "o-", color=BLUE, label="all cells")
+    axes.plot(PLACES, found.whole.in_reach, "o--", color=GREEN, label="cells that the vehicle was so far from")
+    axes.plot(PLACES, PAPER_RATES, "s:", color=ORANGE, label="paper")
+    axes.set(ylim=(0, 1.05), ylabel="share of valid cells")
+    axes.set_xticks(PLACES, TICKS)
+    axes.legend(frameon=False, fontsize=8, loc="lower left")
+    return figure
+
+
+def draw_distances(found: Covered) -> Figure:
+    """From how far features were really observed, against the distance that each set asks for."""
+    figure = Figure(figsize=(8.4, 4.0), dpi=130, layout="constrained")
+    axes = plain(figure.subplots(), "Distance from sensor to ground when valid features were observed")
+    low, middle, high = found.quartiles.T
+    wanted = PLACES[1:][DISTANCES >= 0]
+    axes.bar(
+        wanted, 2 * TOLERANCE, 0.8, DISTANCES[DISTANCES >= 0] - TOLERANCE, color=GRID, label="asked for: vehicle ± 5 m"
+    )
+    axes.vlines(PLACES, low, high, color=BLUE, linewidth=5, alpha=0.5, label="quartiles")
+    axes.plot(PLACES, middle, "o", color=BLUE, label="median")
+    axes.set(ylabel="distance [m]", ylim=(0, None))
+    axes.set_xticks(PLACES, TICKS)
+    axes.legend(frameon=False, fontsize=8, loc="upper left")
+    return figure
+
+
+def draw_differences(found: Covered) -> Figure:
+    """L2 differences between sets as a matrix, and of each feature between distances next to each other."""
+    figure = Figure(figsize=(11.5, 4.8), dpi=130, layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    length = found.apart.length
+    image = left.imshow(length, cmap="viridis", vmin=0)
+    for row in PLACES:
+        for column in PLACES:
+            value = length[row, column]
+            bright = np.isfinite(value) and value > 0.6 * np.nanmax(length)
+            text = f"{value:.2f}" if np.isfinite(value) else "–"
+            left.text(column, row, text, ha="center", va="center", fontsize=8, color=INK if bright else "white")
+    left.set_xticks(PLACES, TICKS, rotation=45)
+    left.set_yticks(PLACES, TICKS)
+    left.set_title("Mean l2 difference, of the features' range", loc="left", fontsize=10)
+    figure.colorbar(image, ax=left, shrink=0.85)
+
+    plain(right, "Each feature between neighbouring distances, of its range")
+    for differences, colour, name in ((found.apart, BLUE, "1 to 99 %"), (found.apart_of_total, PURPLE, "total")):
+        steps = np.arange(len(differences.neighbours()))
+        shift = -0.13 if colour == BLUE else 0.13
+        for number, values in enumerate(differences.neighbours()):
+            at = np.full(len(values), number + shift)
+            right.plot(at, values, ".", color=colour, markersize=5, alpha=0.4, label="" if number else f"range {name}")
+    right.axhline(PAPER_DIFFERENCE, color=ORANGE, linestyle=":", label="paper: 30 %")
+    right.set_xticks(steps, [f"{a} / {b}" for a, b in pairwise(FEATURE_SETS[1:])])
+    right.set(xlabel="distances [m]", ylabel="mean absolute difference / range", ylim=(0, None))
+    right.legend(frameon=False, fontsize=8)
+    return figure

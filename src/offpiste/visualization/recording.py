@@ -1,0 +1,292 @@
+"""From where a Rerun viewer first looks at a vehicle.
+
+A drive as a Rerun recording (rerun.io): images, features, scans, the growing map and the wheels' path, by time.
+
+Everything goes to the file as it comes, so that memory does not grow with the drive. Places are relative to where the
+vehicle was first, because viewers count in float32.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from matplotlib import colormaps
+
+from offpiste.errors import OffpisteError
+from offpiste.mapping.replay import Moment
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.perception.projection import View
+from offpiste.visualization.images import colours
+from offpiste.visualization.map_figure import STEEP, TALL
+from offpiste.visualization.mesh import Tile, cell_centres, grid_triangles, tiles
+
+OFFSET: Final = np.array([-14.0, -14.0, 11.0])
+"""Of the eye from the vehicle's first place [m]."""
+
+
+def following_eye(vehicle: str, start: Float[np.ndarray, " 3"]) -> Any:
+    """An eye above and beside a vehicle, that goes along with it.
+
+    Args:
+        vehicle: its entity.
+        start: its first place [m], in the recording's frame.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=start + OFFSET, look_target=start, tracking_entity=vehicle
+    )
+
+
+EPOCH: Final = 1e8
+"""Times above this are dates, those below count from the log's own zero [s]."""
+
+GREY: Final = np.array([120, 120, 120], np.uint8)
+"""Of what no camera has seen."""
+
+
+class MissingRerun(OffpisteError):
+    """The package that writes recordings is not installed."""
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """How much goes into the file.
+
+    Attributes:
+        scan_points: of one scan, evenly chosen, at most.
+        scan_interval: between two scans [s].
+        map_metres: the map is written when the vehicle has gone so far [m].
+        map_step: every so many cells of the map; divides 100.
+        quality: of images, as JPEG has it.
+    """
+
+    scan_points: int = 10_000
+    scan_interval: float = 0.2
+    map_metres: float = 5.0
+    map_step: int = 2
+    quality: int = 80
+
+
+@dataclass
+class _Written:
+    """What is in the file already."""
+
+    images: dict[str, float] = field(default_factory=dict)
+    scan: float = -np.inf
+    map_at: Float[np.ndarray, " 3"] | None = None
+    tiles: dict[tuple[int, int], tuple[int, float]] = field(default_factory=dict)
+
+
+class Recorder:
+    """Writes one recording.
+
+    Args:
+        path: of the file.
+        origin: of the recording in the world frame [m].
+        limits: colours of the features; None without features.
+
+    Raises:
+        MissingRerun: the extra `view` is not installed.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        origin: Float[np.ndarray, " 3"],
+        limits: Float[np.ndarray, "2 3"] | None,
+        cameras: tuple[str, ...],
+        settings: RecordingSettings | None = None,
+    ) -> None:
+        self._rr = rr = _rerun()
+        self._origin, self._limits, self._settings = origin, limits, settings or RecordingSettings()
+        self._written = _Written()
+        self._stream = rr.RecordingStream("offpiste")
+        self._stream.save(path, default_blueprint=_blueprint(cameras, limits is not None))
+        self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def add_path(self, wheels: Float[np.ndarray, "N 4 3"]) -> None:
+        """Where the wheels go, shown at all times [m]; NaN where unknown."""
+        strips = [
+            strip.astype(np.float32) for number in range(4) for strip in _unbroken(wheels[:, number] - self._origin)
+        ]
+        rr = self._rr
+        self._stream.log("world/wheels", rr.LineStrips3D(strips, radii=0.05, colors=[230, 80, 30]), static=True)
+
+    def add_vehicle(self, wheels: Float[np.ndarray, "4 2"]) -> None:
+        """A frame through the wheels, and an arrow ahead, around the pose point [m]."""
+        rr, corners = self._rr, np.pad(wheels[[0, 1, 3, 2, 0]], ((0, 0), (0, 1)))
+        self._stream.log(
+            "world/vehicle/frame", rr.LineStrips3D([corners], radii=0.06, colors=[20, 90, 200]), static=True
+        )
+        ahead = rr.Arrows3D(vectors=[[wheels[:, 0].max() + 1.0, 0, 0]], radii=0.06, colors=[20, 90, 200])
+        self._stream.log("world/vehicle/ahead", ahead, static=True)
+
+    def add(self, moment: Moment, world_from_body: Float[np.ndarray, "4 4"]) -> None:
+        """What is new at this moment."""
+        for view, image, features in zip(moment.views, moment.images, moment.looks, strict=True):
+            if self._written.images.get(view.camera.name) != view.time:
+                self._written.images[view.camera.name] = view.time
+                self._add_image(view, image, features)
+        self._at(moment.time)
+        self._add_pose(world_from_body)
+        if moment.time - self._written.scan >= self._settings.scan_interval:
+            self._written.scan = moment.time
+            self._add_scan(moment)
+        before = self._written.map_at
+        if before is None or np.linalg.norm(moment.vehicle - before) >= self._settings.map_metres:
+            self.add_map(moment)
+
+    def add_map(self, moment: Moment) -> None:
+        """Tiles of the map that have become better known since they were last written."""
+        self._at(moment.time)
+        self._written.map_at = moment.vehicle.copy()
+        for tile in tiles(moment.layers, self._settings.map_step):
+            if self._has_news(moment.layers, tile):
+                self._add_tile(moment.layers, tile)
+
+    def _at(self, time: float) -> None:
+        if time > EPOCH:
+            self._stream.set_time("log", timestamp=time)
+        else:
+            self._stream.set_time("log", duration=time)
+
+    def _add_pose(self, world_from_body: Float[np.ndarray, "4 4"]) -> None:
+        rr, pose = self._rr, world_from_body
+        place = rr.Transform3D(translation=pose[:3, 3] - self._origin, mat3x3=pose[:3, :3])
+        self._stream.log("world/vehicle", place)
+
+    def _add_image(
+        self, view: View, image: UInt8[np.ndarray, "h w 3"], features: Float[np.ndarray, "rows columns F"]
+    ) -> None:
+        rr, camera, pose = self._rr, view.camera, view.world_from_camera
+        self._at(view.time)
+        place = f"world/cameras/{camera.name}"
+        width, height = camera.size
+        self._stream.log(
+            place,
+            rr.Transform3D(translation=pose[:3, 3] - self._origin, mat3x3=pose[:3, :3]),
+            rr.Pinhole(
+                image_from_camera=camera.matrix,
+                resolution=[width, height],
+                camera_xyz=rr.ViewCoordinates.RDF,
+                image_plane_distance=1.5,
+            ),
+        )
+        jpeg = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, self._settings.quality])[1]
+        self._stream.log(f"{place}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+        if self._limits is not None:
+            self._stream.log(f"features/{camera.name}", rr.Image(colours(features, self._limits)))
+
+    def _add_scan(self, moment: Moment) -> None:
+        every = max(1, -(-len(moment.points_world) // self._settings.scan_points))
+        points = (moment.points_world[::every] - self._origin).astype(np.float32)
+        shade = np.broadcast_to(GREY, (len(points), 3)).copy()
+        if self._limits is not None and moment.projection is not None:
+            seen = moment.projection.seen[::every]
+            shade[seen] = colours(moment.projection.gather(moment.looks)[::every][seen], self._limits)
+        self._stream.log("world/scan", self._rr.Points3D(points, colors=shade, radii=0.04))
+
+    def _has_news(self, layers: TerrainLayers, tile: Tile) -> bool:
+        """More cells known, or seen from clearly nearer."""
+        part = tile.rows, tile.columns
+        count, near = int(layers.known[part].sum()), layers.distance[part][layers.valid[part]]
+        seen = float((1 / np.maximum(near, 2.0)).sum())
+        before = self._written.tiles.get(tile.place, (0, 0.0))
+        news = count > 1.03 * before[0] or seen > 1.15 * before[1]
+        # A tile that leaves the map shrinks; what was written of it stays.
+        if news and count >= before[0]:
+            self._written.tiles[tile.place] = count, seen
+            return True
+        return False
+
+    def _add_tile(self, layers: TerrainLayers, tile: Tile) -> None:
+        rr, part = self._rr, (tile.rows, tile.columns)
+        known, name = layers.known[part], f"{tile.place[0]}_{tile.place[1]}"
+        place = (cell_centres(layers, tile) - self._origin).astype(np.float32)
+        triangles = grid_triangles(known)
+        if len(triangles):
+            mesh = rr.Mesh3D(
+                vertex_positions=place[known],
+                triangle_indices=triangles,
+                vertex_normals=np.nan_to_num(layers.normal[part][known], nan=0.0),
+                vertex_colors=self._shade(layers, tile)[known],
+            )
+            self._stream.log(f"world/map/ground/{name}", mesh)
+        height = layers.obstacle_height[part]
+        self._add_layer(f"world/map/obstacles/{name}", place, height / TALL, known & (height > 0.2), "YlOrRd", height)
+        slope = layers.slope[part]
+        self._add_layer(f"world/map/slope/{name}", place, slope / STEEP, known & np.isfinite(slope), "viridis")
+
+    def _add_layer(
+        self,
+        name: str,
+        place: Float[np.ndarray, "h w 3"],
+        share: Float[np.ndarray, "h w"],
+        where: Bool[np.ndarray, "h w"],
+        cmap: str,
+        lift: Float[np.ndarray, "h w"] | None = None,
+    ) -> None:
+        points = place[where]
+        if lift is not None:
+            points[:, 2] += lift[where]
+        shade = (255 * colormaps[cmap](share[where].clip(0, 1))[:, :3]).astype(np.uint8)
+        self._stream.log(name, self._rr.Points3D(points, colors=shade, radii=0.1))
+
+    def _shade(self, layers: TerrainLayers, tile: Tile) -> UInt8[np.ndarray, "h w 3"]:
+        part = tile.rows, tile.columns
+        shade = np.broadcast_to(GREY, (*layers.known[part].shape, 3)).copy()
+        if self._limits is not None:
+            valid = layers.valid[part]
+            shade[valid] = colours(layers.features[part][valid], self._limits)
+        return shade
+
+
+def rerun_is_there() -> bool:
+    """Whether the extra `view` is installed."""
+    from importlib.util import find_spec
+
+    return find_spec("rerun") is not None
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise MissingRerun(
+            "recordings need the package rerun-sdk", how="pip install 'offpiste[view]', or go without: --no-rrd"
+        ) from error
+    return rerun
+
+
+def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:
+    """How a viewer arranges it: the world, and beside it images and their features. Slopes are there, but not shown."""
+    import rerun.blueprint as rrb
+
+    world = rrb.Spatial3DView(
+        origin="/world",
+        name="world",
+        contents=["+ /world/**", "- /world/map/slope/**"],
+        eye_controls=following_eye("/world/vehicle", np.zeros(3)),
+        line_grid=False,
+    )
+    images = [rrb.Spatial2DView(origin=f"/world/cameras/{name}", name=name) for name in cameras]
+    if features:
+        images += [rrb.Spatial2DView(origin=f"/features/{name}", name=f"features of {name}") for name in cameras]
+    whole = rrb.Horizontal(world, rrb.Vertical(*images), column_shares=[3, 1]) if images else world
+    return rrb.Blueprint(whole, rrb.TimePanel(timeline="log", state="collapsed"), collapse_panels=True)
+
+
+def _unbroken(path: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "_ 3"]]:
+    """Pieces of a path between places that are unknown."""
+    known = np.isfinite(path).all(axis=1)
+    edges = np.flatnonzero(np.diff(known.astype(int), prepend=0, append=0))
+    return [path[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]

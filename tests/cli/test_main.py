@@ -1,0 +1,133 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from offpiste.cli import main
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.world import WorldSettings
+
+RIG = ("--rig", "proving_ground")
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as exit_:
+        main(list(arguments))
+    return int(exit_.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated drive, extracted and trained on: what the commands read."""
+    folder = tmp_path_factory.mktemp("cli")
+    world = WorldSettings("uniform", size=150.0, resolution=0.5)
+    driven = simulate(DriveSettings(world, 120.0, seed=1, sensors="none"), folder / "drive.mcap")
+    assert driven[0].seconds == 120.0
+    dataset = str(folder / "dataset.zarr")
+    assert run("extract", str(folder / "drive.mcap"), *RIG, "--out", dataset) == 0
+    quick = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100")
+    assert run("train", dataset, "--out", str(folder / "b"), *quick) == 0
+    return folder
+
+
+def test_help_and_import_stay_quick() -> None:
+    code = "import sys, offpiste, offpiste.cli; sys.exit('torch' in sys.modules or 'matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_every_public_name_can_be_imported() -> None:
+    import offpiste
+
+    assert all(getattr(offpiste, name) is not None for name in offpiste.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = offpiste.nothing
+
+
+def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = folder / "report"
+    assert run("evaluate", str(folder / "b"), "--dataset", str(folder / "dataset.zarr"), "--out", str(report)) == 0
+    metrics = json.loads((report / "metrics.json").read_text())
+    assert metrics["schema"] == 1
+    assert {row["model"] for row in metrics["results"]} == {"b", "ctrv", "kinematic"}
+    assert {row["start"] for row in metrics["results"]} == {"causal", "smoothed"}
+    assert (report / "report.html").stat().st_size > 10_000
+    said = capsys.readouterr().out
+    assert "kinematic" in said
+    assert ("–: no interval" in said) == (metrics["windows"]["blocks"] < 3)
+
+
+def test_inspect_judges_for_machines(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("inspect", str(folder / "drive.mcap"), *RIG, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["usable"] is True
+    (tmp_path / "still.csv").write_text("time,x,y\n" + "".join(f"{i / 50},0,0\n" for i in range(500)))
+    assert run("inspect", str(tmp_path / "still.csv")) == 1
+
+
+def test_extract_goes_on_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = (
+        "extract",
+        str(folder / "drive.mcap"),
+        "--rig",
+        "proving_ground",
+        "--out",
+        str(folder / "dataset.zarr"),
+    )
+    assert run(*arguments) == 0
+    assert "drive: already there" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("inspect", "nothing.mcap"), "nothing.mcap: no such file or folder"),
+        (("inspect", ".", "--rig", "tartandrive9"), "tartandrive9: no such rig"),
+        (("extract", "nothing.csv", *RIG, "--out", "{tmp}/d.zarr"), "no such file or folder"),
+        (
+            ("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--split", "random"),
+            "not a split",
+        ),
+        (
+            ("extract", "{drive}", "{drive}", *RIG, "--out", "{tmp}/d.zarr"),
+            "two logs are called 'drive'",
+        ),
+        (("extract", "{drive}", *RIG, "--out", "{dataset}", "--flat"), "another rig"),
+        (("train", "{tmp}/nothing.zarr", "--out", "{tmp}/run"), "not a dataset"),
+        (("train", "{dataset}", "--out", "{run}"), "holds a run already"),
+        (("train", "{dataset}", "--out", "{tmp}/run", "--model", "dc9"), "no model 'dc9'"),
+        (("train", "{dataset}", "--out", "{tmp}/run", "--folds", "2"), "3 or more"),
+        (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
+        (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "is there already"),
+        (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
+        (("evaluate", "{tmp}/nothing", "--dataset", "{dataset}"), "no such folder"),
+        (("evaluate", "{tmp}", "--dataset", "{dataset}"), "not a run"),
+        (("evaluate", "{run}", "--dataset", "{tmp}"), "not a dataset"),
+    ],
+)
+def test_a_mistake_ends_in_one_line_and_exit_code_1(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
+    places = {
+        "tmp": tmp_path,
+        "drive": folder / "drive.mcap",
+        "dataset": folder / "dataset.zarr",
+        "run": folder / "b",
+    }
+    assert run(*(argument.format(**places) for argument in arguments)) == 1
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.startswith("offpiste: ")
+    assert error.count("\n") == 1
+
+
+def test_wrong_usage_is_exit_code_2() -> None:
+    assert run("train") == 2
+    assert run("fly") == 2
+
+
+def test_a_reader_that_stops_early_sees_no_complaint():
+    command = f"{sys.executable} -c 'from offpiste.cli import main; main()' train --help | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
+    assert done.stdout.startswith("usage")
+    assert not done.stderr

@@ -1,0 +1,140 @@
+"""A real closed loop, short and small: proving ground, sensors, map, plan, recorded and judged."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.closed_loop_table.drives import NEEDED
+from offpiste.closed_loop.courses import CourseSettings, lay_course, surprise_along, traction_along
+from offpiste.closed_loop.drive_course import CourseDrive, drive_course
+from offpiste.closed_loop.planner import Planner, load_planner
+from offpiste.conventions import GROUND_PROPERTIES
+from offpiste.errors import OffpisteError, RunError
+from offpiste.logs.drive import read_drive
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
+from runtime.stream import parametric, settings
+
+WORLD = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
+ASKED = CourseDrive(WORLD, seconds=5.6, course=CourseSettings(speed=5.0, length=60.0, candidates=6), runtime=settings())
+PLANNER = Planner("parametric", Path("nowhere"), parametric())
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    out = tmp_path_factory.mktemp("closed-loop") / "drive"
+    return drive_course(PLANNER, ASKED, out), out
+
+
+def test_it_drives_along_the_course(driven):
+    result = driven[0].result
+    assert result["progress_m"] > 8.0
+    assert result["worst_path_error_m"] < 3.0
+    assert not result["rollover"]
+    assert not result["stuck"]
+    assert result["modes"][-1][1:] == ("driving", "")
+    assert result["failed_plans"] == 0
+    assert result["plan_error_5s_m"]["n"] > 0
+
+
+def test_what_is_written_can_be_read(driven):
+    _, out = driven
+    result = json.loads((out / "result.json").read_text())
+    assert (result["planner"], result["fault_start"], result["sensors"]) == ("parametric", 10.0, "light")
+    assert set(NEEDED) <= set(result), "what resuming asks of a result"
+    assert (out / "drive.png").stat().st_size > 10_000
+    drive = read_drive(out / "drive.mcap", load_rig("proving_ground"))
+    recorded = drive.channels["throttle"]
+    given = np.array([c.command[0] for c in driven[0].driving.controls])
+    np.testing.assert_allclose(recorded.values[:, 0], given, atol=1e-6)
+    with pytest.raises(OffpisteError, match="exists already"):
+        drive_course(PLANNER, ASKED, out)
+
+
+def test_a_course_is_on_a_trail_and_the_same_for_a_seed(driven):
+    world, laid = driven[0].world, driven[0].laid
+    again = lay_course(world, 3, ASKED.course)
+    np.testing.assert_array_equal(laid.course.path, again.course.path)
+    trails = np.concatenate(world.trails)
+    away = np.linalg.norm(laid.course.path[:, None] - trails[None], axis=-1).min(axis=1)
+    assert away.max() < 0.5
+    assert np.linalg.norm(np.diff(laid.course.path, axis=0), axis=1) == pytest.approx(1.0, abs=0.05)
+    assert laid.surprise == pytest.approx(surprise_along(world, laid.course.driven, ASKED.course.speed))
+    assert laid.course.end == pytest.approx(driven[0].result["course_m"], abs=0.5)
+    assert len(laid.course.driven) < len(laid.course.path) - 30, "what lies beyond the end is known"
+
+
+def test_the_surprise_by_hand():
+    world = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
+    friction = np.full_like(world.properties[..., 0], 0.4)
+    friction[:, :40] = 0.8  # for x < 0; the mean is 0.5975
+    properties = world.properties.copy()
+    properties[..., GROUND_PROPERTIES.index("friction")] = friction
+    half = replace(world, properties=properties)
+    angle = np.linspace(-0.4, 0.4, 25)  # an arc of 30 m radius, all of it on one side
+    arc = 30 * np.stack((np.cos(angle) - 1, np.sin(angle)), axis=-1)
+    allowed = [np.sqrt(mu * 9.81 * 30) for mu in (0.8, friction.mean())]
+    assert surprise_along(half, arc - (5, 0), 100.0) == pytest.approx(allowed[0] - allowed[1], rel=0.02)
+    assert surprise_along(half, arc - (5, 0), 10.0) == 0, "nothing is lost where both allow the wanted speed"
+
+
+def test_the_traction_by_hand():
+    world = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
+    given = dict.fromkeys(GROUND_PROPERTIES, 0.0) | {"friction": 0.5, "rolling_resistance": 0.1, "sinkage_drag": 0.05}
+    properties = np.broadcast_to([given[name] for name in GROUND_PROPERTIES], world.properties.shape).astype(np.float32)
+    columns = np.arange(world.elevation.shape[1]) * world.resolution
+    hill = replace(world, properties=properties, elevation=np.broadcast_to(0.2 * columns, world.elevation.shape))
+    east = np.stack((np.arange(-20.0, 21.0), np.full(41, 3.0)), axis=-1)
+    assert traction_along(hill, east) == pytest.approx(0.35 - 0.2, abs=1e-5)
+    assert traction_along(hill, east[::-1]) == pytest.approx(0.35 + 0.2, abs=1e-5)
+    assert traction_along(hill, east[:, ::-1]) == pytest.approx(0.35, abs=1e-5)
+
+
+def test_no_course_where_nobody_could_drive_off_again(driven):
+    laid, world = driven[0].laid, driven[0].world
+    assert traction_along(world, laid.course.driven).min() >= ASKED.course.traction
+    with pytest.raises(OffpisteError, match="no course can be laid"):
+        lay_course(world, 3, replace(ASKED.course, traction=1.0))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"seconds": 0.0}, "a drive of 0 s"),
+        ({"seconds": float("nan")}, "a drive of nan s"),
+        *(
+            ({"course": CourseSettings(speed=speed)}, f"a wanted speed of {speed:g} m/s")
+            for speed in (float("nan"), float("inf"), 0.0, -7.0, 31.0)
+        ),
+        *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), float("inf"), -1.0)),
+        ({"sensors": "heavy"}, "no sensor profile"),
+    ],
+)
+def test_what_cannot_be_driven_is_told_at_once(changed, message, tmp_path):
+    with pytest.raises(OffpisteError, match=message):
+        drive_course(PLANNER, replace(ASKED, **changed), tmp_path)
+
+
+def test_a_latency_between_steps_is_told_at_once(tmp_path):
+    with pytest.raises(OffpisteError, match=r"a latency of 0\.03 s"):
+        drive_course(PLANNER, replace(ASKED, runtime=settings(latency=0.03)), tmp_path)
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OffpisteError, match="file: is a file"):
+        drive_course(PLANNER, ASKED, tmp_path / "file")
+
+
+def test_no_run_no_planner(tmp_path):
+    with pytest.raises(RunError, match="no such folder"):
+        load_planner(tmp_path / "none")
+
+
+def test_a_fault_that_would_never_begin_is_refused(tmp_path):
+    with pytest.raises(OffpisteError, match=r"a fault from 10 s on.*before the drive's end"):
+        drive_course(PLANNER, replace(ASKED, fault="late-image"), tmp_path)

@@ -1,0 +1,57 @@
+"""Who hands the run time's controls to the vehicle: when it has arrived, and when it makes no way any more."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import numpy as np
+
+from offpiste.closed_loop.lockstep import PlannerCommander
+from offpiste.runtime.modes import Controls
+from offpiste.runtime.runtime import Runtime
+from synthetic_drive import samples
+
+
+def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0):
+    """A commander after so long; mode and place on the course are made up."""
+    guide, readings = SimpleNamespace(progress=0.0), []
+
+    def command(now):
+        return Controls(now, np.array((0.3, 0.0, 0.1)), mode, why)
+
+    runtime = Mock(spec=Runtime, guide=guide, vehicle=readings.append, command=command)
+    commander = PlannerCommander(runtime, np.random.default_rng(0))
+    assert not commander.stuck
+    assert not commander.arrived
+    like = samples(1.0)[0]
+    for row in range(round(seconds / 0.02) + 1):
+        guide.progress = progress(0.02 * row)
+        given = commander.command(replace(like, time=0.02 * row))
+        np.testing.assert_array_equal(given, (0.3, 0.0, 0.1))
+    assert [c.time for c in commander.controls] == [reading.time for reading in readings]
+    return commander
+
+
+def test_who_makes_no_way_for_8_s_is_stuck():
+    assert not commanded(7.9).stuck
+    assert commanded(8.1).stuck
+
+
+def test_way_is_more_than_a_metre():
+    assert commanded(20.0, progress=lambda t: 0.04 * t).stuck, "0.8 m in 20 s"
+    assert not commanded(20.0, progress=lambda t: 0.2 * t).stuck
+    assert not commanded(15.0, progress=lambda t: 2.0 * (t > 7.5)).stuck
+    assert commanded(15.8, progress=lambda t: 2.0 * (t > 7.5)).stuck
+
+
+def test_who_waits_is_not_stuck():
+    waits = commanded(20.0, mode="stopped", why="no scan")
+    assert not waits.stuck
+    assert not waits.arrived
+    assert commanded(20.0, mode="stopping", why="no scan").stuck, "told to stop, it should stand by then"
+
+
+def test_who_stands_at_the_end_has_arrived():
+    end = "end of the course"
+    assert commanded(0.1, mode="stopped", why=end).arrived
+    assert not commanded(0.1, mode="stopping", why=end).arrived

@@ -1,0 +1,107 @@
+"""What a run's features are, and whether they can be had."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from offpiste.closed_loop.planner import load_planner
+from offpiste.conventions import CONTROL, GROUND_PROPERTIES
+from offpiste.dynamics import Vehicle
+from offpiste.errors import RunError
+from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.pca import PrincipalComponents, save_pca
+from offpiste.training.checkpoint import save_json, save_tensors
+from offpiste.training.config import Weights
+from offpiste.training.losses import COMPONENTS
+from offpiste.training.run import build
+
+BACKBONE = open_backbone("filterbank")
+
+
+def pca_file(path, seed):
+    basis = np.linalg.qr(np.random.default_rng(seed).normal(size=(BACKBONE.channels, 4)))[0].astype(np.float32)
+    pca = PrincipalComponents(
+        mean=np.zeros(BACKBONE.channels, np.float32),
+        basis=basis,
+        variance=np.ones(4, np.float32),
+        total_variance=8.0,
+        backbone=BACKBONE.name,
+        fingerprint=BACKBONE.fingerprint,
+        fitted_on={},
+    )
+    save_pca(path, pca)
+    return pca.identity
+
+
+def run_folder(folder, model, features, dataset_pca, **told):
+    """An untrained run, of which model.json tells something more, and as much of its dataset as is read."""
+    vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(features))
+    save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
+    about = {
+        "model": model,
+        "seed": 0,
+        "vehicle": asdict(vehicle),
+        "loss": {"weights": asdict(Weights()), "scale": dict.fromkeys(COMPONENTS, 1.0)},
+        "dataset": str(folder / "dataset.zarr"),
+        "split": "blocks:0.7,0.1,0.2",
+        "seen": [],
+        **told,
+    }
+    save_json(folder / "model.json", about)
+    (folder / "dataset.zarr").mkdir()
+    attributes = {"attributes": {"features": list(features), "pca": dataset_pca}}
+    (folder / "dataset.zarr" / "zarr.json").write_text(json.dumps(attributes))
+    return folder
+
+
+def test_a_run_of_visual_features_wants_its_own_pca(tmp_path):
+    mine, others = tmp_path / "mine.safetensors", tmp_path / "others.safetensors"
+    identity = pca_file(mine, 0)
+    pca_file(others, 1)
+    run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], identity)
+    with pytest.raises(RunError, match="give --pca"):
+        load_planner(run)
+    with pytest.raises(RunError, match="was trained with another PCA"):
+        load_planner(run, others)
+    planner = load_planner(run, mine)
+    assert (planner.name, planner.told) == ("dc", False)
+    assert planner.looking.channels == 4
+    (run / "dataset.zarr" / "zarr.json").unlink()
+    with pytest.raises(RunError, match="cannot be read"):
+        load_planner(run, mine)
+
+
+def test_a_run_that_names_its_pca_needs_no_dataset(tmp_path):
+    identity = pca_file(tmp_path / "mine.safetensors", 0)
+    run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], "of another dataset", pca=identity)
+    (run / "dataset.zarr" / "zarr.json").unlink()
+    assert load_planner(run, tmp_path / "mine.safetensors").looking.identity == identity
+
+
+def test_an_oracle_is_known_by_its_features(tmp_path):
+    ceiling = load_planner(run_folder(tmp_path / "df", "df", GROUND_PROPERTIES, None))
+    assert (ceiling.name, ceiling.told) == ("ceiling", True)
+    with pytest.raises(RunError, match="no camera gives"):
+        load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel"), None))
+
+
+def test_models_without_features_need_nothing(tmp_path):
+    planner = load_planner(run_folder(tmp_path / "b", "b", [f"pca_{i}" for i in range(4)], "abc"))
+    assert (planner.name, planner.told, planner.looking) == ("b", False, None)
+
+
+def test_a_planner_tells_its_weights_from_others(tmp_path):
+    first, other = (load_planner(run_folder(tmp_path / m, m, [], None)).weights for m in ("b", "parametric"))
+    assert len(first) == len(other) == 16
+    assert first != other
+    assert load_planner(tmp_path / "b").weights == first
+
+
+def test_a_run_that_never_saw_a_throttle_is_refused(tmp_path):
+    vehicle = Vehicle(1150.0, 2.06, 0.5, ("brake", "steer"), ())
+    folder = run_folder(tmp_path, "b", (), None, vehicle=asdict(vehicle))
+    save_tensors(folder / "model.safetensors", build("b", vehicle, seed=0).state_dict())
+    with pytest.raises(RunError, match="without the throttle that a planner would choose"):
+        load_planner(folder)

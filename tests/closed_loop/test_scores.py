@@ -1,0 +1,110 @@
+"""What was driven, in numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from offpiste.closed_loop.lockstep import Driving, time_of
+from offpiste.closed_loop.scores import Trace, driven_cost, prediction_errors, summary, trace_of
+from offpiste.conventions import HORIZON_STEPS
+from offpiste.planning.cost_map import Course
+from offpiste.planning.costs import Weights
+from offpiste.runtime.modes import Controls
+from offpiste.runtime.prediction import Prediction
+from synthetic_drive import samples
+
+WEIGHTS = Weights(path=3.0, speed=1.0)
+COURSE = Course(np.stack((np.arange(11.0), np.zeros(11)), axis=1), np.full(11, 7.0))
+"""10 m along x, at 7 m/s."""
+
+
+def test_the_driven_cost_by_hand():
+    # Two seconds 0.5 m beside the course, at 5 m/s where 7 are wanted: 2 s x (3 x 0.25 + 1 x 4).
+    n = 100
+    trace = Trace(np.zeros((n, 2)), *(np.full(n, value) for value in (5.0, 0.5, 7.0, 0.0, 0.0)))
+    assert driven_cost(trace, n, None, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0))
+    # Not at the end after 10 s: the other eight count as standing, on the course.
+    assert driven_cost(trace, n, 10.0, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0) + 8 * 49.0)
+    assert driven_cost(trace, 50, None, WEIGHTS) == pytest.approx(0.75 + 4.0)
+
+
+def prediction(place, first, aside=0.0):
+    """A plan that acts from a row on; its last state is where the vehicle is 5 s later, but for so much to the left."""
+    state = np.zeros((HORIZON_STEPS, 6))
+    state[:, :2] = place[first] + 0.1 * np.arange(1, HORIZON_STEPS + 1)[:, None] * (1, 0) + (0.0, aside)
+    return Prediction(time_of(0.02 * first), state)
+
+
+def test_a_plan_is_compared_with_where_the_vehicle_was_5_s_after_it_began_to_act():
+    place = 0.1 * np.arange(300)[:, None] * (1, 0)  # 5 m/s along x: a row too early or late would be 0.1 m
+    found = prediction_errors([prediction(place, 10), prediction(place, 10, aside=3.0), prediction(place, 49)], place)
+    assert found == pytest.approx([0.0, 3.0, 0.0], abs=1e-9)
+    speeds_up = place + (np.maximum(np.arange(300) - 260, 0) ** 2)[:, None] * (0.01, 0)
+    assert prediction_errors([prediction(place, 20)], speeds_up) == pytest.approx([1.0]), "row 270"
+
+
+def test_plans_that_nothing_can_be_compared_with_are_left_out():
+    place = 0.1 * np.arange(300)[:, None] * (1, 0)
+    beyond = prediction(place, 50)  # row 300 was not driven
+    none, short = Prediction(time_of(0.0), np.zeros((0, 6))), Prediction(time_of(0.0), np.zeros((100, 6)))
+    assert prediction_errors([beyond, none, short], place).shape == (0,)
+    assert prediction_errors([], place).shape == (0,)
+
+
+def hand_made(rows=10):
+    """A metre a row along the course, 0.5 m beside it, but 1.5 m in row 3 and 4 m in row 9; it hits a tree in row 4."""
+    aside = np.full(10, 0.5)
+    aside[3], aside[9] = 1.5, 4.0
+    like = samples(1.0)[0]
+    truth = replace(like.truth, slip_ratio=np.full(4, -0.3), slip_angle=np.full(4, np.arctan(0.4)))
+    driven = [
+        replace(
+            like,
+            time=0.02 * row,
+            position=np.array((row, aside[row], 20.0)),
+            velocity=np.array((3.0, -4.0, 12.0)),
+            truth=truth,
+            events=("collision with a tree",) if row == 4 else (),
+        )
+        for row in range(rows)
+    ]
+    modes = ["stopped", *(rows - 1) * ["driving"]]
+    return Driving(driven, [Controls(time_of(s.time), np.zeros(3), m) for s, m in zip(driven, modes, strict=True)])
+
+
+def test_the_trace_by_hand():
+    trace = trace_of(hand_made(), COURSE)
+    np.testing.assert_allclose(trace.place[:, 0], np.arange(10))
+    np.testing.assert_allclose(trace.speed, 5.0)  # over ground: the climb does not count
+    np.testing.assert_allclose(trace.off, [0.5, 0.5, 0.5, 1.5, 0.5, 0.5, 0.5, 0.5, 0.5, 4.0])
+    np.testing.assert_allclose(trace.target, 7.0)
+    np.testing.assert_allclose(trace.progress, np.arange(10))
+    np.testing.assert_allclose(trace.slip, 0.5)
+
+
+def test_the_summary_counts_until_the_course_is_driven():
+    driving = hand_made()
+    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS)
+    assert found["finished"], "from row 7 on it is less than 3 m to the end"
+    assert found["time_s"] == pytest.approx(8 * 0.02)
+    assert found["progress_m"] == 7.0
+    assert found["mean_path_error_m"] == pytest.approx((7 * 0.5 + 1.5) / 8)
+    assert found["worst_path_error_m"] == 1.5
+    assert found["driven_m"] == pytest.approx(5 + 2 * np.sqrt(2))
+    assert (found["mean_speed_mps"], found["mean_speed_error_mps"]) == (pytest.approx(5.0), pytest.approx(2.0))
+    assert found["driven_cost"] == pytest.approx(0.02 * (3 * (7 * 0.25 + 2.25) + 8 * 4))
+    assert found["share_of_time"] == {"driving": 7 / 8, "stopped": 1 / 8}
+    assert found["vehicle_events"] == [(0.08, "collision with a tree")]
+    assert found["collision"]
+    assert not any(found[name] for name in ("rollover", "stuck", "left_world"))
+
+
+def test_what_does_not_finish_counts_as_standing_in_its_cost_alone():
+    driving = hand_made(rows=3)
+    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS)
+    assert not found["finished"]
+    assert (found["time_s"], found["progress_m"]) == (pytest.approx(0.06), 2.0)
+    assert found["driven_cost"] == pytest.approx(0.06 * (3 * 0.25 + 4) + (2.0 - 0.06) * 49)
+    assert found["mean_path_error_m"] == pytest.approx(0.5)
+    assert found["mean_speed_error_mps"] == pytest.approx(2.0)

@@ -1,0 +1,130 @@
+"""The numbers of a dataset's report, on cells few enough to work out by hand."""
+
+import numpy as np
+import pytest
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset import feature_coverage
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.passes import find_passes
+
+SETS = len(FEATURE_SETS)
+NEAR, FAR = FEATURE_SETS.index("0"), FEATURE_SETS.index("10")
+
+
+def cells_of(features: np.ndarray, distance: float = 7.0) -> Cells:
+    """Cells with these features [D M F], valid where they are finite."""
+    valid = np.isfinite(features).all(axis=2)
+    known = np.where(valid, distance, np.nan).astype(np.float32)
+    index = np.zeros((1, 4), np.int32)
+    return Cells(index, features.astype(np.float16), valid, known, known)
+
+
+def three_cells() -> Cells:
+    """In hindsight at (0, 0), (10, 20), (0, 20); at 0 m by (3, 4), then lacking, then the same; at 10 m one cell."""
+    features = np.full((SETS, 3, 2), np.nan)
+    features[0] = (0, 0), (10, 20), (0, 20)
+    features[NEAR, 0] = 3, 4
+    features[NEAR, 2] = 0, 20
+    features[FAR, 0] = 4, 4
+    return cells_of(features)
+
+
+def test_rates_count_cells_of_all_drives() -> None:
+    rates = feature_coverage.valid_rates([three_cells()])
+    np.testing.assert_allclose(rates[[0, NEAR, FAR]], (1, 2 / 3, 1 / 3))
+    assert rates.sum() == pytest.approx(2)
+    lacking = cells_of(np.full((SETS, 1, 2), np.nan))
+    np.testing.assert_allclose(feature_coverage.valid_rates([three_cells(), lacking])[[0, NEAR]], (3 / 4, 2 / 4))
+    both = [three_cells(), lacking]
+    within = feature_coverage.valid_rates(both, feature_coverage.in_hindsight(both))
+    np.testing.assert_allclose(within[[0, NEAR]], (1, 2 / 3))
+
+
+def test_rates_of_no_cells_are_unknown() -> None:
+    assert np.isnan(feature_coverage.valid_rates([cells_of(np.zeros((SETS, 0, 2)))])).all()
+
+
+def test_a_range_leaves_out_what_is_rare_unless_told_otherwise() -> None:
+    features = np.zeros((SETS, 201, 2))
+    features[0, :, 0] = np.arange(201)
+    features[0, 200, 1] = 50
+    np.testing.assert_allclose(feature_coverage.feature_range([cells_of(features)]), (196, 0))
+    np.testing.assert_allclose(feature_coverage.feature_range([cells_of(features)], (0.0, 100.0)), (200, 50))
+
+
+def test_differences_of_the_three_cells() -> None:
+    span = feature_coverage.feature_range([three_cells()], (0.0, 100.0))
+    np.testing.assert_allclose(span, (10, 20))
+    found = feature_coverage.differences([three_cells()], span)
+    whole = np.hypot(10, 20)
+    assert found.length[0, NEAR] == pytest.approx((5 + 0) / 2 / whole)
+    assert found.length[NEAR, FAR] == pytest.approx(1 / whole)
+    np.testing.assert_allclose(found.length, found.length.T)
+    np.testing.assert_allclose(found.feature[0, NEAR], (3 / 2 / 10, 4 / 2 / 20))
+    np.testing.assert_allclose(found.neighbours()[NEAR - 1], (1 / 10, 0))
+    assert found.count[0, NEAR] == found.count[NEAR, 0] == 2
+    assert found.count[0, 0] == 3
+    assert found.length[0, 0] == 0
+    assert np.isnan(found.length[0, -1])
+
+
+def test_drives_are_pooled_by_cells() -> None:
+    """One drive of three cells and the same cells in two drives say the same."""
+    whole = three_cells()
+    parts = [
+        Cells(whole.index, whole.features[:, k], whole.valid[:, k], whole.distance[:, k], whole.elevation[:, k])
+        for k in (slice(0, 1), slice(1, 3))
+    ]
+    span = feature_coverage.feature_range([whole])
+    np.testing.assert_allclose(feature_coverage.feature_range(parts), span)
+    np.testing.assert_array_equal(feature_coverage.valid_rates(parts), feature_coverage.valid_rates([whole]))
+    ours, theirs = feature_coverage.differences(parts, span), feature_coverage.differences([whole], span)
+    np.testing.assert_array_equal(ours.count, theirs.count)
+    np.testing.assert_allclose(ours.length, theirs.length)
+
+
+def test_unrelated_cells_differ_by_their_spread() -> None:
+    features = np.zeros((SETS, 2, 1))
+    features[0, 1] = 4.0
+    assert feature_coverage.unrelated([cells_of(features)], np.array([4.0]), np.random.default_rng(0)) == pytest.approx(
+        1
+    )
+    assert np.isnan(feature_coverage.unrelated([cells_of(features[:, :1])], np.array([4.0]), np.random.default_rng(0)))
+
+
+def test_quartiles_are_of_valid_cells_only() -> None:
+    features = np.full((SETS, 5, 1), np.nan)
+    features[0] = 1.0
+    cells = cells_of(features)
+    cells.distance[0] = 1, 2, 3, 4, 5
+    cells.distance[1] = 99
+    quartiles = feature_coverage.observation_quartiles([cells])
+    np.testing.assert_allclose(quartiles[0], (2, 3, 4))
+    assert np.isnan(quartiles[1:]).all()
+
+
+def test_what_lies_at_the_ends_of_a_drive_was_never_at_some_distances() -> None:
+    """50 m straight ahead, one cell a metre, wheels at the pose point."""
+    time = np.arange(51.0)
+    xy = np.column_stack((time, np.zeros(51))) + 0.5
+    wheels = np.repeat(xy[:, None], 4, axis=1)
+    passes = find_passes(time, xy, wheels, resolution=1.0)
+    reached = dict(zip(FEATURE_SETS, feature_coverage.within_reach(passes, time, xy, 1.0), strict=True))
+    assert reached["hindsight"].all()
+    np.testing.assert_array_equal(np.flatnonzero(reached["40"]), np.arange(35, 51))
+    np.testing.assert_array_equal(np.flatnonzero(reached["20"]), np.arange(15, 51))
+    # After first contact distances are negative, so the start of the drive was seen from behind but not its end.
+    np.testing.assert_array_equal(np.flatnonzero(reached["-20"]), np.arange(0, 36))
+    assert reached["0"].all()
+
+
+def test_contacts_are_counted_by_how_often_the_place_was_passed_before() -> None:
+    """To and fro over ten cells with a stop far away: the second half are second passes."""
+    there = np.arange(10.0)
+    x = np.concatenate((there, np.full(20, 50.0), there[::-1]))
+    xy = np.column_stack((x, np.zeros(len(x))))
+    wheels = np.repeat(xy[:, None], 4, axis=1)
+    passes = find_passes(np.arange(float(len(x))), xy, wheels, resolution=1.0)
+    # The stop lasts 20 s in one cell, one pass of its own.
+    np.testing.assert_array_equal(feature_coverage.contacts_by_pass(passes), (4 * 30, 4 * 10))

@@ -1,0 +1,32 @@
+"""Lists of images: written and read, and refused in one line."""
+
+import pytest
+
+from offpiste.dataset.fit_pca import ListedImage, read_image_list, write_image_list
+from offpiste.errors import PerceptionError
+
+
+def test_a_list_comes_back_with_names_that_have_blanks(tmp_path):
+    images = [ListedImage("my drive", "front", 12.25), ListedImage("b", "rear", 1700000000.123456)]
+    write_image_list(tmp_path / "list.txt", images)
+    assert read_image_list(tmp_path / "list.txt") == images
+
+
+def test_comments_and_blank_lines_are_passed_over(tmp_path):
+    (tmp_path / "list.txt").write_text("# chosen by hand\n\na front 3\n")
+    assert read_image_list(tmp_path / "list.txt") == [ListedImage("a", "front", 3.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("a front\n", "line 1: 'a front' names no image"), ("a f x\n", "line 1"), ("#\n", "lists no image")],
+)
+def test_what_is_no_list_ends_in_one_line(tmp_path, text, said):
+    (tmp_path / "list.txt").write_text(text)
+    with pytest.raises(PerceptionError, match=said):
+        read_image_list(tmp_path / "list.txt")
+
+
+def test_a_list_that_is_not_there(tmp_path):
+    with pytest.raises(PerceptionError, match="no list of images"):
+        read_image_list(tmp_path / "list.txt")

@@ -1,0 +1,119 @@
+"""Rows from a drive whose motion is known; what the log lacks stays unknown."""
+
+import numpy as np
+import pytest
+
+from factories import RIG, MemoryLog, small_rig
+from offpiste.conventions import DT
+from offpiste.dataset.resample import Rows, extract_rows, present_actuators, present_control
+from offpiste.errors import LogError
+from offpiste.logs.drive import drive_from_log
+from offpiste.rig.rig import parse_rig
+
+ANGLE = '[channels.steer_angle]\ntopic = "steering"\nfields = ["angle"]\n'
+WITH_ANGLE = RIG.replace('"steer_angle", "steer_rate", ', "") + ANGLE
+
+
+def straight_log(seconds: float = 20.0, *, rate: float = 50.0, grade: float = 0.0, gap: float = 0.0) -> MemoryLog:
+    """North-east at 5 m/s horizontally, up a grade, far from the origin; the pedals' stamps lie between the pose's."""
+    time = np.arange(0, seconds, 1 / rate)
+    along, zero = 5 * time, 0 * time
+    half = np.pi / 8
+    pose = {
+        "x": 4e5 + along * np.sqrt(0.5), "y": 5e6 + along * np.sqrt(0.5), "z": 100 + grade * along,
+        "qx": zero, "qy": zero, "qz": zero + np.sin(half), "qw": zero + np.cos(half),
+    }  # fmt: skip
+    keep = (time < 10) | (time > 10 + gap)
+    offset = time + 0.3 / rate
+    return MemoryLog(
+        odometry=(time[keep], {key: values[keep] for key, values in pose.items()}),
+        pedals=(offset, {"throttle": 0.05 * offset, "brake": zero}),
+        steering=(offset, {"steer": np.sin(offset), "angle": 0.4 * np.sin(offset)}),
+    )
+
+
+def extracted(text: str = RIG, **log: float) -> Rows:
+    return extract_rows(drive_from_log(straight_log(**log), parse_rig(text, where="test")))
+
+
+def test_rows_are_50_hz_and_relative_to_the_first():
+    rows = extracted()
+    np.testing.assert_allclose(np.diff(rows.time), DT, atol=1e-9)
+    first = np.flatnonzero(rows.valid)[0]
+    np.testing.assert_allclose(rows.state[first, :2], 0, atol=1e-6)
+    np.testing.assert_allclose(rows.origin, (4e5, 5e6), atol=5)
+    assert rows.state.dtype == np.float32
+
+
+def test_known_motion_and_commands_come_out():
+    rows = extracted()
+    inner = rows.valid
+    assert inner.mean() > 0.97
+    np.testing.assert_allclose(rows.state[inner, 2:], np.tile([np.pi / 4, 5, 0, 0], (inner.sum(), 1)), atol=2e-3)
+    np.testing.assert_allclose(rows.state_causal[inner, 3], 5, atol=1e-2)
+    np.testing.assert_allclose(rows.control[inner, 0], 0.05 * rows.time[inner], atol=1e-5)
+    np.testing.assert_allclose(rows.control[inner, 2], np.sin(rows.time[inner]), atol=1e-4)
+    assert rows.distance == pytest.approx(5 * inner.sum() * DT, rel=1e-3)
+
+
+def test_absent_channels_stay_unknown_and_do_not_make_rows_invalid():
+    rows = extracted()
+    assert np.isnan(rows.actuators).all()
+    assert rows.valid.any()
+    assert present_actuators(small_rig()) == ()
+    assert present_control(small_rig()) == ("throttle", "brake", "steer")
+
+
+def test_a_steering_rate_is_derived_from_the_angle():
+    rows = extracted(WITH_ANGLE)
+    at = rows.time[rows.valid]
+    np.testing.assert_allclose(rows.actuators[rows.valid, 1], 0.4 * np.sin(at), atol=1e-4)
+    np.testing.assert_allclose(rows.actuators[rows.valid, 2], 0.4 * np.cos(at), atol=5e-3)
+    assert present_actuators(parse_rig(WITH_ANGLE, where="")) == ("steer", "steer_rate")
+
+
+@pytest.mark.parametrize("grade", [0.0, 0.2, -0.2])
+def test_normals_are_those_of_the_driven_slope(grade):
+    rows = extracted(grade=grade)
+    normal = rows.normal[0, rows.valid]
+    assert rows.normal.shape[0] == 1
+    wanted = np.array([-grade * np.sqrt(0.5), -grade * np.sqrt(0.5), 1]) / np.hypot(grade, 1)
+    np.testing.assert_allclose(normal, np.broadcast_to(wanted, normal.shape), atol=5e-3)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, rtol=1e-6)
+
+
+def test_flat_normals_on_request():
+    rows = extracted(RIG + '[motion]\nnormals = "flat"\n', grade=0.2)
+    np.testing.assert_array_equal(rows.normal[0, rows.valid], [[[0, 0, 1]] * 4] * rows.valid.sum())
+
+
+def test_a_command_holds_where_the_rig_says_so():
+    rows = extracted(RIG + 'interpolation = "hold"\n')
+    values = np.sin(straight_log().data["steering"][0])
+    assert np.isin(rows.control[rows.valid, 2], values.astype(np.float32)).all()
+
+
+def test_rows_in_a_gap_are_invalid_and_never_filled():
+    rows = extracted(gap=3.0)
+    inside = (rows.time > 10.05) & (rows.time < 12.95)
+    assert not rows.valid[inside].any()
+    assert np.isnan(rows.state[inside]).all()
+    assert rows.valid[(rows.time > 1) & (rows.time < 9.5)].all()
+    assert rows.valid[(rows.time > 13.5) & (rows.time < 19)].all()
+
+
+def test_a_log_without_one_complete_second_is_an_error():
+    with pytest.raises(LogError, match=r"no second of it has all channels.*max_gap"):
+        extracted(RIG + "[clock]\nmax_gap = 0.001\n")
+
+
+def test_a_pose_too_slow_for_the_window_is_an_error_that_names_the_window():
+    with pytest.raises(LogError, match=r"motion\.window"):
+        extracted(RIG + "[motion]\nwindow = 0.3\n", rate=10.0)
+    assert extracted(RIG + "[motion]\nwindow = 0.6\n", rate=10.0).valid.mean() > 0.9
+
+
+def test_an_angle_too_slow_for_its_rate_is_an_error_that_names_the_window():
+    text = WITH_ANGLE + '[channels.linear_velocity]\ntopic = "odometry"\nfields = ["x", "y", "z"]\nframe = "world"\n'
+    with pytest.raises(LogError, match=r"steer_angle: too few samples.*motion\.window"):
+        extracted(text, rate=10.0)

@@ -1,0 +1,205 @@
+"""From a recorded drive with camera and LiDAR to visual features by distance, against the simulator's truth."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.cli import main
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.store import Dataset, drive_names
+from offpiste.dataset.windows import Windows
+from offpiste.errors import DatasetError, LogError
+from offpiste.logs.ground_truth import read_truth_map
+from offpiste.logs.open import open_log
+from offpiste.logs.sensor_log import open_sensors
+from offpiste.mapping.replay import pinhole_cameras, replay
+from offpiste.mapping.terrain_lookup import MapTerrain
+from offpiste.mapping.terrain_map import wheel_places
+from offpiste.perception.feature_extractor import load_looking
+from offpiste.perception.pca import load_pca
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.world import WorldSettings
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("visual")
+    world = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
+    simulate(DriveSettings(world, 12.0, seed=1, sensors="light"), folder / "drive.mcap")
+    options = {"--rig": "proving_ground", "--backbone": "filterbank", "--images": "6", "--components": "12"}
+    options |= {"--split": "blocks:1,0,0", "--out": str(folder / "pca.safetensors")}
+    with pytest.raises(SystemExit) as exit_:
+        main(["fit-pca", str(folder / "drive.mcap"), *(word for pair in options.items() for word in pair)])
+    assert not exit_.value.code
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dataset(folder: Path) -> Dataset:
+    said: list[str] = []
+    (folder / "parts.txt").write_text("drive test\n")
+    made = make_dataset(
+        [folder / "drive.mcap"],
+        load_rig("proving_ground"),
+        folder / "data.zarr",
+        split=f"drives:{folder / 'parts.txt'}",
+        pca=folder / "pca.safetensors",
+        tell=said.append,
+    )
+    assert "leaves nothing for train and validation" in said[0]
+    assert "valid by distance: hindsight" in said[1]
+    assert "snapshots of the map" in said[1]
+    return made
+
+
+def test_a_pca_is_fitted_on_the_same_images_again_from_its_list(folder: Path) -> None:
+    listed = folder / "pca.images.txt"
+    assert len(listed.read_text().splitlines()) == 6
+    options = {"--rig": "proving_ground", "--backbone": "filterbank", "--images": str(listed), "--components": "12"}
+    options |= {"--split": "blocks:1,0,0", "--out": str(folder / "again.safetensors")}
+    words = [word for pair in options.items() for word in pair]
+    with pytest.raises(SystemExit) as exit_:
+        main(["fit-pca", str(folder / "drive.mcap"), *words])
+    assert not exit_.value.code
+    again, first = load_pca(folder / "again.safetensors"), load_pca(folder / "pca.safetensors")
+    np.testing.assert_allclose(again.basis, first.basis, atol=1e-9)
+    listed.with_name("other.txt").write_text("drive front 1e9\n")
+    with pytest.raises(SystemExit) as exit_:
+        main(["fit-pca", str(folder / "drive.mcap"), *words[:-4], "--images", str(folder / "other.txt")])
+    assert exit_.value.code == 1
+
+
+def test_every_set_is_there_and_its_views_were_taken_from_where_it_says(dataset: Dataset) -> None:
+    cells = dataset.drives[0].rows.cells
+    assert cells.features.shape[0] == len(FEATURE_SETS)
+    assert dataset.features == tuple(f"pca_{n}" for n in range(12))
+    rates = dict(zip(FEATURE_SETS, cells.valid.mean(axis=1), strict=True))
+    assert rates["hindsight"] > 0.8
+    assert rates["10"] > rates["30"]
+    for name in ("10", "20"):
+        number = FEATURE_SETS.index(name)
+        seen = cells.distance[number][cells.valid[number]]
+        # The map keeps the closest observation, so a view is never from much nearer than the vehicle has been.
+        assert np.median(seen) == pytest.approx(float(name), abs=5.0)
+    assert (np.isfinite(cells.features).all(axis=2) == cells.valid).all()
+
+
+def test_ground_that_no_camera_sees_any_more_stays_as_it_was(dataset: Dataset) -> None:
+    """The one camera looks ahead, and the map keeps the closest observation."""
+    cells = dataset.drives[0].rows.cells
+    behind = [FEATURE_SETS.index(name) for name in ("-10", "-20")]
+    both = cells.valid[behind].all(axis=0)
+    assert both.sum() > 100
+    np.testing.assert_array_equal(*cells.features[behind][:, both])
+
+
+def test_elevation_and_normals_are_those_of_the_world(dataset: Dataset, folder: Path) -> None:
+    rows, rig = dataset.drives[0].rows, dataset.rig
+    truth = read_truth_map(folder / "drive.mcap")
+    places = wheel_places(rows.state[:, :2] + rows.origin, rows.state[:, 2].astype(float), rig.wheel_positions())
+    under = rows.cells.index
+    here = rows.cells.elevation[0][under]
+    known = (under >= 0) & np.isfinite(here)
+    wanted = read_grid(truth.layers["elevation"], truth.origin, truth.resolution, places[known])
+    assert known.mean() > 0.8
+    assert np.median(np.abs(here[known] - wanted)) < 0.06
+    rise_y, rise_x = np.gradient(truth.layers["elevation"], truth.resolution)
+    slope = read_grid(np.stack((rise_x, rise_y), axis=-1), truth.origin, truth.resolution, places[known])
+    normal = rows.normal[0][known]
+    assert np.median(np.abs(-normal[:, :2] / normal[:, 2:] - slope)) < 0.06
+
+
+def test_windows_give_the_features_to_models(dataset: Dataset) -> None:
+    batch = Windows(dataset, "test").gather(np.array([0, 20]))
+    assert batch.ground.features.shape[1] == 12
+    assert torch.isfinite(batch.ground.features[batch.ground.valid]).all()
+
+
+def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Dataset, folder: Path) -> None:
+    rows, snapshots = dataset.drives[0].rows, dataset.drives[0].snapshots
+    assert (np.diff(snapshots.row) >= 25).all()
+    log, looking = open_log(folder / "drive.mcap"), load_looking(folder / "pca.safetensors")
+    sensors = open_sensors(log, dataset.rig)
+    moments = replay(sensors, pinhole_cameras(sensors, looking.patch), looking.look, looking.channels)
+    compared, before, after = 0, -np.inf, rows.time[snapshots.row]
+    held = None
+    for moment in moments:
+        for number in np.flatnonzero((after > before) & (after < moment.time)):
+            found = snapshots.load(int(number))
+            low = np.round((found.origin - held.origin) / found.resolution).astype(int)
+            ny, nx = found.elevation.shape
+            there = held.features[low[1] : low[1] + ny, low[0] : low[0] + nx].astype(np.float16)
+            known = np.isfinite(found.elevation)
+            np.testing.assert_array_equal(found.features[known], there[known])
+            assert known.sum() > 1000
+            compared += 1
+        if compared >= 3:
+            return
+        before, held = moment.time, copy.deepcopy(moment.layers.terrain_map())
+    raise AssertionError("too few snapshots")
+
+
+def test_predicted_places_are_looked_up_in_snapshots(dataset: Dataset) -> None:
+    windows = Windows(dataset, "test")
+    index = windows.judged(5)
+    maps, number = windows.maps.of(index)
+    found = MapTerrain(
+        maps, torch.as_tensor(number), windows.places(index), windows.wheels, lambda f, valid: valid[:, None].float()
+    )
+    batch = windows.gather(index)
+    ahead = torch.stack([found.at(0, batch.target[:, t]).latent for t in (0, 100)])
+    # The ground ahead was seen by the camera, that 2 s ahead too.
+    assert ahead[1].float().mean() > 0.5
+
+
+def test_what_cannot_be_extracted_ends_in_one_line(folder: Path, tmp_path: Path) -> None:
+    rig, pca = load_rig("proving_ground"), folder / "pca.safetensors"
+    world = WorldSettings("uniform", size=100.0, resolution=0.5)
+    simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "blind.mcap")
+    with pytest.raises(LogError, match="LiDAR"):
+        make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", pca=pca)
+    with pytest.raises(DatasetError, match="both a PCA"):
+        make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "e.zarr", pca=pca, features="ground-truth")
+    with pytest.raises(DatasetError, match="another"):
+        make_dataset([folder / "drive.mcap"], rig, folder / "data.zarr", split="blocks:1,0,0")
+    with pytest.raises(DatasetError, match="min-hindsight is 2"):
+        make_dataset([folder / "drive.mcap"], rig, tmp_path / "f.zarr", pca=pca, min_hindsight=2.0)
+
+
+def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path) -> None:
+    world = WorldSettings("uniform", size=100.0, resolution=0.5)
+    for name in ("one", "two"):
+        simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / f"{name}.mcap")
+    (tmp_path / "bad.mcap").write_bytes(b"nonsense")
+    rig, said = load_rig("proving_ground"), []
+    logs = [tmp_path / f"{name}.mcap" for name in ("one", "bad", "two")]
+    with pytest.raises(LogError, match=r"bad\.mcap"):
+        make_dataset(logs, rig, tmp_path / "d.zarr", processes=2, tell=said.append)
+    assert drive_names(tmp_path / "d.zarr") == ["one", "two"]
+    # A killed run leaves half a drive; the next one clears it away and does only what is missing.
+    (tmp_path / "d.zarr" / ".one.x").mkdir()
+    said.clear()
+    again = make_dataset(logs[::2], rig, tmp_path / "d.zarr", tell=said.append)
+    assert said == ["one: already there", "two: already there"]
+    assert len(again.drives) == 2
+    assert not (tmp_path / "d.zarr" / ".one.x").exists()
+
+
+def test_a_pca_that_saw_the_test_part_is_told(dataset: Dataset) -> None:
+    assert any("the PCA may have seen" in note and "--split" in note for note in dataset.drives[0].notes)
+
+
+def test_a_dataset_without_drives_does_not_bar_the_next_try(tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"nonsense")
+    with pytest.raises(LogError):
+        make_dataset([tmp_path / "bad.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr")
+    world = WorldSettings("uniform", size=100.0, resolution=0.5)
+    simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "one.mcap")
+    made = make_dataset([tmp_path / "one.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr", split="blocks:1,0,0")
+    assert [drive.name for drive in made.drives] == ["one"]

@@ -1,0 +1,205 @@
+"""Kernels against the eager model in float64: the rollout, and every gradient that training uses."""
+
+import copy
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from factories import coded
+from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.dynamics import ConstantMotion, Hybrid, Parametric, Vehicle, rollout
+from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.errors import DatasetError
+from offpiste.state import Carry, RecordedTerrain, Terrain, Trajectory
+
+TOLERANCE = 2e-5
+"""Of the largest value of each tensor."""
+
+Inputs = tuple[Carry, Tensor, Terrain]
+
+CHANNELS = {
+    "all": (CONTROL, ACTUATORS),
+    "no actuators": (CONTROL, ()),
+    "only engine": (CONTROL, ("engine_rpm",)),
+    "brake and steer": (CONTROL, ("brake", "steer", "steer_rate")),
+    "no throttle": (("brake", "steer"), ACTUATORS),
+    "no brake": (("throttle", "steer"), ("steer", "steer_rate", "engine_rpm")),
+    "steer without command": (("throttle", "brake"), ACTUATORS),
+    "only steering": (("steer",), ()),
+}
+
+
+def example(
+    control: tuple[str, ...], actuators: tuple[str, ...], *, codes: int, kind: type[Hybrid | Parametric], seed: int = 0
+) -> Hybrid | Parametric:
+    """A model with random weights, in float64, its actuators frozen."""
+    torch.manual_seed(seed)
+    vehicle = Vehicle(mass=1200.0, wheelbase=2.1, max_steer=0.5, control=control, actuators=actuators)
+    model = coded(vehicle, codes) if kind is Hybrid else Parametric(vehicle)
+    for parameter in model.parameters():
+        parameter.data += 0.3 * torch.randn_like(parameter)
+    for name, buffer in model.named_buffers():
+        if name.endswith("mean"):
+            buffer += 0.3 * torch.randn_like(buffer)
+        if name.endswith("compensator.scale"):
+            buffer *= 1 + torch.rand_like(buffer)
+            buffer[-4 * codes - 4 : len(buffer) - 4 * codes] = torch.tensor([2000.0, 3000.0, 3000.0, 1.0])
+    model.actuators.requires_grad_(False)
+    return model.double()
+
+
+def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
+    """Random input with every branch of the physics: standstill, reverse, slow, fast, brakes applying and releasing."""
+    codes = getattr(model, "codes", 0)
+    draw = torch.Generator().manual_seed(batch)
+    state = torch.randn(batch, 6, generator=draw) * torch.tensor([20.0, 20.0, 3.0, 4.0, 0.5, 0.5])
+    state[:, 3] += 3
+    state[::5, 3:] = 0
+    state[1::7, 3:5] *= 0.05
+    actuators = torch.rand(batch, 4, generator=draw) * torch.tensor([1.0, 0.6, 0.5, 3.0])
+    actuators -= torch.tensor([0.0, 0.3, 0.2, 0.0])
+    control = torch.rand(batch, 1, 3, generator=draw) + 0.3 * torch.randn(batch, steps, 3, generator=draw)
+    control = control.clamp(0, 1) - torch.tensor([0.0, 0.0, 0.5])
+    control[::2, :, 1] = 0  # not braking is as common as it is a corner of the lag
+    actuators[::4, 0] = 0
+    units = 0 if not isinstance(model, Hybrid) else model.compensator.hidden
+    units += model.actuators.hidden
+    normal = torch.randn(batch, steps, 4, 3, generator=draw) * 0.1 + torch.tensor([0.0, 0.0, 1.0])
+    normal = normal / normal.norm(dim=-1, keepdim=True)
+    latent = torch.randn(batch, steps, 4, codes, generator=draw)
+    for i, name in enumerate(ACTUATORS):
+        if name not in model.vehicle.actuators:
+            actuators[:, i] = torch.nan
+    for i, name in enumerate(CONTROL):
+        if name not in model.vehicle.control:
+            control[:, :, i] = torch.nan
+    hidden, cell = torch.randn(2, batch, units, generator=draw) * 0.5
+    return Carry(state, actuators, hidden, cell), control, Terrain(normal, latent)
+
+
+def run(model: Hybrid | Parametric, inputs: Inputs, *, eager: bool) -> tuple[Trajectory, dict[str, Tensor]]:
+    """The trajectory, and the gradients of a weighted sum of all that it has."""
+    dtype = next(model.parameters()).dtype
+    carry, control, terrain = inputs
+    leaves = {"state": carry.state, "hidden": carry.hidden, "cell": carry.cell, "latent": terrain.latent}
+    leaves = {name: leaf.to(dtype, copy=True).requires_grad_() for name, leaf in leaves.items()}
+    carry = Carry(leaves["state"], carry.actuators.to(dtype), leaves["hidden"], leaves["cell"])
+    terrain, control = Terrain(terrain.normal.to(dtype), leaves["latent"]), control.to(dtype)
+    if eager:
+        found = rollout(model, carry, control, RecordedTerrain(terrain))
+    else:
+        assert supports(model, control.device, dtype)
+        found = rollout_recorded(model, carry, control, terrain)
+    draw = torch.Generator().manual_seed(1)
+    present = [i for i, name in enumerate(ACTUATORS) if name in model.vehicle.actuators]
+    weight = torch.randn(found.state.shape, generator=draw).to(dtype)
+    loss = (weight / torch.tensor([10, 10, 1, 2, 1, 1]) * found.state).sum()
+    loss = loss + (weight[..., :4] * found.actuators)[..., present].sum()
+    loss.backward()
+    leaves |= dict(model.named_parameters())
+    return found, {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None and leaf.numel()}
+
+
+def difference(found: Tensor, wanted: Tensor) -> float:
+    """The largest error over the largest value."""
+    assert (found.isnan() == wanted.isnan()).all()
+    found, wanted = found.detach().double().nan_to_num(), wanted.detach().nan_to_num()
+    return float((found - wanted).abs().max() / wanted.abs().max().clamp(min=1e-12))
+
+
+def compare(model: Hybrid | Parametric, batch: int, steps: int) -> None:
+    inputs = windows(model, batch, steps)
+    wanted, wanted_gradients = run(model, inputs, eager=True)
+    found, gradients = run(copy.deepcopy(model).float(), inputs, eager=False)
+    assert gradients.keys() == wanted_gradients.keys()
+    errors = {name: difference(gradients[name], wanted_gradients[name]) for name in gradients}
+    errors["states"] = difference(found.state, wanted.state)
+    errors["actuators"] = difference(found.actuators, wanted.actuators)
+    print({name: f"{error:.1e}" for name, error in errors.items()})
+    assert {name: error for name, error in errors.items() if not error < TOLERANCE} == {}
+
+
+@pytest.mark.parametrize("kind", [Hybrid, Parametric])
+@pytest.mark.parametrize("channels", CHANNELS)
+def test_kernels_agree_with_the_eager_model(channels: str, kind: type[Hybrid | Parametric]) -> None:
+    compare(example(*CHANNELS[channels], codes=0, kind=kind), batch=33, steps=8)
+
+
+@pytest.mark.parametrize(("channels", "batch"), [("all", 1), ("no actuators", 70), ("no throttle", 64)])
+def test_kernels_agree_with_codes_of_the_ground(channels: str, batch: int) -> None:
+    compare(example(*CHANNELS[channels], codes=4, kind=Hybrid), batch=batch, steps=8)
+
+
+def test_kernels_agree_along_a_second() -> None:
+    compare(example(*CHANNELS["all"], codes=2, kind=Hybrid), batch=20, steps=50)
+
+
+def test_a_frozen_compensator_gets_no_gradient() -> None:
+    model = example(*CHANNELS["all"], codes=0, kind=Hybrid)
+    model.compensator.requires_grad_(False)
+    compare(model, batch=3, steps=5)
+
+
+def test_without_gradients_and_with_any_number_of_threads_the_numbers_are_the_same() -> None:
+    model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float()
+    inputs = windows(model, 100, 7)
+    found, gradients = run(model, inputs, eager=False)
+    with torch.no_grad():
+        assert torch.equal(rollout_recorded(model, *inputs).state, found.state)
+    threads = torch.get_num_threads()
+    try:
+        for other in (1, 3):
+            torch.set_num_threads(other)
+            model.zero_grad()
+            _, again = run(model, inputs, eager=False)
+            assert all(torch.equal(again[name], gradients[name]) for name in gradients)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_a_window_that_diverges_says_so_and_leaves_the_others_alone() -> None:
+    model = example(*CHANNELS["all"], codes=0, kind=Hybrid).float()
+    carry, control, terrain = windows(model, 40, 5)
+    with torch.no_grad():
+        good = rollout_recorded(model, carry, control, terrain)
+        carry.state[7, 3] = torch.nan
+        bad = rollout_recorded(model, carry, control, terrain)
+    assert bad.state[7, -1].isnan().any()
+    others = [i for i in range(40) if i != 7]
+    assert torch.equal(bad.state[others], good.state[others])
+
+
+def test_what_kernels_cannot_do_is_refused() -> None:
+    model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float()
+    carry, control, terrain = windows(model, 3, 2)
+    cpu = torch.device("cpu")
+    assert supports(model, cpu, torch.float32)
+    assert not supports(model, cpu, torch.float64)
+    assert not supports(model, torch.device("cuda"), torch.float32)
+    assert not supports(ConstantMotion(model.vehicle), cpu, torch.float32)
+    with pytest.raises(ValueError, match="latent"):
+        rollout_recorded(model, carry, control, Terrain(terrain.normal, terrain.latent[..., :3]))
+    with pytest.raises(ValueError, match="normals"):
+        rollout_recorded(model, carry, control, Terrain(terrain.normal[:, 1:], terrain.latent[:, 1:]))
+    model.actuators.requires_grad_(True)
+    assert not supports(model, cpu, torch.float32)
+    blind = example(("throttle",), (), codes=0, kind=Parametric).float()
+    with pytest.raises(DatasetError, match="steering"):
+        rollout_recorded(blind, *windows(blind, 3, 2))
+
+
+def test_kernels_stay_inside_their_arrays(tmp_path: Path) -> None:
+    """Once more, compiled with bounds checks, in a process of its own."""
+    code = "import test_kernel_rollout as t; t.compare(t.example(*t.CHANNELS['all'], codes=4, kind=t.Hybrid), 33, 3)"
+    environment = os.environ | {
+        "NUMBA_BOUNDSCHECK": "1",
+        "NUMBA_OPT": "1",
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join((str(Path(__file__).parent), str(Path(__file__).parents[2]))),
+    }
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)

@@ -1,0 +1,43 @@
+"""How `python -m offpiste.closed_loop` ends when there is nothing to drive, and when it is interrupted."""
+
+from pathlib import Path
+
+import pytest
+
+from experiments.closed_loop_table import __main__ as command
+from offpiste.closed_loop.planner import Planner
+from offpiste.errors import OffpisteError
+from runtime.stream import parametric
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"runs": ()}, "--runs: no run is given"),
+        ({"courses": 0}, "--courses: 0 courses"),
+        ({"courses": -3, "faults": True}, "--courses: -3 courses"),
+    ],
+)
+def test_nothing_to_drive_is_refused(given, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "load_planner", lambda run, pca: Planner("b", run, parametric()))
+    with pytest.raises(OffpisteError, match=message):
+        command.ClosedLoop(**{"runs": (Path("b"),), "out": tmp_path / "out"} | given).run()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_wrong_run_ends_in_one_line(tmp_path):
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--runs", str(tmp_path / "none"), "--out", str(tmp_path / "out")])
+    assert "none: no such folder" in ended.value.code
+    assert "\n" not in ended.value.code
+
+
+def test_ctrl_c_ends_in_one_line(tmp_path, monkeypatch, capsys):
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command.ClosedLoop, "run", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--runs", str(tmp_path)])
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "interrupted; drives that were finished are kept\n"

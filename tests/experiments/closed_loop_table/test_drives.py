@@ -1,0 +1,134 @@
+"""Drives of several planners on several courses: each once."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from experiments.closed_loop_table import drives
+from experiments.closed_loop_table.drives import NEEDED, NEWER, Entry, drive_all, entries, places
+from offpiste.closed_loop.courses import CourseSettings
+from offpiste.closed_loop.drive_course import CourseDrive, settings_of
+from offpiste.closed_loop.planner import Planner
+from offpiste.errors import OffpisteError, RunError
+from offpiste.planning.cost_map import Hazards
+from offpiste.runtime.runtime import RuntimeSettings
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
+from runtime.stream import parametric
+
+B, DC = (Planner(name, Path(f"/runs/{name}"), parametric()) for name in ("b", "dc"))
+
+
+@pytest.fixture
+def driven(monkeypatch):
+    """Drives that only say what they were asked for; `driven.bad` holds worlds without a course."""
+    done = SimpleNamespace(drives=[], bad=set())
+
+    def drive_course(planner, asked, folder, *, world, scene):
+        if asked.world.seed in done.bad:
+            raise OffpisteError("no course can be laid")
+        assert not folder.exists(), "what an interrupted drive left"
+        folder.mkdir(parents=True)
+        done.drives.append((planner.name, asked.world.preset, asked.world.seed, asked.runtime.latency))
+        result = {**dict.fromkeys(NEEDED, 0), **settings_of(planner, asked)}
+        (folder / "result.json").write_text(json.dumps(result))
+        return SimpleNamespace(result=result)
+
+    monkeypatch.setattr(drives, "drive_course", drive_course)
+    small = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
+    monkeypatch.setattr(drives, "make_world", lambda place: small)
+    monkeypatch.setattr(drives, "described", lambda result: "driven")
+    return done
+
+
+def test_every_planner_drives_every_course_once(driven, tmp_path):
+    rows, worlds = entries([B, DC], (0.3,)), places(1, 2)
+    (tmp_path / "b-100ms" / "mojave-1").mkdir(parents=True)  # interrupted
+    found = drive_all(rows, worlds, tmp_path)
+    courses = [("mojave", 1), ("halter-ranch", 2)]
+    planned = [("b", 0.1), ("dc", 0.1), ("dc", 0.3)]
+    assert driven.drives == [(name, *course, latency) for course in courses for name, latency in planned]
+    assert [result["row"] for result in found] == 2 * ["b-100ms", "dc-100ms", "dc-300ms"]
+    assert drive_all(rows, worlds, tmp_path) == found
+    assert len(driven.drives) == 6, "nothing is driven twice"
+
+
+def test_a_course_that_cannot_be_laid_stops_no_other(driven, tmp_path):
+    driven.bad.add(1)
+    with pytest.raises(OffpisteError, match="no course"):
+        drive_all([Entry(B)], places(1, 3), tmp_path)
+    assert [seed for _, _, seed, _ in driven.drives] == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("other", "what"),
+    [
+        ({"rows": [Entry(Planner("b", Path("/runs/another"), parametric()))]}, "run"),
+        ({"asked": CourseDrive(course=CourseSettings(speed=3.0))}, "course"),
+        ({"asked": CourseDrive(course=CourseSettings(traction=0.1))}, "course"),
+        ({"asked": CourseDrive(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
+        ({"asked": CourseDrive(seconds=10.0)}, "limit_s"),
+        ({"asked": CourseDrive(fault_start=5.0)}, "fault_start"),
+        ({"asked": CourseDrive(sensors="full")}, "sensors"),
+        ({"rows": [Entry(replace(B, weights="trained anew"))]}, "weights"),
+    ],
+)
+def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
+    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path, "asked": CourseDrive()}
+    drive_all(**given)
+    with pytest.raises(RunError, match=f"another {what}"):
+        drive_all(**given | other)
+
+
+def test_older_drives_go_on_without_what_they_do_not_tell(driven, tmp_path):
+    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path}
+    drive_all(**given)
+    path = tmp_path / "b-100ms" / "mojave-1" / "result.json"
+    older = {k: v for k, v in json.loads(path.read_text()).items() if k not in NEWER}
+    del older["runtime"]["slow"], older["runtime"]["patience"]["plan"], older["course"]["traction"]
+    path.write_text(json.dumps(older))
+    assert len(drive_all(**given)) == 1
+    assert len(driven.drives) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [("", "cannot be read"), ('{"world": "moj', "cannot be read"), ("[]", "not the result"), ("{}", "lacks 'world'")],
+)
+def test_a_broken_result_is_named(driven, tmp_path, content, what):
+    path = tmp_path / "b-100ms" / "mojave-1" / "result.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(content)
+    with pytest.raises(OffpisteError, match=rf"mojave-1/result\.json: .*{what}.*; remove it"):
+        drive_all([Entry(B)], places(1, 1), tmp_path)
+
+
+def test_two_runs_of_one_kind_are_refused():
+    other = Planner("dc", Path("/runs/dc-1"), parametric())
+    with pytest.raises(OffpisteError, match=r"/runs/dc and /runs/dc-1: both are 'dc'.*another --out"):
+        entries([B, DC, other])
+    with pytest.raises(OffpisteError, match="both are 'b'"):
+        entries([B, replace(B)])
+
+
+def test_a_latency_given_twice_is_driven_once():
+    rows = entries([B, DC], (0.1, 0.3, 0.3, 0.1 + 1e-9))
+    assert [row.name for row in rows] == ["b-100ms", "dc-100ms", "dc-300ms"]
+
+
+@pytest.mark.parametrize("latency", [0.03, -0.1, 1.02, float("nan")])
+def test_all_settings_are_checked_before_the_first_course(driven, tmp_path, latency):
+    with pytest.raises(OffpisteError, match="a latency of"):
+        drive_all(entries([DC], (latency,)), places(1, 2), tmp_path)
+    assert not driven.drives
+
+
+@pytest.mark.parametrize("inside", [".", "deeper"])
+def test_a_file_is_no_folder(driven, tmp_path, inside):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OffpisteError, match="file: is a file"):
+        drive_all([Entry(B)], places(1, 1), tmp_path / "file" / inside)
+    assert not driven.drives

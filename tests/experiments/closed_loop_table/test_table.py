@@ -1,0 +1,82 @@
+"""Paired differences and the table over courses."""
+
+import numpy as np
+import pytest
+
+from experiments.closed_loop_table.table import COUNTED, paired, table
+
+
+def test_intervals_of_a_known_difference():
+    rng = np.random.default_rng(0)
+    shared = rng.normal(30, 10, 200)
+    found = paired(shared + rng.normal(-1.0, 1.0, 200), shared, np.random.default_rng(1))
+    # 1.96 sigma / sqrt(n), whatever courses have in common.
+    assert found.mean == pytest.approx(-1.0, abs=0.2)
+    assert found.high - found.low == pytest.approx(2 * 1.96 / np.sqrt(200), rel=0.2)
+    assert found.low < found.mean < found.high
+
+
+def test_only_courses_that_both_drove_count():
+    first, second = np.array([1.0, 2.0, np.nan, 4.0]), np.array([0.0, 0.0, 0.0, 0.0])
+    assert paired(first, second, np.random.default_rng(0)).mean == pytest.approx(7 / 3)
+    assert paired(first[1:], second[1:], np.random.default_rng(0)) is None
+
+
+def result(row, seed, time, finished=True):
+    return {
+        "row": row,
+        "world": "mojave",
+        "seed": seed,
+        "driven_cost": 10 * time,
+        "time_s": time,
+        "mean_path_error_m": 0.5,
+        "worst_path_error_m": 1.0,
+        "mean_speed_error_mps": 2.0,
+        "plan_error_5s_m": {"mean": None},
+        **dict.fromkeys(COUNTED, False),
+        "finished": finished,
+    }
+
+
+def test_costs_are_compared_course_by_course_in_percent():
+    rows = [result("b-100ms", seed, 10.0 ** (seed + 1)) for seed in range(3)]
+    rows += [result("dc-100ms", seed, 0.5 * 10.0 ** (seed + 1)) for seed in range(3)]
+    text = table(rows, limit=40.0)
+    assert "| b-100ms | 1000 |" in text, "the geometric mean of 100, 1000 and 10,000"
+    assert "| dc-100ms − b-100ms | -50 % [-50, -50] |" in text
+
+
+def test_the_table_counts_what_did_not_finish_with_the_limit():
+    rows = [result("b-100ms", seed, 30.0) for seed in range(4)]
+    rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
+    rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
+    text = table(rows, limit=40.0)
+    assert "| b-100ms | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
+    assert "| dc-100ms | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
+    lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
+    assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
+    assert "| -33 % [-33, -33] |" in lines[0]
+    assert "-5.00 [" in lines[0]
+
+
+def test_how_they_drive_is_told_apart_from_how_often_they_stand():
+    rows = [result("b-100ms", seed, 20.0) for seed in range(4)]
+    rows += [result("dc-100ms", 0, 2000.0, finished=False), *(result("dc-100ms", seed, 10.0) for seed in (1, 2, 3))]
+    (line,) = (line for line in table(rows, limit=40.0).splitlines() if line.startswith("| dc-100ms − b"))
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    whole = 100 * ((100 * 0.5**3) ** 0.25 - 1)  # 100 times as dear once, half three times
+    assert cells[1].startswith(f"{whole:+.0f} %")
+    assert cells[-1] == "-50 % [-50, -50] (3)"
+
+
+def test_each_is_compared_with_who_knows_less_at_its_latency():
+    rows = [result(row, seed, 20.0) for row in ("b-100ms", "dc-300ms", "ceiling-300ms") for seed in range(3)]
+    lines = [line for line in table(rows, limit=40.0).splitlines() if "−" in line and line.startswith("|")]
+    assert [line.split("|")[1].strip() for line in lines] == ["ceiling-300ms − dc-300ms"]
+
+
+def test_the_header_says_what_counts_for_a_drive_that_does_not_finish():
+    head = table([result("b-100ms", 0, 20.0)], limit=40.0).splitlines()[0]
+    assert "counts with 40 s, and in its driven cost as standing on its course until then" in head
+    assert "errors are of what was driven" in head
+    assert "the terms of path and speed of what planners minimise" in head

@@ -1,0 +1,68 @@
+"""Differences between twins: made-up ones with a known answer, and a vehicle that parts from its drive."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.controls.branches import branches_of, load_branches, save_branches, twin_worlds
+from experiments.controls.sensitivity import Differences, draw_told, told_apart, told_table
+from experiments.controls.twins import _turned
+from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.world.world import WorldSettings
+
+
+def made(slope: float, noise: float, *, count: int = 400) -> Differences:
+    rng = np.random.default_rng(3)
+    simulated = rng.normal(size=(count, 2)) * [2.0, 0.5]
+    row = np.arange(count) * 50
+    return Differences(np.zeros(count, int), row, simulated, slope * simulated + noise * rng.normal(size=(count, 2)))
+
+
+def test_a_model_that_is_the_simulator() -> None:
+    told = told_apart("dc", made(1.0, 0.0))
+    for value, wanted in ((told.slope, 1.0), (told.correlation, 1.0), (told.left_over, 0.0)):
+        assert value.mean == pytest.approx(wanted, abs=1e-12)
+        assert value.ci95 == pytest.approx((wanted, wanted), abs=1e-7)
+    assert told.simulated_rms_m == pytest.approx(np.sqrt(4.25), rel=0.1)
+
+
+def test_half_the_difference_with_noise() -> None:
+    # Variances by hand: s 4.25, p = s / 2 + noise of 1 each way: correlation 2.125 / sqrt(4.25 x (1.0625 + 2)).
+    told = told_apart("dc", made(0.5, 1.0, count=4000))
+    assert told.slope.ci95[0] < 0.5 < told.slope.ci95[1]
+    assert told.correlation.mean == pytest.approx(2.125 / np.sqrt(4.25 * 3.0625), abs=0.03)
+    assert told.correlation_ahead.mean == pytest.approx(2 / np.sqrt(4 * 2), abs=0.03)
+    assert told.left_over.mean == pytest.approx(np.sqrt((0.25 * 4.25 + 2) / 4.25), abs=0.03)
+
+
+def test_a_model_that_tells_nothing_apart() -> None:
+    told = told_apart("b", made(0.0, 0.0))
+    assert (told.slope.mean, told.left_over.mean) == (0.0, 1.0)
+    assert np.isnan(told.correlation.mean)
+    assert "–" in told_table([told]).lines[0][5]
+    assert draw_told({"b": made(0.0, 0.0)}, [told]).axes
+
+
+def test_ahead_and_left_of_a_heading() -> None:
+    # Heading north: north is ahead, west is left.
+    np.testing.assert_allclose(_turned(np.array([[-1.0, 3.0]]), np.array([np.pi / 2])), [[3.0, 1.0]], atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def settings() -> DriveSettings:
+    return DriveSettings(WorldSettings("mojave", 5, size=80.0, resolution=0.5), 7.0, 5, "none")
+
+
+def test_twins_part_from_a_drive(settings: DriveSettings, tmp_path: Path) -> None:
+    world, ground = twin_worlds(settings)
+    np.testing.assert_array_equal(world.elevation, ground.elevation)
+    assert np.abs(world.properties - ground.properties).mean() > 0.01
+    at = np.array([1, 41, 81, 10_000])
+    same, other = (branches_of(settings, world, g, at) for g in (world, ground))
+    assert (same.difference() == 0).all()  # bit by bit: the same state, ground and commands
+    np.testing.assert_array_equal(same.path, other.path)
+    assert np.hypot(*other.difference().T).max() > 0.1
+    assert same.step.tolist() == [1, 41, 81]
+    save_branches(tmp_path / "b.safetensors", other)
+    np.testing.assert_array_equal(load_branches(tmp_path / "b.safetensors").other, other.other)

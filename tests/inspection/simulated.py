@@ -1,0 +1,149 @@
+"""A log in memory of a bicycle with known speed, steering and pedals, in which tests plant one fault at a time."""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from offpiste.logs.log import Log, Samples, Topic
+from offpiste.rig.rig import Rig, parse_rig
+
+WHEELBASE, MAX_STEER = 2.5, 0.4
+START = 1.7e9
+
+RIG = f"""
+name = "bicycle"
+absent = ["brake_pressure", "steer_rate", "engine_rpm"]
+[vehicle]
+mass = 900.0
+max_steer = {MAX_STEER}
+pose_point = "rear axle"
+wheel_positions = [[2.5, 0.6], [2.5, -0.6], [0.0, 0.6], [0.0, -0.6]]
+[channels.position]
+topic = "odom"
+fields = ["x", "y", "z"]
+[channels.orientation]
+topic = "odom"
+fields = ["qx", "qy", "qz", "qw"]
+[channels.linear_velocity]
+topic = "odom"
+fields = ["vx", "vy", "vz"]
+frame = "body"
+[channels.angular_velocity]
+topic = "odom"
+fields = ["wx", "wy", "wz"]
+frame = "body"
+[channels.throttle]
+topic = "pedals"
+fields = ["throttle"]
+[channels.brake]
+topic = "pedals"
+fields = ["brake"]
+[channels.steer]
+topic = "steering"
+fields = ["command"]
+[channels.steer_angle]
+topic = "steering"
+fields = ["angle"]
+"""
+
+
+class MemoryLog(Log):
+    """Topics given as (stamps, columns by field)."""
+
+    def __init__(self, topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]) -> None:
+        self.path = Path("simulated")
+        self.data = topics
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        return {n: Topic(n, "in memory", len(time), tuple(columns)) for n, (time, columns) in self.data.items()}
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        time, columns = self.data[topic.name]
+        return Samples(time.copy(), np.stack([columns[f] for f in fields], axis=1))
+
+    def change(self, topic: str, field: str, how: Callable[[np.ndarray], np.ndarray]) -> "MemoryLog":
+        """The same log with one field changed."""
+        time, columns = self.data[topic]
+        return MemoryLog({**self.data, topic: (time, {**columns, field: how(columns[field].copy())})})
+
+    def restamp(self, topic: str, how: Callable[[np.ndarray], np.ndarray]) -> "MemoryLog":
+        """The same log with the stamps of one topic changed."""
+        time, columns = self.data[topic]
+        return MemoryLog({**self.data, topic: (how(time.copy()), columns)})
+
+    def keep(self, topic: str, rows: np.ndarray) -> "MemoryLog":
+        """The same log with only some samples of one topic."""
+        time, columns = self.data[topic]
+        return MemoryLog({**self.data, topic: (time[rows], {f: c[rows] for f, c in columns.items()})})
+
+    def part(self, rows: dict[str, slice]) -> "MemoryLog":
+        """The same log with a slice of each topic."""
+        log = self
+        for topic, keep in rows.items():
+            log = log.keep(topic, np.arange(len(self.data[topic][0]))[keep])
+        return log
+
+
+def rig(*changes: tuple[str, str]) -> Rig:
+    """The right rig, with pieces of its text replaced."""
+    text = RIG
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return parse_rig(text, where="test")
+
+
+@cache
+def drive_log(seconds: float = 90.0, seed: int = 0) -> MemoryLog:
+    """A bicycle with its pose point at the rear axle: yaw rate = v tan(angle) / wheelbase, and a little noise."""
+    random = np.random.default_rng(seed)
+    dt = 0.01
+    time = np.arange(0, seconds, dt)
+    throttle = np.clip(_wander(random, time, 4.0) * 0.6 + 0.3, 0, 1)
+    brake = np.where(throttle < 0.02, np.clip(_wander(random, time, 3.0), 0, 1), 0.0)
+    steer = np.clip(0.5 * _wander(random, time, 2.5), -1, 1)
+    angle = MAX_STEER * steer
+
+    v = np.zeros(len(time))
+    for i in range(1, len(time)):
+        v[i] = max(v[i - 1] + dt * (3.0 * throttle[i - 1] - 5.0 * brake[i - 1] - 0.15 * v[i - 1]), 0.0)
+    yaw_rate = v * np.tan(angle) / WHEELBASE
+    yaw = 0.3 + np.cumsum(yaw_rate) * dt
+    x, y = np.cumsum(v * np.cos(yaw)) * dt, np.cumsum(v * np.sin(yaw)) * dt
+    noise = lambda size: size * random.standard_normal(len(time[::2]))  # noqa: E731
+    zero = np.zeros(len(time[::2]))
+    odom = {
+        "x": x[::2] + noise(0.005),
+        "y": y[::2] + noise(0.005),
+        "z": 0.5 * np.sin(x[::2] / 40) + noise(0.005),
+        "qx": zero,
+        "qy": zero,
+        "qz": np.sin(yaw[::2] / 2),
+        "qw": np.cos(yaw[::2] / 2),
+        "vx": v[::2] + noise(0.02),
+        "vy": noise(0.02),
+        "vz": noise(0.02),
+        "wx": noise(0.01),
+        "wy": noise(0.01),
+        "wz": yaw_rate[::2] + noise(0.01),
+    }
+    stamps = START + time
+    return MemoryLog(
+        {
+            "odom": (stamps[::2], odom),
+            "pedals": (stamps[1::2], {"throttle": throttle[1::2], "brake": brake[1::2]}),
+            "steering": (stamps[::4] + 0.003, {"command": steer[::4], "angle": angle[::4]}),
+            "wheels": (stamps[::2], {"rear": v[::2] / 0.04 + 2 * random.standard_normal(len(v[::2]))}),
+        }
+    )
+
+
+def _wander(random: np.random.Generator, time: np.ndarray, period: float) -> np.ndarray:
+    """A smooth random signal of unit spread."""
+    knots = np.arange(time[0], time[-1] + 2 * period, period / 2)
+    values = random.standard_normal(len(knots))
+    return CubicSpline(knots, values)(time)

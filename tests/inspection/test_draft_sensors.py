@@ -1,0 +1,88 @@
+"""A first rig of a log with a camera and a LiDAR: what it says of them, and what it says is missing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.cli import main
+from offpiste.inspection.draft_sensors import draft_sensors, missing
+from offpiste.logs import open_log
+from offpiste.logs.sensor_log import open_sensors
+from offpiste.logs.writer import quaternion
+from offpiste.rig.rig import parse_rig
+from sensor_bags import IMAGE, cloud, compressed, info, odometry, record, sensor_rig, tree
+
+SCAN = np.random.default_rng(0).uniform(1, 5, (150, 3))
+
+
+def turning(seconds: float):
+    """A pose that turns: a heading that never changes may be one that is never measured."""
+    message = odometry(seconds)
+    message.pose.pose.orientation = quaternion((0, 0, np.sin(seconds / 4), np.cos(seconds / 4)))
+    return message
+
+
+def recorded(path: Path, **left_out: bool) -> Path:
+    """One image and one scan of 150 points beside a cloud of three, without some of what they need."""
+    messages = [
+        (0.2, "/front/image_raw/compressed", compressed(0.1, IMAGE)),
+        (0.3, "/front/depth/compressed", compressed(0.2, IMAGE)),
+        (0.25, "/top/points", cloud(0.2, SCAN)),
+        (0.25, "/wheels/points", cloud(0.2)),
+    ]
+    messages += [(t, "/odom", turning(t)) for t in np.arange(0.05, 1, 0.1).tolist()]
+    messages += [] if left_out.get("info") else [(0, "/front/camera_info", info())]
+    messages += [] if left_out.get("transforms") else [(0, "/tf_static", tree())]
+    return record(path, messages)
+
+
+def test_the_draft_can_be_read_through(tmp_path: Path) -> None:
+    log = open_log(recorded(tmp_path / "log.mcap"))
+    text = draft_sensors(log, "/odom")
+    rig = sensor_rig(text)
+    assert {name: camera.topic for name, camera in rig.cameras.items()} == {"front": "/front/image_raw/compressed"}
+    assert {name: lidar.topic for name, lidar in rig.lidars.items()} == {"top": "/top/points"}
+    assert rig.cameras["front"].info == "/front/camera_info"
+    assert rig.frames.body == "base_link"
+    # A mast of 2 m, and the LiDAR half a metre above it.
+    sensors = open_sensors(log, rig)
+    assert sensors.lidars["top"].body_from_lidar[:3, 3] == pytest.approx([1, 0, 2.5])
+    (said,) = missing(text)
+    assert said.startswith("time of the points of top: they have 't'")
+
+
+def test_what_the_log_does_not_say_is_missing(tmp_path: Path) -> None:
+    text = draft_sensors(open_log(recorded(tmp_path / "log.mcap", info=True, transforms=True)), "/odom")
+    rig = sensor_rig(text)
+    assert not rig.cameras, "a camera without calibration waits in comments"
+    assert "# [cameras.front]" in text
+    said = missing(text)
+    assert any(line.startswith("transforms: no TF") for line in said)
+    assert any(line.startswith("calibration of front: no CameraInfo") for line in said)
+    assert any(line.startswith("mounting of top: no fixed transform joins 'lidar' to 'base_link'") for line in said)
+
+
+def test_two_cameras_have_their_own_calibration_and_name(tmp_path: Path) -> None:
+    messages = [(0.2, f"/{side}/image/compressed", compressed(0.1, IMAGE)) for side in ("left", "right")]
+    messages += [(0, f"/{side}/camera_info", info()) for side in ("left", "right")]
+    messages += [(0.2, "/image", compressed(0.1, IMAGE)), (0, "/tf_static", tree())]
+    text = draft_sensors(open_log(record(tmp_path / "log.mcap", messages)), "/odom")
+    rig = sensor_rig(text)
+    assert {name: c.info for name, c in rig.cameras.items()} == {
+        "left": "/left/camera_info",
+        "right": "/right/camera_info",
+    }
+    assert any(line.startswith("calibration of camera: no CameraInfo beside /image") for line in missing(text))
+
+
+def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = recorded(tmp_path / "log.mcap", info=True)
+    with pytest.raises(SystemExit):
+        main(["inspect", str(log), "--write-rig", str(tmp_path / "my.toml")])
+    said = capsys.readouterr().err
+    assert f"wrote {tmp_path / 'my.toml'}\n" in said
+    assert "  missing: calibration of front" in said
+    assert "  missing: steering: no field looks like it" in said
+    assert "No topic is named like a command." in said
+    parse_rig((tmp_path / "my.toml").read_text(), where="my.toml")

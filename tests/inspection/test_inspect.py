@@ -1,0 +1,343 @@
+"""One fault at a time, planted in a simulated drive: the finding names it, its mend silences it, nothing else cries."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.rig import parse_rig
+
+CLEAN = drive_log(seconds=60)
+Fault = Callable[[MemoryLog], MemoryLog]
+
+
+def complaints(log: MemoryLog, *changes: tuple[str, str]) -> list[Finding]:
+    return [f for f in inspect_log(log, rig(*changes)).findings if f.severity != "note"]
+
+
+def the_only(findings: list[Finding], where: str) -> Finding:
+    assert [f for f in findings if f.where.startswith(where)], findings
+    assert len(findings) == 1, findings
+    return findings[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clean_log_raises_nothing_and_is_usable(seed: int) -> None:
+    log = drive_log(seed=seed)
+    for found in (inspect_log(log, rig()), inspect_log(log)):
+        assert found.usable
+        assert [f for f in found.findings if f.severity != "note"] == []
+
+
+STEER = 'topic = "steering"\nfields = ["command"]'
+ANGLE = 'topic = "steering"\nfields = ["angle"]'
+THROTTLE = 'topic = "pedals"\nfields = ["throttle"]'
+BRAKE = 'topic = "pedals"\nfields = ["brake"]'
+VELOCITY = 'fields = ["vx", "vy", "vz"]\nframe = "body"'
+RATES = 'fields = ["wx", "wy", "wz"]'
+QUATERNION = 'fields = ["qx", "qy", "qz", "qw"]'
+PLACE = 'fields = ["x", "y", "z"]'
+
+
+def _world(log: MemoryLog) -> MemoryLog:
+    _, odom = log.data["odom"]
+    yaw = 2 * np.arctan2(odom["qz"], odom["qw"])
+    vx, vy = odom["vx"], odom["vy"]
+    return log.change("odom", "vx", lambda _: np.cos(yaw) * vx - np.sin(yaw) * vy).change(
+        "odom", "vy", lambda _: np.sin(yaw) * vx + np.cos(yaw) * vy
+    )
+
+
+def _wxyz(log: MemoryLog) -> MemoryLog:
+    _, odom = log.data["odom"]
+    stored = {"qx": odom["qw"], "qy": odom["qx"], "qz": odom["qy"], "qw": odom["qz"]}
+    for field, values in stored.items():
+        log = log.change("odom", field, lambda _, values=values: values)
+    return log
+
+
+def _wrapped(values: np.ndarray) -> np.ndarray:
+    """A count in tenths that dips below zero, on the pedal's idle."""
+    tenths = np.round(values * 300 - 20, 1)
+    return np.where(tenths < 0, tenths + 6553.6, tenths)
+
+
+def _with_spikes(values: np.ndarray) -> np.ndarray:
+    values[[700, 1500, 2222]] = (40.0, -33.0, 25.0)
+    return values
+
+
+FAULTS: list[tuple[str, Fault, str, str, tuple[str, str], str]] = [
+    (
+        "flipped steering",
+        lambda log: log.change("steering", "command", np.negative),
+        "steer",
+        "channels.steer.sign = -1",
+        (STEER, STEER + "\nsign = -1"),
+        "",
+    ),
+    (
+        "steering 0.3 s late",
+        lambda log: log.restamp("steering", lambda t: t + 0.3),
+        "steer",
+        "channels.steer.delay = 0.3",
+        (STEER, STEER + "\ndelay = 0.3"),
+        "steer_angle",
+    ),
+    (
+        "degrees",
+        lambda log: log.change("steering", "angle", np.degrees),
+        "steer_angle",
+        'channels.steer_angle.unit = "deg"',
+        (ANGLE, ANGLE + '\nunit = "deg"'),
+        "",
+    ),
+    (
+        "percent",
+        lambda log: log.change("pedals", "throttle", lambda x: 100 * x),
+        "throttle",
+        'channels.throttle.unit = "percent"',
+        (THROTTLE, THROTTLE + '\nunit = "percent"'),
+        "",
+    ),
+    (
+        "pedal the wrong way round",
+        lambda log: log.change("pedals", "throttle", lambda x: 1 - x),
+        "throttle",
+        "channels.throttle.scale = -1.0, channels.throttle.offset = 1.0",
+        (THROTTLE, THROTTLE + "\nscale = -1.0\noffset = 1.0"),
+        "",
+    ),
+    (
+        "pedals 1 s late",
+        lambda log: log.restamp("pedals", lambda t: t + 1.0),
+        "throttle",
+        "channels.throttle.delay = 1.",
+        (THROTTLE, THROTTLE + "\ndelay = 1.0"),
+        "brake",
+    ),
+    (
+        "velocity in the world",
+        _world,
+        "linear_velocity",
+        'channels.linear_velocity.frame = "world"',
+        ("frame", "frame"),
+        "",
+    ),
+    (
+        "km/h",
+        lambda log: log.change("odom", "vx", lambda v: 3.6 * v).change("odom", "vy", lambda v: 3.6 * v),
+        "linear_velocity",
+        'channels.linear_velocity.unit = "km/h"',
+        (VELOCITY, VELOCITY + '\nunit = "km/h"'),
+        "",
+    ),
+    (
+        "velocity 0.4 s late",
+        lambda log: log.change("odom", "vx", lambda v: np.roll(v, 20)).change("odom", "vy", lambda v: np.roll(v, 20)),
+        "linear_velocity",
+        "channels.linear_velocity.delay = 0.4",
+        (VELOCITY, VELOCITY + "\ndelay = 0.4"),
+        "",
+    ),
+    (
+        "deg/s",
+        lambda log: log.change("odom", "wz", np.degrees),
+        "angular_velocity",
+        'channels.angular_velocity.unit = "deg/s"',
+        (RATES, RATES + '\nunit = "deg/s"'),
+        "",
+    ),
+    (
+        "clockwise rates",
+        lambda log: log.change("odom", "wz", np.negative),
+        "angular_velocity",
+        "channels.angular_velocity.sign = -1",
+        (RATES, RATES + "\nsign = -1"),
+        "",
+    ),
+    (
+        "wxyz",
+        _wxyz,
+        "orientation",
+        'channels.orientation.fields = ["qy", "qz", "qw", "qx"]',
+        (QUATERNION, 'fields = ["qy", "qz", "qw", "qx"]'),
+        "",
+    ),
+    (
+        "millimetres",
+        lambda log: log.change("odom", "x", lambda x: 1e3 * x).change("odom", "y", lambda x: 1e3 * x),
+        "position",
+        'channels.position.unit = "mm"',
+        (PLACE, 'fields = ["x", "y"]\nunit = "mm"'),
+        "",
+    ),
+    (
+        "wrapped counter",
+        lambda log: log.change("pedals", "throttle", _wrapped),
+        "throttle",
+        "channels.throttle.wrap = { above =",
+        (THROTTLE, THROTTLE + "\nwrap = { above = 3400.0, period = 6553.6 }\nscale = 0.003333\nclip = [0.0, 1.0]"),
+        "throttle",
+    ),
+    (
+        "spikes",
+        lambda log: log.change("pedals", "throttle", _with_spikes),
+        "throttle",
+        "channels.throttle.valid = [",
+        (THROTTLE, THROTTLE + "\nvalid = [0.0, 1.5]"),
+        "",
+    ),
+    (
+        "dead channel",
+        lambda log: log.change("pedals", "brake", np.zeros_like),
+        "brake",
+        'absent = ["brake"]',
+        (f"[channels.brake]\n{BRAKE}", ""),
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("fault", "where", "mend", "change", "also"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS]
+)
+def test_a_fault_is_named_with_the_line_that_mends_it(
+    fault: Fault, where: str, mend: str, change: tuple[str, str], also: str
+) -> None:
+    log = fault(CLEAN)
+    found = complaints(log)
+    blamed = {f.where.split(" ")[0] for f in found}
+    assert blamed <= {where, also} - {""}, found
+    assert any(f.where.split(" ")[0] == where and f.mend.startswith(mend) for f in found), found
+    assert all(any(c.isdigit() for c in f.evidence) for f in found)
+
+    changes = [change]
+    if "absent" in mend:
+        changes.append(('absent = ["brake_pressure"', 'absent = ["brake", "brake_pressure"'))
+    if 'frame = "world"' in mend:
+        changes = [(VELOCITY, VELOCITY.replace("body", "world"))]
+    if where == "steer" and also:
+        changes.append((ANGLE, ANGLE + "\ndelay = 0.3"))
+    if also == "brake":
+        changes.append((BRAKE, BRAKE + "\ndelay = 1.0"))
+    left = complaints(log, *changes)
+    assert left == [], left
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "mend"),
+    [
+        ((STEER, STEER + "\nsign = -1"), "steer", "channels.steer.sign = 1"),
+        ((STEER, STEER + "\ndelay = -0.5"), "steer", "channels.steer.delay = 0.0"),
+        ((VELOCITY, VELOCITY.replace("body", "world")), "linear_velocity", 'channels.linear_velocity.frame = "body"'),
+        (("max_steer = 0.4", "max_steer = 0.1"), "steer", "vehicle.max_steer = 0.4"),
+        ((ANGLE, ANGLE + '\nunit = "deg"'), "steer_angle", 'channels.steer_angle.unit = "rad"'),
+    ],
+)
+def test_a_wrong_rig_is_told_the_right_line(change: tuple[str, str], where: str, mend: str) -> None:
+    finding = the_only(complaints(CLEAN, change), where)
+    value = finding.mend.split(";")[0]
+    key, _, number = value.partition(" = ")
+    wanted_key, _, wanted = mend.partition(" = ")
+    assert key == wanted_key
+    if wanted[0] in '"':
+        assert number == wanted
+    else:
+        assert float(number) == pytest.approx(float(wanted), abs=0.06)
+
+
+def test_steering_read_from_a_field_without_effect() -> None:
+    random = np.random.default_rng(3)
+    log = CLEAN.change("steering", "command", lambda x: random.uniform(-1, 1, len(x)))
+    assert the_only(complaints(log), "steer").what == "does not turn the vehicle"
+
+
+def test_a_pose_jump_says_when_and_how_far() -> None:
+    def jump(x: np.ndarray) -> np.ndarray:
+        x[2500:] += 4.0
+        return x
+
+    finding = the_only(complaints(CLEAN.change("odom", "x", jump)), "position")
+    assert finding.what == "jumps"
+    assert "at 50.00 s" in finding.evidence or "at 49.98 s" in finding.evidence
+
+
+def test_a_drifting_clock_is_told_by_the_wheels() -> None:
+    def late(time: np.ndarray) -> np.ndarray:
+        return time + np.interp(time - time[0], [0, 15, 25, 40, 60], [0, 0, 1.0, 1.0, 0.2])
+
+    _, pedals = CLEAN.data["pedals"]
+    log = MemoryLog({**CLEAN.data, "pedals": (CLEAN.data["wheels"][0], pedals)})
+    log = log.restamp("pedals", late).restamp("wheels", late)
+    for given in (rig(), None):
+        found = [f for f in inspect_log(log, given).findings if f.what == "has a clock that drifts"]
+        assert len(found) == 1
+        assert "wheels" in found[0].where
+        assert 'speed = { topic = "wheels", fields = ["rear"], scale = 0.0' in found[0].mend
+
+
+def test_a_heading_in_degrees_and_one_mirrored() -> None:
+    _, odom = CLEAN.data["odom"]
+    yaw = 2 * np.unwrap(np.arctan2(odom["qz"], odom["qw"]), period=np.pi)
+    plain = (QUATERNION, 'fields = ["qz"]'), ("[channels.orientation]", "[channels.yaw]")
+    for values, mend in ((np.degrees(yaw), 'channels.yaw.unit = "deg"'), (-yaw, "channels.yaw.sign = -1")):
+        log = CLEAN.change("odom", "qz", lambda _, values=values: values)
+        assert mend in [f.mend for f in complaints(log, *plain)]
+    assert complaints(CLEAN.change("odom", "qz", lambda _: yaw), *plain) == []
+
+
+@pytest.mark.parametrize(
+    ("log", "what"),
+    [
+        (CLEAN.part({"odom": slice(0, 150)}), "is driven for too short a time"),
+        (CLEAN.change("odom", "x", np.zeros_like).change("odom", "y", np.zeros_like), "hardly moves"),
+        (MemoryLog({"odom": CLEAN.data["odom"]}), ""),
+    ],
+)
+def test_what_cannot_be_trained_on_is_not_usable(log: MemoryLog, what: str) -> None:
+    found = inspect_log(log, rig())
+    assert not found.usable
+    assert what in [f.what for f in found.findings] or not what
+
+
+def test_no_control_at_all() -> None:
+    found = inspect_log(MemoryLog({"odom": CLEAN.data["odom"]}))
+    assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no control channel"]
+
+
+def test_pedals_alone_are_not_enough() -> None:
+    without = rig(
+        (f"[channels.steer]\n{STEER}", ""), ('absent = ["brake_pressure"', 'absent = ["steer", "brake_pressure"')
+    )
+    found = inspect_log(CLEAN, without)
+    assert not found.usable
+    assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no steering"]
+
+
+def test_no_pose_at_all() -> None:
+    found = inspect_log(MemoryLog({"pedals": CLEAN.data["pedals"]}))
+    assert not found.usable
+    assert "pose" in found.findings[0].what
+
+
+def test_latitude_and_longitude_are_no_position() -> None:
+    def degrees(x: np.ndarray) -> np.ndarray:
+        return 40.44 + x / 111_000
+
+    log = CLEAN.change("odom", "x", degrees).change("odom", "y", degrees)
+    found = inspect_log(log, rig())
+    assert not found.usable
+    assert "latitude" in found.findings[0].what
+
+
+def test_the_draft_reads_the_log_and_is_found_right() -> None:
+    drafted = parse_rig(draft_rig(CLEAN), where="draft")
+    assert drafted.channels["linear_velocity"].frame == "body"
+    assert drafted.channels["steer"].fields == ("command",)
+    assert {"brake_pressure", "engine_rpm"} <= set(drafted.absent)
+    assert parse_rig(draft_rig(_world(CLEAN)), where="draft").channels["linear_velocity"].frame == "world"

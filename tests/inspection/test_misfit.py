@@ -1,0 +1,72 @@
+"""The robust fit against answers worked out by hand, outliers, and what nothing tells about."""
+
+import numpy as np
+
+from offpiste.inspection.misfit import LEAST_PAIRS, PRIOR, Pair, fit_misfit, turned
+
+TRUE = np.array([0.02, -0.03, 0.01, 0.05])
+
+
+def pairs(parameters, *, seed=0, count=20, rows=50, noise=1e-3, blind=(), outliers=0.0):
+    """Residuals that vanish at TRUE."""
+    rng, made = np.random.default_rng(seed), []
+    for _ in range(count):
+        slope = rng.standard_normal((rows, 4))
+        slope[:, list(blind)] = 0
+        residual = slope @ (parameters - TRUE) + noise * rng.standard_normal(rows)
+        residual[: int(outliers * rows)] += 5.0
+        made.append(Pair(residual, slope))
+    return made
+
+
+def test_finds_what_was_planted_within_its_own_uncertainty():
+    errors = []
+    for seed in range(30):
+        found = fit_misfit(lambda p, seed=seed: pairs(p, seed=seed))
+        errors.append((found.parameters - TRUE) / found.sigma)
+    spread = np.std(errors, axis=0)
+    assert ((spread > 0.3) & (spread < 1.3)).all()  # it may say too much, and hardly too little
+    assert found.pairs == 20
+    np.testing.assert_allclose(found.scale, 1e-3, rtol=0.1)
+
+
+def test_a_fifth_of_outliers_does_not_move_it():
+    found = fit_misfit(lambda p: pairs(p, outliers=0.2))
+    np.testing.assert_allclose(found.parameters, TRUE, atol=5e-4)
+
+
+def test_what_nothing_tells_about_stays_as_unknown_as_before():
+    found = fit_misfit(lambda p: pairs(p, blind=(0, 3)))
+    np.testing.assert_allclose(found.parameters[[0, 3]], 0, atol=1e-9)
+    np.testing.assert_allclose(found.sigma[[0, 3]], PRIOR[[0, 3]], rtol=1e-6)
+    np.testing.assert_allclose(found.parameters[[1, 2]], TRUE[[1, 2]], atol=5e-4)
+
+
+def test_errors_that_pairs_share_count_once_a_pair():
+    """All rows of a pair are off by the same: more rows of it are worth nothing."""
+
+    def compare(parameters, rows):
+        rng = np.random.default_rng(5)
+        shared = 0.01 * rng.standard_normal(30)
+        weights = rng.standard_normal((30, 4))
+        return [
+            Pair(w @ (parameters - TRUE) + np.full(rows, s), np.tile(w, (rows, 1)))
+            for w, s in zip(weights, shared, strict=True)
+        ]
+
+    few, many = (fit_misfit(lambda p, n=n: compare(p, n)) for n in (10, 1000))
+    assert (many.sigma > 0.7 * few.sigma).all()
+
+
+def test_too_few_pairs_tell_nothing():
+    assert fit_misfit(lambda p: pairs(p, count=LEAST_PAIRS - 1)) is None
+    assert fit_misfit(lambda _: [Pair(np.zeros(0), np.zeros((0, 4)))] * 50) is None
+
+
+def test_a_mounting_turns_about_the_axes_of_the_body_where_it_is():
+    given = np.eye(4)
+    given[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # x of the sensor looks to the left
+    given[:3, 3] = 1, 2, 3
+    matrix = turned(given, np.array([0, 0, np.pi / 2, 0.1]))
+    np.testing.assert_allclose(matrix[:3, 0], [-1, 0, 0], atol=1e-12)  # now back
+    np.testing.assert_allclose(matrix[:3, 3], [1, 2, 3])

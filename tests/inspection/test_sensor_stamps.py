@@ -1,0 +1,103 @@
+"""Stamps, repeats and the vehicle's own body, in small recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+from msgspec import structs
+
+import seen_world as world
+from offpiste.inspection.sensor_samples import Grey, driving, pairs
+from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, untimed_points
+from offpiste.inspection.sensors import check_sensors
+from offpiste.logs import open_log
+from offpiste.logs.sensor_log import sensor_source
+from sensor_bags import IMAGE, cloud, compressed, info, opened, record, sensor_rig, tree
+
+WHEELS = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
+FIXED = [(0, "/tf_static", tree()), (0, "/info", info())]
+
+
+def stamped(tmp_path, *, image=lambda t: t, arrival=lambda t: t, until=20.0, last=np.inf):
+    """Findings about a drive of two images and clouds a second; the images' stamps and arrivals as given."""
+    times = np.arange(0.2, until, 0.5).tolist()
+    messages = [(t + 0.05, "/points", cloud(t)) for t in times]
+    messages += [(arrival(t) + 0.05, "/image", compressed(image(t), IMAGE)) for t in times if t < last]
+    path = record(tmp_path / f"{last}.mcap", messages + FIXED, until=until)
+    return [(f.severity, f.where, f.what) for f in check_sensor_stamps(open_log(path), opened(path))]
+
+
+def test_even_stamps_are_right(tmp_path):
+    assert stamped(tmp_path) == []
+
+
+def test_a_camera_that_stops_early(tmp_path):
+    assert stamped(tmp_path, last=15.0) == [("note", "/image", "starts late or stops early")]
+    assert stamped(tmp_path, last=8.0) == [("warning", "/image", "starts late or stops early")]
+
+
+def test_a_camera_that_pauses(tmp_path):
+    assert ("warning", "/image", "has a gap") in stamped(tmp_path, image=lambda t: t if t < 10 else t + 6, until=30)
+
+
+def test_a_clock_that_drifts(tmp_path):
+    found = stamped(tmp_path, image=lambda t: t * 0.99, until=40)
+    assert ("warning", "/image", "its clock drifts") in found
+
+
+def test_the_vehicle_sees_itself():
+    lidar = world.lidar()
+    scans = world.scans()
+    assert check_own_body(lidar, scans, WHEELS) == []
+    roof = np.random.default_rng(0).uniform((-0.5, -0.5, 1.0), (0.5, 0.5, 1.2), (50, 3))
+    seen = (roof - lidar.body_from_lidar[:3, 3]) @ lidar.body_from_lidar[:3, :3]
+    hit = [
+        replace(s, points=np.concatenate((s.points, seen)), which=np.append(s.which, np.zeros(50, int))) for s in scans
+    ]
+    (finding,) = check_own_body(lidar, hit, WHEELS)
+    assert finding.what == "sees the vehicle itself"
+    assert "lidars.top.own_body" in finding.mend
+    assert check_own_body(lidar, hit[:4] + scans[4:], WHEELS) == []  # a branch
+
+
+def test_a_driver_that_repeats_images():
+    pictures = [Grey(float(i), np.full((4, 4), i, np.uint8)) for i in range(20)]
+    assert check_frozen("front", pictures) == []
+    again = [replace(p, pixels=pictures[i // 3 * 3].pixels) for i, p in enumerate(pictures)]
+    (finding,) = check_frozen("front", again)
+    assert finding.evidence == "13 of 19 images are those before them, bit by bit"
+
+
+def test_pairs_are_half_a_second_apart():
+    assert list(pairs([0.0, 0.5, 2.0, 2.45, 4.0, 9.0])) == [(0, 1), (2, 3)]
+    assert list(pairs([0.0, 0.25, 0.5, 0.75, 1.1])) == [(0, 2), (1, 3), (2, 4), (3, 4)]
+
+
+def test_driving_starts_where_the_vehicle_moves():
+    assert driving(world.poses()) == (0.0, world.poses().span[1])
+
+
+def test_a_calibration_of_another_size_is_said_and_stops_nothing(tmp_path):
+    messages = [(0.3, "/points", cloud(0.2)), (0.3, "/image", compressed(0.1, np.zeros((60, 80, 3), np.uint8))), *FIXED]
+    path = record(tmp_path / "drive.mcap", messages)
+    (finding,) = [f for f in check_sensors(open_log(path), sensor_rig()) if f.severity == "warning"]
+    assert "images of 80x60, and a calibration for 8x6" in finding.what
+    assert "calibration of these images" in finding.mend
+
+
+def test_no_sensors_nothing_to_say(tmp_path):
+    path = record(tmp_path / "drive.mcap")
+    assert check_sensors(open_log(path), sensor_rig("")) == []
+    optional = sensor_rig('[lidars.top]\ntopic = "/none"\noptional = true\n')
+    assert check_sensors(open_log(path), optional) == []
+    (finding,) = check_sensors(open_log(path), sensor_rig('[lidars.top]\ntopic = "/none"\n'))
+    assert finding.severity == "warning"
+    assert "no messages on topic '/none'" in finding.what
+
+
+def test_points_with_times_that_the_rig_does_not_name(tmp_path):
+    path = record(tmp_path / "drive.mcap")
+    sensors = opened(path)
+    source, (lidar,) = sensor_source(open_log(path), sensor_rig()), sensors.lidars.values()
+    bare = replace(lidar, source=structs.replace(lidar.source, time_field=""))
+    assert untimed_points(source, {"top": lidar}) == {}
+    assert untimed_points(source, {"top": bare}) == {"top": "t"}

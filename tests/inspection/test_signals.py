@@ -1,0 +1,75 @@
+"""Single signals with known faults, and signals that only look like it."""
+
+import numpy as np
+import pytest
+from simulated import drive_log, rig
+
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.signals import find_spikes, find_wrap
+
+TIME = np.arange(0, 60, 0.02)
+SMOOTH = 150 + 100 * np.sin(TIME) + np.random.default_rng(0).standard_normal(len(TIME))
+
+
+@pytest.mark.parametrize(("period", "scale"), [(65536.0, 100.0), (6553.6, 10.0), (655.36, 1.0)])
+def test_wraps_of_sixteen_bits_in_runs(period: float, scale: float) -> None:
+    counts = np.round((SMOOTH - 80) * scale) / 10
+    wrap = find_wrap(np.where(counts < 0, counts + period, counts))
+    assert wrap is not None
+    assert wrap.period == period
+    assert counts.max() < wrap.above < counts.min() + period
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        SMOOTH,
+        np.linspace(0, 65535, 3000),
+        np.where(np.sin(TIME) > 0, 6500.0, 0.0),
+        np.abs(SMOOTH) * 40,
+        np.random.default_rng(1).uniform(0, 6553, 3000),
+    ],
+    ids=["smooth", "counter", "switch", "engine", "noise"],
+)
+def test_what_is_no_wrap(values: np.ndarray) -> None:
+    assert find_wrap(values) is None
+
+
+def test_spikes_are_found_where_they_are() -> None:
+    values = SMOOTH.copy()
+    at = [100, 900, 901, 2500]
+    values[at] = 5000, -4000, -3500, 900
+    assert np.flatnonzero(find_spikes(values)).tolist() == at
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        SMOOTH,
+        np.where(np.sin(5 * TIME) > 0.9, 1.0, 0.0),
+        np.random.default_rng(2).standard_normal(3000) ** 3,
+        np.round(SMOOTH / 20),
+        np.clip(np.sin(20 * TIME), 0.9, 1),
+    ],
+    ids=["smooth", "switch", "rough ground", "quantised", "bumps"],
+)
+def test_what_is_no_spike(values: np.ndarray) -> None:
+    assert not find_spikes(values).any()
+
+
+def test_nan_and_infinity_are_counted() -> None:
+    def broken(x: np.ndarray) -> np.ndarray:
+        x[10:20], x[30] = np.nan, np.inf
+        return x
+
+    log = drive_log(seconds=60).change("pedals", "throttle", broken)
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.severity == "warning")
+    assert finding.where.startswith("throttle")
+    assert finding.evidence == "11 of 3000 samples (0.4%)"
+
+
+def test_a_field_that_no_channel_reads_is_only_noted() -> None:
+    log = drive_log(seconds=60)
+    log = log.change("wheels", "rear", lambda x: np.where(np.arange(len(x)) % 701 == 5, 1e6, x))
+    (finding,) = (f for f in inspect_log(log).findings if f.where.startswith("wheels"))
+    assert (finding.severity, finding.what) == ("note", "isolated spikes")

@@ -1,0 +1,102 @@
+"""Stamps with known faults."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.stamps import timing
+
+CLEAN = drive_log(seconds=60)
+
+
+def findings(log: MemoryLog, topic: str) -> dict[str, tuple[str, str]]:
+    return {f.what: (f.severity, f.evidence) for f in inspect_log(log, rig()).findings if f.where == topic}
+
+
+def test_timing_of_even_stamps() -> None:
+    seen = timing(np.arange(0, 10, 0.02), max_gap=0.5)
+    assert seen.rate == pytest.approx(50)
+    assert (seen.repeated, seen.backward, seen.gaps) == (0, 0, ())
+    assert seen.lost == 0
+    assert seen.jitter < 1e-6
+
+
+def test_timing_of_bunches_counts_all_samples() -> None:
+    seen = timing(np.repeat(np.arange(0, 10, 0.04), 2), max_gap=0.5)
+    assert seen.rate == pytest.approx(50, rel=0.02)
+    assert seen.lost == 0
+
+
+def test_dropped_samples() -> None:
+    time, _ = CLEAN.data["pedals"]
+    kept = np.flatnonzero(np.random.default_rng(0).random(len(time)) > 0.2)
+    severity, evidence = findings(CLEAN.keep("pedals", kept), "pedals")["samples are missing"]
+    assert severity == "warning"
+    assert float(evidence.split("%")[0]) == pytest.approx(20, abs=2)
+
+
+def test_backward_stamps() -> None:
+    def back(time: np.ndarray) -> np.ndarray:
+        time[1000] -= 0.5
+        return time
+
+    severity, evidence = findings(CLEAN.restamp("steering", back), "steering")["stamps go back"]
+    assert severity == "warning"
+    assert evidence.startswith("1 of 1500; by 0.460 s at 39.9")
+
+
+def test_repeated_stamps() -> None:
+    def repeat(time: np.ndarray) -> np.ndarray:
+        time[1::50] = time[::50]
+        return time
+
+    severity, evidence = findings(CLEAN.restamp("steering", repeat), "steering")["stamps repeat"]
+    assert severity == "note"
+    assert evidence.startswith("30 of 1500 (2.0%)")
+
+
+def test_a_gap_of_two_minutes() -> None:
+    def gap(time: np.ndarray) -> np.ndarray:
+        time[1000:] += 120.0
+        return time
+
+    log = CLEAN
+    for topic in ("odom", "pedals", "steering"):
+        log = log.restamp(topic, lambda t: np.where(t - t[0] > 30, t + 120.0, t))
+    found = inspect_log(log, rig())
+    gaps = [f for f in found.findings if f.what == "has a gap"]
+    assert {f.where for f in gaps} == {"odom", "pedals", "steering"}
+    assert all("120.0" in f.evidence for f in gaps)
+    assert found.usable
+    assert not [f for f in found.findings if f.where == "position"]
+
+
+def test_milliseconds_as_seconds() -> None:
+    log = CLEAN
+    for topic in ("odom", "pedals", "steering", "wheels"):
+        log = log.restamp(topic, lambda t: (t - t[0]) * 1e3)
+    found = inspect_log(log, rig())
+    assert not found.usable
+    assert found.findings[0].mend == 'clock.unit = "ms"'
+
+
+def test_clocks_that_do_not_overlap() -> None:
+    found = inspect_log(CLEAN.restamp("steering", lambda t: t - 1000.0), rig())
+    assert not found.usable
+    assert found.findings[0].where == "steering"
+    assert "overlap" in found.findings[0].what
+
+
+def test_a_topic_that_stops_early() -> None:
+    severity, evidence = findings(CLEAN.keep("pedals", np.arange(1500)), "pedals")["starts late or stops early"]
+    assert severity == "warning"
+    assert "30.0 s before the end" in evidence
+
+
+def test_stamps_that_are_not_finite() -> None:
+    def broken(time: np.ndarray) -> np.ndarray:
+        time[77] = np.nan
+        return time
+
+    assert findings(CLEAN.restamp("pedals", broken), "pedals")["stamps are not finite"][1] == "1 of 3000"

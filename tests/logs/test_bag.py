@@ -1,0 +1,195 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from rosbags import rosbag1
+from rosbags.rosbag2.enums import CompressionMode, StoragePlugin
+
+from made_bags import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
+from offpiste.errors import LogError
+from offpiste.logs.bag import BagLog
+
+# Real bags
+
+
+def test_ros2_mcap_of_a_turtlebot(data_folder: Path) -> None:
+    log = BagLog(data_folder / "bags" / "evo_nav2_turtlebot.mcap")
+    counts = {name: topic.count for name, topic in log.topics.items()}
+    assert counts == {"/amcl_pose": 135, "/odom": 2639, "/tf": 5422, "/tf_static": 1}
+    assert log.warnings == ()
+    odom = log.topics["/odom"]
+    assert odom.type == "nav_msgs/msg/Odometry"
+    assert {"pose.pose.position.x", "twist.twist.linear.x", "pose.covariance[35]"} <= set(odom.fields)
+    assert not [field for field in odom.fields if field.startswith("header")]
+    assert log.topics["/tf"].fields == ()
+    samples = log.read("/odom", ["pose.pose.position.x", "twist.twist.linear.x"])
+    assert samples.values.shape == (2639, 2)
+    np.testing.assert_allclose(samples.values[0, 0], -2.80191663, atol=1e-8)
+    np.testing.assert_allclose(samples.time[:2], [928.8, 928.836], atol=1e-9)
+
+
+def test_ros1_bag_with_its_own_message_types(data_folder: Path) -> None:
+    log = BagLog(data_folder / "bags" / "PlotJuggler_tilt_laser.bag")
+    assert {name: topic.count for name, topic in log.topics.items()} == {
+        "/gravity_vector": 356, "/imu_data": 356, "/info_gps": 356, "/magnetic_vector": 356, "/position_gps": 356,
+        "/scan": 178, "/temperature": 712, "/tf": 711, "/velocity": 712,
+    }  # fmt: skip
+    assert log.topics["/temperature"].fields == ("reading", "min_reading", "max_reading")
+    assert log.read("/temperature", ["reading"]).values[0, 0] == 20.8125
+    np.testing.assert_allclose(log.read("/position_gps", ["latitude"]).values[0, 0], 47.37632751, atol=1e-8)
+    ranges = [field for field in log.topics["/scan"].fields if field.startswith("ranges")]
+    assert ranges == [f"ranges[{i}]" for i in range(36)]
+    header, receive = (log.read("/imu_data", [], stamps=stamps).time for stamps in ("header", "receive"))
+    delay = receive - header
+    assert 0 < np.median(delay) < 0.1
+
+
+def test_nearly_empty_bag(data_folder: Path) -> None:
+    log = BagLog(data_folder / "bags" / "rosbag2_only_topics.mcap")
+    assert {name: topic.count for name, topic in log.topics.items()} == {
+        "/events/write_split": 0, "/parameter_events": 7, "/rosout": 0,
+    }  # fmt: skip
+    with pytest.raises(LogError, match="topic '/rosout' is empty; declare its channels absent in the rig"):
+        log.read("/rosout", ["level"])
+
+
+# What is asked for and is not there
+
+
+def test_missing_topic_and_field_name_what_there_is(tmp_path: Path) -> None:
+    log = BagLog(mcap_file(tmp_path / "a.mcap", twists(2)))
+    with pytest.raises(LogError, match=r"a\.mcap: no topic '/imu'; it has: /odom"):
+        log.read("/imu", ["x"])
+    message = r"topic '/odom' \(geometry_msgs/msg/TwistStamped\) has no field 'speed'; it has: twist\.linear\.x, "
+    with pytest.raises(LogError, match=message):
+        log.read("/odom", ["speed"])
+
+
+def test_text_is_no_field(tmp_path: Path) -> None:
+    store, name, messages = custom("string mode\nbool armed\nint8 gear\n", [{"mode": "x", "armed": True, "gear": -1}])
+    log = BagLog(mcap_file(tmp_path / "a.mcap", messages, msgtype=name, store=store))
+    assert log.topics["/odom"].fields == ("armed", "gear")
+    assert log.read("/odom", ["gear", "armed"]).values.tolist() == [[-1.0, 1.0]]
+    with pytest.raises(LogError, match="has no field 'mode'; it has: armed, gear"):
+        log.read("/odom", ["mode"])
+
+
+# Numbers and stamps pass through unchanged
+
+
+def test_header_and_receive_stamps(tmp_path: Path) -> None:
+    messages = [twist(ROS2, 0), twist(ROS2, 1, stamped=0.0), twist(ROS2, 2)]
+    log = BagLog(mcap_file(tmp_path / "a.mcap", messages))
+    assert log.read("/odom", [SPEED]).time.tolist() == [START - 0.25, START + 1, START + 1.75]
+    assert log.read("/odom", [SPEED], stamps="receive").time.tolist() == [START, START + 1, START + 2]
+
+
+def test_stamps_that_go_back_stay(tmp_path: Path) -> None:
+    messages = [twist(ROS2, i, stamped=stamp) for i, stamp in enumerate([10.0, 12.0, 11.0, 11.0])]
+    log = BagLog(mcap_file(tmp_path / "a.mcap", messages))
+    samples = log.read("/odom", [SPEED])
+    assert samples.time.tolist() == [10.0, 12.0, 11.0, 11.0]
+    assert samples.values[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_nan_and_infinity_stay(tmp_path: Path) -> None:
+    messages = [twist(ROS2, i, speed=speed) for i, speed in enumerate([np.nan, np.inf, -np.inf, 1e300])]
+    log = BagLog(mcap_file(tmp_path / "a.mcap", messages))
+    np.testing.assert_array_equal(log.read("/odom", [SPEED]).values[:, 0], [np.nan, np.inf, -np.inf, 1e300])
+
+
+def test_arrays_and_sequences(tmp_path: Path) -> None:
+    definition = "float64[3] fixed\nfloat32[37] bulk\nint16[] loose\nuint8[] raw\ngeometry_msgs/Point[] points\n"
+    lengths = [3, 5, 1]
+    rows = [
+        {
+            "fixed": np.arange(3.0) + i,
+            "bulk": np.zeros(37, np.float32),
+            "loose": np.arange(length, dtype=np.int16),
+            "raw": np.zeros(4, np.uint8),
+            "points": [],
+        }
+        for i, length in enumerate(lengths)
+    ]
+    store, name, messages = custom(definition, rows)
+    log = BagLog(mcap_file(tmp_path / "a.mcap", messages, msgtype=name, store=store))
+    assert log.topics["/odom"].fields == ("fixed[0]", "fixed[1]", "fixed[2]", "loose[0]", "loose[1]", "loose[2]")
+    values = log.read("/odom", ["fixed[2]", "loose[2]"]).values
+    np.testing.assert_array_equal(values, [[2.0, 2.0], [3.0, 2.0], [4.0, np.nan]])
+
+
+# Containers
+
+
+@pytest.mark.parametrize("compression", [None, *rosbag1.Writer.CompressionFormat])
+def test_ros1_compression(tmp_path: Path, compression) -> None:
+    log = BagLog(ros1_bag(tmp_path / "a.bag", 30, compression))
+    assert speeds(log) == list(range(30))
+    assert log.read("/odom", [SPEED]).time[3] == START + 2.75
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunking", [True, False])
+def test_mcap_compression(tmp_path: Path, compression: CompressionType, chunking: bool) -> None:
+    log = BagLog(mcap_file(tmp_path / "a.mcap", twists(30), compression=compression, chunking=chunking))
+    assert (speeds(log), log.warnings) == (list(range(30)), ())
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_folder_and_its_file(tmp_path: Path, storage: StoragePlugin) -> None:
+    folder = ros2_folder(tmp_path / "drive", storage, twists(5))
+    (file,) = [file for file in folder.iterdir() if file.suffix != ".yaml"]
+    for path in (folder, file):
+        assert BagLog.recognises(path)
+        assert speeds(BagLog(path)) == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_folder_with_compressed_files_or_messages(tmp_path: Path, mode: CompressionMode) -> None:
+    folder = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(5), compressed=mode)
+    assert speeds(BagLog(folder)) == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_folder_without_metadata_is_read_file_by_file_in_order(tmp_path: Path) -> None:
+    for i in (10, 2):
+        mcap_file(tmp_path / f"drive_{i}.mcap", [twist(ROS2, i)])
+    (tmp_path / "drive_11.mcap").write_bytes(b"")
+    log = BagLog(tmp_path)
+    assert speeds(log) == [2.0, 10.0]
+    left_out, how = log.warnings
+    assert left_out.endswith("drive_11.mcap: the file is empty; record or copy it again")
+    assert "no metadata.yaml (was the recorder killed?); 2 files are read one by one" in how
+
+
+def test_metadata_cannot_point_outside_its_folder(tmp_path: Path) -> None:
+    folder = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(3))
+    metadata = folder / "metadata.yaml"
+    mcap_file(tmp_path / "outside.db3", twists(9))
+    metadata.write_text(metadata.read_text().replace("drive.db3", "../outside.db3"))
+    assert speeds(BagLog(folder)) == [0.0, 1.0, 2.0]
+
+
+def test_other_profiles_of_mcap(tmp_path: Path) -> None:
+    log = BagLog(mcap_file(tmp_path / "a.mcap", twists(3), profile=""))
+    assert (speeds(log), log.warnings) == ([0.0, 1.0, 2.0], ())
+    log = BagLog(mcap_file(tmp_path / "b.mcap", twists(3), encoding="json", profile="", schema="jsonschema"))
+    assert log.topics["/odom"].type == f"{TWIST} is encoded as json, which is not read"
+
+
+# Definitions
+
+
+def test_bag_without_definitions_of_standard_types(tmp_path: Path) -> None:
+    log = BagLog(mcap_file(tmp_path / "a.mcap", twists(3), schema=""))
+    assert speeds(log) == [0.0, 1.0, 2.0]
+
+
+def test_bag_without_definition_of_a_custom_type(tmp_path: Path) -> None:
+    store, name, messages = custom("float64 speed\n", [{"speed": 1.0}])
+    log = BagLog(mcap_file(tmp_path / "a.mcap", messages, msgtype=name, store=store, schema=""))
+    (warning,) = log.warnings
+    assert "topic '/odom'" in warning
+    assert "my_robot/msg/Status is not defined in the bag; record as .mcap, or run `ros2 bag convert`" in warning
+    with pytest.raises(LogError, match=r"'/odom' \(my_robot/msg/Status is not defined in the bag\) has no field"):
+        log.read("/odom", ["speed"])

@@ -1,0 +1,155 @@
+"""Damaged bags: what can be read, with a warning, or one line."""
+
+import sqlite3
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from rosbags.rosbag2.enums import StoragePlugin
+
+from made_bags import mcap_file, ros1_bag, ros2_folder, speeds, twists
+from offpiste.errors import LogError
+from offpiste.logs.bag import BagLog
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunking", [True, False])
+def test_mcap_whose_recorder_was_killed(tmp_path: Path, compression: CompressionType, chunking: bool) -> None:
+    path = mcap_file(tmp_path / "a.mcap", twists(30), compression=compression, chunking=chunking, finish=False)
+    log = BagLog(path)
+    count = log.topics["/odom"].count
+    assert speeds(log) == list(range(count))
+    assert 25 <= count <= 30
+    (warning,) = log.warnings
+    assert "the MCAP file has no end" in warning
+    assert f"its {count} whole messages are read; `mcap recover a.mcap -o MENDED.mcap` mends it" in warning
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
+def test_mcap_cut_in_a_chunk_keeps_its_whole_messages(tmp_path: Path, compression: CompressionType) -> None:
+    path = mcap_file(tmp_path / "a.mcap", twists(30), compression=compression)
+    whole = path.read_bytes()
+    counts = []
+    for cut in range(len(whole) // 3, len(whole) // 2, 7):
+        path.write_bytes(whole[:cut])
+        log = BagLog(path)
+        assert speeds(log) == list(range(log.topics["/odom"].count))
+        counts.append(log.topics["/odom"].count)
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] < 30
+
+
+def test_mcap_that_ends_in_zeros(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "a.mcap", twists(30), finish=False)
+    path.write_bytes(path.read_bytes() + bytes(100_000_000))
+    assert "has no end" in BagLog(path).warnings[0]
+
+
+def test_damaged_chunk_is_an_error_or_skipped(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "a.mcap", twists(30))
+    data = bytearray(path.read_bytes())
+    data[data.index(struct.pack("<d", 7.0))] ^= 1  # in the message with speed 7
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"topic '/odom' is damaged: .*checksum.*; mend it with `mcap recover FILE"):
+        speeds(BagLog(path))
+    path.write_bytes(data[:-30])
+    log = BagLog(path)
+    assert 7.0 not in speeds(log)
+    assert speeds(log)[-1] == 29.0
+    assert log.warnings == (f"{path}: damaged records that are skipped: 1",)
+
+
+def test_truncated_ros1_bag(tmp_path: Path) -> None:
+    path = ros1_bag(tmp_path / "a.bag", 30)
+    path.write_bytes(path.read_bytes()[:-300])
+    with pytest.raises(LogError, match=r"a\.bag: cannot be read: .*; mend it with `rosbag reindex FILE`, or record"):
+        BagLog(path)
+
+
+def test_truncated_db3(tmp_path: Path) -> None:
+    folder = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(300))
+    path = folder / "drive.db3"
+    path.write_bytes(path.read_bytes()[:20_000])
+    with pytest.raises(LogError, match=r"drive\.db3: cannot be read: .*malformed; mend it with `sqlite3 FILE \.recov"):
+        BagLog(path)
+    with pytest.raises(LogError, match=r"drive: cannot be read: .*malformed; mend it with `ros2 bag reindex FOLDER`"):
+        BagLog(folder)
+
+
+def test_messages_left_in_the_write_ahead_file_are_told(tmp_path: Path) -> None:
+    path = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(3)) / "drive.db3"
+    path.with_name("drive.db3-wal").write_bytes(b"x")
+    (warning,) = BagLog(path).warnings
+    assert "drive.db3-wal: messages not yet moved into the .db3 are not read" in warning
+
+
+def test_database_of_something_else(tmp_path: Path) -> None:
+    database = sqlite3.connect(tmp_path / "a.db3")
+    database.execute("CREATE TABLE songs(name TEXT)")
+    database.close()
+    with pytest.raises(LogError, match=r"cannot be read: .*missing tables"):
+        BagLog(tmp_path / "a.db3")
+
+
+@pytest.mark.parametrize("ending", [".bag", ".mcap", ".db3"])
+def test_empty_and_wrong_files(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(b"")
+    with pytest.raises(LogError, match=rf"a\{ending}: the file is empty; record or copy it again"):
+        BagLog(path)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    with pytest.raises(LogError, match=rf"a\{ending}: not a {ending} file; give it the ending of its format"):
+        BagLog(path)
+
+
+def test_mcap_renamed_to_bag(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"not a \.bag file; it is a \.mcap file: rename it"):
+        BagLog(mcap_file(tmp_path / "a.bag", twists(1)))
+
+
+def write_bag(path: Path) -> None:
+    ros1_bag(path, 20)
+
+
+def write_mcap(path: Path) -> None:
+    mcap_file(path, twists(20), compression=CompressionType.ZSTD)
+
+
+def write_db3(path: Path) -> None:
+    folder = ros2_folder(path.with_suffix(""), StoragePlugin.SQLITE3, twists(20))
+    (folder / f"{folder.name}.db3").rename(path)
+
+
+def trouble(path: Path) -> str:
+    """The error of reading all of a bag, or nothing; any other exception fails the test."""
+    try:
+        log = BagLog(path)
+        for name, topic in log.topics.items():
+            if topic.count and topic.fields:
+                log.read(name, topic.fields)
+    except LogError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(("ending", "write"), [(".bag", write_bag), (".mcap", write_mcap), (".db3", write_db3)])
+@pytest.mark.parametrize("damage", ["cut", "flip"])
+def test_damage_anywhere_ends_in_samples_or_one_line(
+    tmp_path: Path, ending: str, write: Callable[[Path], None], damage: str
+) -> None:
+    path = tmp_path / f"a{ending}"
+    write(path)
+    whole = path.read_bytes()
+    random = np.random.default_rng(0)
+    for place in random.integers(0, len(whole), 60):
+        data = bytearray(whole[:place] if damage == "cut" else whole)
+        if damage == "flip":
+            data[place] ^= 1 << random.integers(8)
+        path.write_bytes(data)
+        message = trouble(path)
+        assert message == "" or str(path) in message
+        assert "\n" not in message
+        assert len(message) < 600 + 2 * len(str(path))

@@ -1,0 +1,215 @@
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from offpiste.errors import LogError
+from offpiste.logs.table import TableLog
+
+DART = {
+    "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,
+    "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_18_05_10steer_03_ramp.csv": 7052,
+    "82_free_driving_rubbery_floor/car_1_Datarecording_09_16_2024_10_01_01.csv": 6786,
+    "82_free_driving_rubbery_floor/car_1_Datarecording_09_16_2024_10_02_28.csv": 9827,
+    "82_free_driving_rubbery_floor/car_1_Datarecording_09_16_2024_10_12_05.csv": 7175,
+    "82_free_driving_rubbery_floor/car_1_Datarecording_09_25_2024_09_53_24.csv": 6981,
+    "82_free_driving_rubbery_floor/car_1_Datarecording_09_25_2024_09_54_57.csv": 1721,
+    "82_free_driving_rubbery_floor/car_1_Datarecording_09_25_2024_10_01_57.csv": 1165,
+    "83_16_april_2025_slippery_floor/2025-04-16-15-51-18.csv": 2470,
+    "83_16_april_2025_slippery_floor/2025-04-16-15-56-43.csv": 834,
+    "83_16_april_2025_slippery_floor/2025-04-16-16-21-24.csv": 769,
+    "83_16_april_2025_slippery_floor/2025-04-16-17-02-48.csv": 1741,
+    "83_16_april_2025_slippery_floor/2025-04-16-17-36-01.csv": 2780,
+}
+
+
+def table(path: Path, text: str | bytes, **options: str) -> TableLog:
+    path = path / "drive.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return TableLog(path, **options)
+
+
+def column(log: TableLog, field: str) -> list[float]:
+    return log.read("", [field]).values[:, 0].tolist()
+
+
+@pytest.mark.parametrize("name", DART)
+def test_dart(data_folder: Path, name: str) -> None:
+    log = TableLog(data_folder / "dart" / name)
+    topic = log.topics[""]
+    assert topic.count == DART[name]
+    assert len(topic.fields) == (20 if name.startswith("83") else 14)
+    samples = log.read("", ["vicon time", "vicon x"])
+    np.testing.assert_array_equal(samples.time, samples.values[:, 0])
+    assert (np.diff(samples.time) > 0).all()
+    assert np.isfinite(samples.values).all()
+    assert len(log.warnings) == (0 if name.startswith("83") else 1)
+
+
+def test_every_dart_file_is_tested(data_folder: Path) -> None:
+    folder = data_folder / "dart"
+    assert {str(path.relative_to(folder)) for path in folder.glob("*/*.csv")} == set(DART)
+
+
+def test_dart_has_two_columns_of_time(data_folder: Path) -> None:
+    path = data_folder / "dart" / "82_free_driving_rubbery_floor" / "car_1_Datarecording_09_25_2024_10_01_57.csv"
+    (warning,) = TableLog(path).warnings
+    assert warning.startswith("'vicon time' is taken for time, of elapsed time sensors, vicon time; clock.column")
+    log = TableLog(path, clock_column="elapsed time sensors")
+    assert log.warnings == ()
+    assert log.read("", ["vicon x"]).time[:3].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(log.read("", ["vicon x"]).values[0, 0], -2.8746785765444116, atol=0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["t", "T", "time", "Time [s]", "timestamp", "stamp_ns", "sec", "secs", "t [s]", "field.header.timestamp", "%time"],
+)
+def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
+    log = table(tmp_path, f"throttle,section,steer,{name}\n9,9,9,1\n9,9,9,2\n")
+    assert log.read("", ["steer"]).time.tolist() == [1.0, 2.0]
+    assert log.warnings == ()
+
+
+def test_no_time(tmp_path: Path) -> None:
+    log = table(tmp_path, "throttle,steer\n1,2\n")
+    assert log.topics[""].fields == ("throttle", "steer")
+    message = r"drive\.csv: no column looks like time; set clock\.column in the rig to one of: throttle, steer"
+    with pytest.raises(LogError, match=message):
+        log.read("", ["steer"])
+
+
+def test_clock_column_and_unit(tmp_path: Path) -> None:
+    text = "t,count,x\n5,1500,1\n6,2500,2\n"
+    assert table(tmp_path, text, clock_column="count", clock_unit="ms").read("", ["x"]).time.tolist() == [1.5, 2.5]
+    with pytest.raises(LogError, match="no column 'stamp' for the clock; it has: t, count, x"):
+        table(tmp_path, text, clock_column="stamp")
+    with pytest.raises(LogError, match="unknown clock unit 'min'; use one of: s, ms, us, ns"):
+        table(tmp_path, text, clock_unit="min")
+
+
+def test_nanoseconds_since_1970_keep_their_microseconds(tmp_path: Path) -> None:
+    log = table(tmp_path, "stamp,x\n1700000000123456789,1\n1700000000143456789,1\n", clock_unit="ns")
+    np.testing.assert_allclose(np.diff(log.read("", ["x"]).time), 0.02, atol=5e-7)
+
+
+@pytest.mark.parametrize("second", ["2024-01-01T00:00:01.5", "2024-01-01 00:00:01.500"])
+def test_dates_as_stamps(tmp_path: Path, second: str) -> None:
+    log = table(tmp_path, f"time,x\n2024-01-01T00:00:00,1\n{second},2\n")
+    assert log.topics[""].fields == ("x",)
+    assert log.read("", ["x"]).time.tolist() == [1704067200.0, 1704067201.5]
+
+
+def test_dates_with_zones(tmp_path: Path) -> None:
+    log = table(tmp_path, "time,x\n2024-01-01T00:00:00Z,1\n2024-01-01T02:00:01+02:00,2\n")
+    assert log.read("", ["x"]).time.tolist() == [1704067200.0, 1704067201.0]
+
+
+def test_stamps_that_go_back_stay(tmp_path: Path) -> None:
+    assert table(tmp_path, "t,x\n1,1\n3,2\n2,3\n2,4\n").read("", ["x"]).time.tolist() == [1.0, 3.0, 2.0, 2.0]
+
+
+def test_cells(tmp_path: Path) -> None:
+    log = table(
+        tmp_path, "t,x,name,armed\n0,1,a,true\n1,,b,False\n2,nan,,\n3,inf,d,true\n4,-inf,e,true\n5, +7e1 ,f,true\n"
+    )
+    assert log.topics[""].fields == ("t", "x", "armed")
+    np.testing.assert_array_equal(column(log, "x"), [1.0, np.nan, np.nan, np.inf, -np.inf, 70.0])
+    np.testing.assert_array_equal(column(log, "armed"), [1.0, 0.0, np.nan, 1.0, 1.0, 1.0])
+    with pytest.raises(LogError, match=r"topic '' \(CSV table\) has no field 'name'; it has: t, x, armed"):
+        log.read("", ["name"])
+
+
+@pytest.mark.parametrize("bad_row", [1, 150])
+def test_one_bad_cell_is_named_when_its_column_is_read(tmp_path: Path, bad_row: int) -> None:
+    rows = [f"{i},{i},{'abc' if i == bad_row else 2 * i}" for i in range(1, 200)]
+    log = table(tmp_path, "\n".join(["t,x,y", *rows]))
+    assert column(log, "x")[:3] == [1.0, 2.0, 3.0]
+    message = rf"drive\.csv: row {bad_row} below the header, column 'y': 'abc' is not a number; mend or empty that cell"
+    with pytest.raises(LogError, match=message):
+        log.read("", ["y"])
+
+
+def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    log = table(tmp_path, "\ufefft;x;note\r\n0;1,5;a, b\r\n1;-2,5;c\r\n")
+    assert log.warnings == ("columns are separated by ';', decimals by ','",)
+    assert log.topics[""].fields == ("t", "x")
+    assert column(log, "x") == [1.5, -2.5]
+    log = table(tmp_path, "t;x\n0;1.5\n")
+    assert log.warnings == ("columns are separated by ';'",)
+    assert column(log, "x") == [1.5]
+
+
+def test_tabs_and_quotes(tmp_path: Path) -> None:
+    log = table(tmp_path, 't\t"x, raw"\n0\t"1.5"\n')
+    assert log.warnings == ("columns are separated by 'tab'",)
+    assert column(log, "x, raw") == [1.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file is empty, or begins with an empty line; record or export it again"),
+        ("t,x", "no row below the header; record or export it again"),
+        ("t,x\n", "no row below the header; record or export it again"),
+        ("t,x\n\n\n", "no row below the header; record or export it again"),
+        ("t,x\n0,1\n1,2,3\n", "Row #3: Expected 2 columns, got 3: 1,2,3; mend that line"),
+        ("t,x\n0,1\n1", "Row #3: Expected 2 columns, got 1: 1; mend that line"),
+        ("1,2\n3,4\n", "no header line; write the names of the columns into the first line"),
+        ("t,x,x\n1,2,3\n", "column 'x' appears twice; give every column its own name"),
+        ("t,yaw °\n0,1\n".encode("latin-1"), "the text is not UTF-8; save it as UTF-8"),
+        ("t,unit\n0,m\n1,m\n2,°\n".encode("latin-1"), "invalid UTF8 data; mend that line; the text must be UTF-8"),
+        ("t,x\n0,1\n".encode("utf-16"), "the text is not UTF-8; save it as UTF-8"),
+        ("t,x\n0,1\n".encode("utf-16-le"), "not a text file; save it as UTF-8 text with a header line"),
+    ],
+)
+def test_damaged_text(tmp_path: Path, text: str | bytes, message: str) -> None:
+    with pytest.raises(LogError) as caught:
+        table(tmp_path, text)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(f"{tmp_path / 'drive.csv'}: ")
+
+
+def test_parquet(tmp_path: Path) -> None:
+    path = tmp_path / "drive.parquet"
+    columns = {
+        "stamp": pa.array([1_704_067_200_000, 1_704_067_200_500, None], pa.timestamp("ms")),
+        "gear": pa.array([1, None, -1], pa.int8()),
+        "armed": pa.array([True, False, None]),
+        "ticks": pa.array([2**60, 2**60 + 4096, 0], pa.int64()),
+        "x": pa.array([0.5, np.nan, np.inf]),
+        "name": pa.array(["a", "b", "c"]),
+        "points": pa.array([[1.0], [], [2.0]]),
+    }
+    pq.write_table(pa.table(columns), path)
+    log = TableLog(path)
+    assert log.topics[""].fields == ("stamp", "gear", "armed", "ticks", "x")
+    assert (log.topics[""].type, log.topics[""].count) == ("Parquet table", 3)
+    samples = log.read("", ["gear", "armed", "ticks", "x"])
+    np.testing.assert_array_equal(samples.time, [1704067200.0, 1704067200.5, np.nan])
+    expected = [[1, 1, 2.0**60, 0.5], [np.nan, 0, 2.0**60 + 4096, np.nan], [-1, np.nan, 0, np.inf]]
+    np.testing.assert_array_equal(samples.values, expected)
+
+
+def test_parquet_without_numbers(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"name": ["a"]}), tmp_path / "a.parquet")
+    with pytest.raises(LogError, match="no column of numbers; export the quantities as numbers"):
+        TableLog(tmp_path / "a.parquet")
+
+
+def test_parquet_without_rows(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"t": pa.array([], pa.float64())}), tmp_path / "a.parquet")
+    with pytest.raises(LogError, match="topic '' is empty"):
+        TableLog(tmp_path / "a.parquet").read("", ["t"])
+
+
+def test_damaged_parquet(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"t": np.arange(1000.0), "x": np.arange(1000.0)}), path)
+    whole = path.read_bytes()
+    for part in (b"", b"t,x\n0,1\n", whole[: len(whole) // 2], whole[:-1]):
+        path.write_bytes(part)
+        with pytest.raises(LogError, match=r"a\.parquet: not a readable Parquet file: .*; export it again"):
+            TableLog(path)

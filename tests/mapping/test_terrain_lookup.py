@@ -1,0 +1,122 @@
+"""Maps are read where they are, in the world's frame: uneven planes, borders, holes, several maps."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from offpiste.mapping.terrain_lookup import MapTerrain, look_up, stack_maps
+from offpiste.mapping.terrain_map import TerrainMap, wheel_places
+
+WHEELS = np.array([[1.0, 0.7], [1.0, -0.7], [-1.2, 0.6], [-1.2, -0.6]])
+
+
+def plane(
+    rise_x: float, rise_y: float, *, shape=(30, 50), origin=(10.0, -20.0), resolution=0.5, features=2
+) -> TerrainMap:
+    """z = rise_x x + rise_y y; feature 0 is the column's number, feature 1 the row's."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    z = rise_x * (origin[0] + resolution * x) + rise_y * (origin[1] + resolution * y)
+    return TerrainMap(np.array(origin), resolution, z, np.stack((x, y), axis=-1)[..., :features].astype(np.float32))
+
+
+def found_at(maps, places, number=0):
+    place = torch.as_tensor(places, dtype=torch.float64)
+    numbers = torch.full(place.shape[:-1], number)
+    return look_up(stack_maps(maps), numbers, place, torch.zeros_like(place))
+
+
+def test_a_plane_has_its_normal_everywhere_and_x_is_not_y():
+    found = found_at([plane(0.3, -0.1)], [[10.2, -19.9], [20.0, -10.0], [34.4, -5.6]])
+    wanted = torch.tensor([-0.3, 0.1, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(found.normal, (wanted / wanted.norm()).expand(3, 3), atol=1e-6, rtol=0)
+    assert found.known.all()
+
+
+def test_features_are_those_of_the_nearest_cell():
+    found = found_at([plane(0, 0)], [[10.0 + 0.5 * 7 + 0.2, -20.0 + 0.5 * 3 - 0.2]])
+    assert found.features.tolist() == [[7.0, 3.0]]
+
+
+def test_normals_between_cells_are_bilinear():
+    terrain = plane(0, 0, shape=(5, 6), origin=(0.0, 0.0), resolution=1.0)
+    y, x = np.mgrid[:5, :6].astype(float)
+    terrain = TerrainMap(terrain.origin, 1.0, 0.5 * x * x + x * y, terrain.features)
+    # Central differences of a quadratic are exact inside: rise_x = x + y, rise_y = x.
+    found = found_at([terrain], [[2.25, 1.75]])
+    slope = -found.normal[0, :2] / found.normal[0, 2]
+    torch.testing.assert_close(slope, torch.tensor([4.0, 2.25], dtype=torch.float64), atol=1e-6, rtol=0)
+
+
+@settings(deadline=None)
+@given(st.floats(-100, 100), st.floats(-100, 100))
+def test_off_the_map_is_flat_and_missing(x, y):
+    terrain = plane(0.3, -0.1)
+    found = found_at([terrain], [[x, y]])
+    inside = 9.75 < x < 10 + 0.5 * 49 + 0.25 and -20.25 < y < -20 + 0.5 * 29 + 0.25
+    assert bool(found.valid[0]) == bool(found.known[0]) == inside
+    if not inside:
+        assert found.normal.tolist() == [[0.0, 0.0, 1.0]]
+
+
+def test_what_is_not_a_place_is_off_the_map():
+    found = found_at([plane(0.3, -0.1)], [[np.nan, 0.0], [np.inf, -15.0], [20.0, -np.inf]])
+    assert not found.valid.any()
+    assert not found.known.any()
+
+
+def test_holes_are_missing_but_their_neighbours_are_not():
+    terrain = plane(0.1, 0.0)
+    terrain.features[10, 20] = np.nan
+    terrain.elevation[10, 20] = np.nan
+    hole, beside = [10 + 0.5 * 20, -20 + 0.5 * 10], [10 + 0.5 * 23, -20 + 0.5 * 10]
+    found = found_at([terrain], [hole, beside])
+    assert found.valid.tolist() == [False, True]
+    assert found.known.tolist() == [False, True]
+    assert found.normal[0].tolist() == [0, 0, 1]
+
+
+def test_maps_of_different_sizes_stand_side_by_side():
+    small, large = plane(0.2, 0, shape=(4, 5), origin=(0.0, 0.0)), plane(0, 0.4)
+    maps = [small, large]
+    np.testing.assert_allclose(found_at(maps, [[1.0, 1.0]], 0).normal[0, 0], -0.2 / np.hypot(1, 0.2), rtol=1e-6)
+    np.testing.assert_allclose(found_at(maps, [[20.0, -10.0]], 1).normal[0, 1], -0.4 / np.hypot(1, 0.4), rtol=1e-6)
+    # The small map's padding is not ground.
+    assert not found_at(maps, [[10.0, 1.0]], 0).valid.any()
+    with pytest.raises(ValueError, match="one resolution"):
+        stack_maps([small, plane(0, 0, resolution=1.0)])
+
+
+def test_a_crop_says_the_same_as_the_whole():
+    whole = plane(0.3, -0.1)
+    part = whole.cropped(np.array([15.0, -15.0]), np.array([20.2, -9.9]))
+    assert part.elevation.size < whole.elevation.size / 4
+    places = np.random.default_rng(0).uniform([15.0, -15.0], [20.2, -9.9], (50, 2))
+    one, other = found_at([whole], places), found_at([part], places)
+    torch.testing.assert_close(one.features, other.features)
+    torch.testing.assert_close(one.normal, other.normal)
+
+
+def test_wheels_of_the_predicted_state_are_looked_up():
+    rng = np.random.default_rng(0)
+    terrain = plane(0.3, -0.1, shape=(200, 300))
+    offset = rng.uniform([60.0, 10.0], [80.0, 30.0], (8, 2))
+    state = torch.as_tensor(np.column_stack((rng.normal(0, 5, (8, 2)), rng.uniform(-4, 4, 8), rng.normal(size=(8, 3)))))
+    source = MapTerrain(
+        stack_maps([terrain]),
+        torch.zeros(8, dtype=torch.long),
+        torch.as_tensor(offset),
+        torch.as_tensor(WHEELS),
+        lambda features, valid: features.double(),
+    )
+    ground = source.at(3, state)
+    places = wheel_places(state[:, :2].numpy() + offset, state[:, 2].numpy(), WHEELS)
+    wanted = np.round((places - terrain.origin) / terrain.resolution)
+    np.testing.assert_array_equal(ground.latent, wanted)
+    assert ground.normal.shape == (8, 4, 3)
+
+
+def test_wheels_stand_where_a_turned_vehicle_has_them():
+    places = wheel_places(np.array([[3.0, 4.0]]), np.array([np.pi / 2]), WHEELS)
+    np.testing.assert_allclose(places[0], [[2.3, 5.0], [3.7, 5.0], [2.4, 2.8], [3.6, 2.8]])

@@ -1,0 +1,98 @@
+"""What the filterbank answers to: colour and not exposure, direction, scale; and real ground."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from offpiste.perception.backbones.filterbank import (
+    ORIENTATIONS,
+    SCALES,
+    Filterbank,
+    neighbourhood_mean,
+    opponent_planes,
+    oriented_filters,
+    respond,
+)
+
+TEXTURE = slice(6, 6 + 2 * ORIENTATIONS * len(SCALES))
+"""After 3 of colour and 3 of its spread."""
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_filters_do_not_see_brightness_and_answer_a_ramp_alike(scale: float):
+    filters = oriented_filters(scale)
+    assert torch.allclose(filters.sum(dim=(1, 2, 3)), torch.zeros(2 * ORIENTATIONS), atol=1e-6)
+    assert torch.allclose(filters.abs().sum(dim=(1, 2, 3)), torch.ones(2 * ORIENTATIONS))
+    ramp = torch.arange(40.0).expand(1, 1, 40, 40)  # grows to the right
+    answers = respond(ramp, filters)[0, :, 20, 20].abs()
+    # A first derivative along `angle` answers in proportion to its cosine; a second one does not answer.
+    norms = answers[:ORIENTATIONS]
+    assert norms[0] > norms[1] > norms[2]
+    assert norms[2] < 1e-4
+    assert torch.allclose(norms[1], norms[3], atol=1e-5)
+    assert (answers[ORIENTATIONS:] < 1e-4).all()
+
+
+def test_stripes_answer_most_in_their_direction_and_at_their_width():
+    x = np.arange(98)
+    for number, wavelength in enumerate(2 * np.pi * scale for scale in SCALES):
+        stripes = 0.5 + 0.2 * np.sin(2 * np.pi * x / wavelength)
+        upright = np.broadcast_to(stripes[None, :, None], (98, 98, 3)).astype(np.float32)
+        texture = Filterbank()(upright[None].copy())[0, 3, 3, TEXTURE].reshape(len(SCALES), 2, ORIENTATIONS)
+        assert (texture.argmax(dim=2) == 0).all()  # derivatives along x
+        lying = Filterbank()(upright.transpose(1, 0, 2)[None].copy())[0, 3, 3, TEXTURE]
+        assert (lying.reshape(len(SCALES), 2, ORIENTATIONS).argmax(dim=2) == 2).all()
+        assert int(texture[:, 1, 0].argmax()) == number
+
+
+def test_exposure_changes_little():
+    generator = np.random.default_rng(0)
+    scene = cv2.GaussianBlur(generator.uniform(0.1, 0.5, size=(112, 140, 3)), (0, 0), 3)
+    scene = np.clip((scene - 0.3) * 4 + 0.35, 0.1, 0.6).astype(np.float32)
+    scene[:56] *= np.array([0.9, 1.0, 0.5], dtype=np.float32)  # another ground kind
+    bank = Filterbank()
+    plain, brighter = bank(scene[None]), bank(1.5 * scene[None])
+    between_kinds = (plain[:, :4].mean(dim=(0, 1, 2)) - plain[:, 4:].mean(dim=(0, 1, 2))).norm()
+    moved = (brighter - plain).mean(dim=(0, 1, 2)).norm()
+    assert moved < 0.15 * between_kinds
+
+
+def test_opponent_planes_by_hand():
+    image = torch.tensor([0.47, 0.22, 0.095]).view(1, 3, 1, 1)  # + 0.03 are 1/2, 1/4, 1/8
+    brightness, red_green, blue_yellow = opponent_planes(image).flatten() / np.log(2)
+    assert brightness == pytest.approx(-2.0, abs=1e-5)
+    assert red_green == pytest.approx(1.0, abs=1e-5)
+    assert blue_yellow == pytest.approx(-1.5, abs=1e-5)
+
+
+def test_means_over_neighbours_count_only_those_there_are():
+    values = torch.arange(9.0).view(1, 1, 3, 3)
+    mean = neighbourhood_mean(values, 3)[0, 0]
+    assert mean[1, 1] == 4.0
+    assert mean[0, 0] == (0 + 1 + 3 + 4) / 4
+    assert mean[0, 1] == (0 + 1 + 2 + 3 + 4 + 5) / 6
+
+
+def test_a_black_image_has_finite_features_all_alike():
+    features = Filterbank()(np.zeros((1, 56, 70, 3), dtype=np.uint8))
+    assert torch.isfinite(features).all()
+    assert torch.allclose(features, features[:, :1, :1].expand_as(features), atol=1e-5)
+
+
+def test_trail_and_vegetation_differ_in_a_photograph(data_folder: Path):
+    """Gravel in the middle of `run4`, bushes left and right of it: looked at, and marked by hand."""
+    path = data_folder / "tartandrive2" / "images" / "run4.png"
+    image = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+    features = Filterbank()(image[None])[0]
+    assert features.shape == (38, 73, 48)
+    trail = features[24:33, 25:48].flatten(0, 1)
+    bushes = torch.cat((features[14:20, 3:16].flatten(0, 1), features[12:18, 58:70].flatten(0, 1)))
+    apart = trail.mean(dim=0) - bushes.mean(dim=0)
+    direction = apart / (trail.var(dim=0) + bushes.var(dim=0))
+    scores = [(part @ direction) for part in (trail, bushes)]
+    middle = (scores[0].mean() + scores[1].mean()) / 2
+    right = torch.cat((scores[0] > middle, scores[1] < middle)).float().mean()
+    assert right > 0.97

@@ -1,0 +1,262 @@
+"""DINOv2 against transformers' own output and against its definition written out; and where weights come from."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional
+from transformers import (
+    Dinov2Config,
+    Dinov2Model,
+    Dinov2WithRegistersConfig,
+    Dinov2WithRegistersModel,
+    DINOv3ViTConfig,
+    DINOv3ViTModel,
+    ViTConfig,
+    ViTModel,
+)
+
+from offpiste.errors import PerceptionError
+from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones.vision_transformer import VisionTransformer, weights_hash
+
+SMALL = {"hidden_size": 384, "num_attention_heads": 6, "image_size": 518, "patch_size": 14}
+"""facebook/dinov2-small's config.json, but for its 12 layers."""
+
+
+def lively(model: torch.nn.Module) -> torch.nn.Module:
+    """Random values where initialisation puts zeros or ones, so that no part can be lost unseen."""
+    with torch.no_grad():
+        for name, parameter in model.named_parameters():
+            if parameter.ndim == 1 or "token" in name or "position" in name:
+                parameter.add_(0.1 * torch.randn_like(parameter))
+    return model.eval()
+
+
+@pytest.fixture(scope="module")
+def model() -> Dinov2Model:
+    """The real architecture, ViT-S/14 of 12 layers, with random weights."""
+    torch.manual_seed(0)
+    return lively(Dinov2Model(Dinov2Config(num_hidden_layers=12, **SMALL)))
+
+
+@pytest.fixture(scope="module")
+def images() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, size=(2, 73, 101, 3), dtype=np.uint8)
+
+
+def normalised(images: np.ndarray) -> Tensor:
+    """ImageNet's constants as torchvision's and DINOv2's documentation print them, on the centred crop 98x70."""
+    cropped = images[:, 1:71, 1:99].astype(np.float64) / 255
+    scaled = (cropped - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    return torch.from_numpy(scaled).permute(0, 3, 1, 2).float()
+
+
+def written_out(weights: dict[str, Tensor], pixels: Tensor, *, heads: int, layers: int) -> Tensor:
+    """DINOv2 as Oquab et al. define it (github.com/facebookresearch/dinov2, vision_transformer.py), in plain torch.
+
+    Position embeddings are resized to the grid; the original's detour by a scale factor with an offset of 0.1 is not
+    taken, as in transformers.
+    """
+    batch, _, height, width = pixels.shape
+    rows, columns = height // 14, width // 14
+    embed = "embeddings.patch_embeddings.projection"
+    patches = functional.conv2d(pixels, weights[f"{embed}.weight"], weights[f"{embed}.bias"], stride=14)
+    tokens = patches.reshape(batch, -1, rows * columns).transpose(1, 2)
+    position = weights["embeddings.position_embeddings"]
+    side = math.isqrt(position.shape[1] - 1)
+    square = position[:, 1:].reshape(1, side, side, -1).permute(0, 3, 1, 2)
+    resized = functional.interpolate(square, size=(rows, columns), mode="bicubic").flatten(2).transpose(1, 2)
+    first = weights["embeddings.cls_token"] + position[:, :1]
+    x = torch.cat((first.expand(batch, -1, -1), tokens + resized), dim=1)
+
+    def linear(values: Tensor, name: str) -> Tensor:
+        return functional.linear(values, weights[f"{name}.weight"], weights[f"{name}.bias"])
+
+    def norm(values: Tensor, name: str) -> Tensor:
+        return functional.layer_norm(
+            values, values.shape[-1:], weights[f"{name}.weight"], weights[f"{name}.bias"], 1e-6
+        )
+
+    for number in range(layers):
+        block = f"encoder.layer.{number}"
+        y = norm(x, f"{block}.norm1")
+        query, key, value = (
+            linear(
+                y,
+                next(
+                    n
+                    for n in (f"{block}.attention.{p}_proj", f"{block}.attention.attention.{long}")
+                    if f"{n}.weight" in weights
+                ),
+            )
+            .unflatten(-1, (heads, -1))
+            .transpose(1, 2)
+            for p, long in (("q", "query"), ("k", "key"), ("v", "value"))
+        )
+        scores = (query @ key.transpose(-1, -2) / math.sqrt(query.shape[-1])).softmax(dim=-1)
+        mixed = (scores @ value).transpose(1, 2).flatten(2)
+        out = next(
+            n for n in (f"{block}.attention.o_proj", f"{block}.attention.output.dense") if f"{n}.weight" in weights
+        )
+        x = x + weights[f"{block}.layer_scale1.lambda1"] * linear(mixed, out)
+        y = functional.gelu(linear(norm(x, f"{block}.norm2"), f"{block}.mlp.fc1"))
+        x = x + weights[f"{block}.layer_scale2.lambda1"] * linear(y, f"{block}.mlp.fc2")
+    return norm(x, "layernorm")[:, 1:].unflatten(1, (rows, columns))
+
+
+def test_agrees_with_transformers_for_the_same_weights(model: Dinov2Model, images: np.ndarray):
+    with torch.no_grad():
+        tokens = model(normalised(images)).last_hidden_state
+    wanted = tokens[:, 1:].reshape(2, 5, 7, 384)
+    assert torch.allclose(VisionTransformer(model, name="random")(images), wanted, atol=1e-4)
+
+
+def test_agrees_with_the_definition_written_out(model: Dinov2Model, images: np.ndarray):
+    with torch.no_grad():
+        wanted = written_out(model.state_dict(), normalised(images), heads=6, layers=12)
+    assert wanted.std() > 0.5
+    assert torch.allclose(VisionTransformer(model, name="random")(images), wanted, atol=1e-3)
+
+
+def test_the_papers_image_size():
+    one_layer = Dinov2Model(Dinov2Config(num_hidden_layers=1, **SMALL))
+    features = VisionTransformer(one_layer, name="random")(np.zeros((1, 594, 960, 3), dtype=np.uint8))
+    assert features.shape == (1, 42, 68, 384)
+
+
+def test_bf16_is_close_to_fp32(model: Dinov2Model, images: np.ndarray):
+    exact = VisionTransformer(model, name="random")(images)
+    rough = VisionTransformer(model, name="random", precision="bf16")(images)
+    assert rough.dtype == torch.float32
+    error = (rough - exact).norm() / exact.norm()
+    assert 0 < error < 0.02
+    assert functional.cosine_similarity(rough, exact, dim=-1).min() > 0.999
+
+
+def test_precision_is_no_part_of_the_fingerprint_but_normalisation_is(model: Dinov2Model):
+    plain = VisionTransformer(model, name="a").fingerprint
+    assert VisionTransformer(model, name="b", precision="bf16").fingerprint == plain
+    assert VisionTransformer(model, name="a", mean=(0.5, 0.5, 0.5)).fingerprint != plain
+
+
+def test_the_hash_of_weights_sees_one_bit_and_not_their_names():
+    torch.manual_seed(0)
+    layer = torch.nn.Linear(3, 2)
+    renamed = torch.nn.ModuleDict({"other": layer})
+    before = weights_hash(layer)
+    assert weights_hash(renamed) == before
+    with torch.no_grad():
+        layer.weight[0, 0] = torch.nextafter(layer.weight[0, 0], torch.tensor(9.0))
+    assert weights_hash(layer) != before
+
+
+@pytest.mark.parametrize(
+    ("config", "kind", "patch"),
+    [
+        (Dinov2WithRegistersConfig(num_register_tokens=4, image_size=70, patch_size=14), Dinov2WithRegistersModel, 14),
+        (
+            DINOv3ViTConfig(num_register_tokens=4, image_size=64, patch_size=16, intermediate_size=64),
+            DINOv3ViTModel,
+            16,
+        ),
+    ],
+)
+def test_registers_are_no_patches(config, kind, patch: int):
+    for key, value in {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2}.items():
+        setattr(config, key, value)
+    torch.manual_seed(0)
+    model = lively(kind(config))
+    image = np.random.default_rng(0).integers(0, 256, size=(1, 2 * patch, 3 * patch, 3), dtype=np.uint8)
+    features = VisionTransformer(model, name="family")(image)
+    scaled = (image / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    with torch.no_grad():
+        tokens = model(torch.from_numpy(scaled).permute(0, 3, 1, 2).float()).last_hidden_state
+    assert tokens.shape[1] == 1 + 4 + 6
+    assert torch.allclose(features[0, 1, 2], tokens[0, 10], atol=1e-5)
+    assert torch.allclose(features[0, 0, 0], tokens[0, 5], atol=1e-5)
+
+
+def test_other_families_are_refused():
+    config = ViTConfig(hidden_size=32, num_attention_heads=2, num_hidden_layers=1, intermediate_size=32, image_size=32)
+    with pytest.raises(PerceptionError, match=r"^google: a model of type 'vit'; use one of dinov2, "):
+        VisionTransformer(ViTModel(config), name="google")
+
+
+class TestWeights:
+    """From a folder, the cache or the hub."""
+
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        torch.manual_seed(1)
+        tiny = Dinov2Config(hidden_size=32, num_attention_heads=2, num_hidden_layers=2, image_size=70, patch_size=14)
+        lively(Dinov2Model(tiny)).save_pretrained(tmp_path / "tiny")
+        return tmp_path / "tiny"
+
+    def test_a_folder_gives_back_what_was_saved(self, folder: Path):
+        image = np.random.default_rng(0).integers(0, 256, size=(1, 42, 56, 3), dtype=np.uint8)
+        opened = open_backbone(str(folder))
+        saved = VisionTransformer(Dinov2Model.from_pretrained(folder), name="same")
+        assert opened.fingerprint == saved.fingerprint
+        assert torch.equal(opened(image), saved(image))
+
+    def test_the_models_own_normalisation_is_used(self, folder: Path):
+        constants = {"image_mean": [0.43, 0.411, 0.296], "image_std": [0.213, 0.156, 0.143]}
+        (folder / "preprocessor_config.json").write_text(json.dumps(constants))
+        settings = open_backbone(str(folder)).settings()
+        assert (settings["mean"], settings["std"]) == (constants["image_mean"], constants["image_std"])
+
+    @pytest.mark.parametrize("content", ["{", "[]", '{"image_mean": [0.5], "image_std": [1]}'])
+    def test_a_broken_normalisation_is_named(self, folder: Path, content: str):
+        (folder / "preprocessor_config.json").write_text(content)
+        with pytest.raises(PerceptionError, match=r"preprocessor_config.json: no image_mean"):
+            open_backbone(str(folder))
+
+    def test_an_empty_folder(self, tmp_path: Path):
+        with pytest.raises(
+            PerceptionError, match=r"give a folder with config.json and model.safetensors, or .*filterbank"
+        ):
+            open_backbone(str(tmp_path))
+
+    def test_pickles_are_not_loaded(self, folder: Path):
+        (folder / "model.safetensors").unlink()
+        torch.save({"never": torch.zeros(1)}, folder / "pytorch_model.bin")
+        with pytest.raises(PerceptionError, match="safetensors"):
+            open_backbone(str(folder))
+
+    def test_weights_of_another_depth_are_not_filled_up_at_random(self, folder: Path):
+        config = json.loads((folder / "config.json").read_text())
+        (folder / "config.json").write_text(json.dumps({**config, "num_hidden_layers": 3}))
+        with pytest.raises(PerceptionError, match=r"weights lack encoder.layer.2.* others; fetch them again"):
+            open_backbone(str(folder))
+
+    def test_a_name_that_is_none(self):
+        with pytest.raises(PerceptionError, match=r"^no such thing: neither a folder nor a model's name"):
+            open_backbone("no such thing")
+
+    def test_no_network_and_no_cache(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+        def refuse(*_: object, **__: object) -> None:
+            raise OSError("Name or service not known")
+
+        monkeypatch.setattr("huggingface_hub.snapshot_download", refuse)
+        monkeypatch.setattr("huggingface_hub.HfApi.model_info", refuse)
+        with pytest.raises(PerceptionError) as caught:
+            open_backbone()
+        message = str(caught.value)
+        assert message.startswith("facebook/dinov2-small: weights are neither in the hub's cache nor could they be")
+        assert "hf download facebook/dinov2-small" in message
+        assert message.endswith("or use the backbone 'filterbank', which needs no weights")
+        assert "\n" not in message
+
+    def test_the_cache_is_used_without_asking_the_hub(self, monkeypatch: pytest.MonkeyPatch, folder: Path):
+        def cached(name: str, *, allow_patterns: list[str], local_files_only: bool = False) -> str:
+            assert local_files_only
+            assert "pytorch_model.bin" not in allow_patterns
+            return str(folder)
+
+        monkeypatch.setattr("huggingface_hub.snapshot_download", cached)
+        assert open_backbone("somebody/tiny").name == "somebody/tiny"

@@ -1,0 +1,43 @@
+"""Bounds and rates: the compiled pass against the reference in torch, which is checked by hand."""
+
+import pytest
+import torch
+
+from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within, keep_within_stepwise
+
+STEERING = Limits((-1.0,), (1.0,), (5.0,))
+
+
+def test_by_hand():
+    wanted = torch.tensor([0.9, 2.0, -3.0, -0.2, 0.1])[None, :, None]
+    for keep in (keep_within, keep_within_stepwise):
+        found = keep(STEERING, 0.1, wanted, torch.tensor([0.0]))[0, :, 0]
+        torch.testing.assert_close(found, torch.tensor([0.5, 1.0, 0.5, 0.0, 0.1]))
+        free = keep(STEERING, 0.1, wanted)[0, :, 0]
+        torch.testing.assert_close(free, torch.tensor([0.9, 1.0, 0.5, 0.0, 0.1]))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("previous", [None, [0.3, 0.0, -1.4]])
+def test_the_compiled_pass_equals_the_reference(dtype, previous):
+    wanted = torch.randn(70, 3, 40, generator=torch.Generator().manual_seed(0), dtype=dtype).transpose(1, 2)
+    wanted[3, 10, 1] = torch.nan
+    wanted[4, 0, 2] = torch.inf
+    before = None if previous is None else torch.tensor(previous, dtype=dtype)
+    asked = wanted.clone()
+    for dt in (0.02, 0.1):
+        found = keep_within(PEDALS_AND_WHEEL, dt, wanted, before)
+        reference = keep_within_stepwise(PEDALS_AND_WHEEL, dt, wanted, before)
+        assert torch.equal(found.nan_to_num(9), reference.nan_to_num(9))
+        assert found[3, 10:, 1].isnan().all()
+    assert torch.equal(wanted.nan_to_num(9), asked.nan_to_num(9))
+
+
+def test_what_is_within_limits_stays():
+    slow = torch.linspace(0, 0.5, 50)[None, :, None].expand(2, -1, 3)
+    assert torch.equal(keep_within(PEDALS_AND_WHEEL, 0.02, slow, torch.zeros(3)), slow)
+
+
+def test_without_rates_only_bounds_count():
+    wanted = torch.tensor([5.0, -5.0, 0.3])[None, :, None]
+    assert keep_within(Limits((-1.0,), (1.0,)), 0.1, wanted)[0, :, 0].tolist() == pytest.approx([1, -1, 0.3])

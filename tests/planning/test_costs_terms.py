@@ -1,0 +1,64 @@
+"""Terms of the cost by hand."""
+
+import math
+
+import pytest
+
+from offpiste.planning import costs
+
+G = 9.81
+
+
+def ratio(acceleration, angle=0.0):
+    return costs.lateral_ratio(acceleration, math.sin(angle), math.cos(angle), G, 1.0, max)
+
+
+def test_path_and_controls():
+    assert costs.path_term(3.0, 2.0) == 18
+    assert costs.effort_term(-0.5, 4.0) == 1
+    assert costs.jerk_term(0.3, 0.1, 0.02, 0.5) == pytest.approx(0.5 * 10**2)
+
+
+def test_speed_is_that_along_the_course():
+    quarter = (0.0, 1.0)  # heads north
+    assert costs.speed_term(quarter, 5.0, 0.0, (0.0, 1.0), 5.0, 3.0) == 0
+    assert costs.speed_term(quarter, 5.0, 0.0, (1.0, 0.0), 5.0, 3.0) == 75
+    assert costs.speed_term(quarter, 0.0, -2.0, (1.0, 0.0), 5.0, 3.0) == 27
+    assert costs.speed_term(quarter, 5.0, 0.0, (0.0, -1.0), 5.0, 1.0) == 100
+
+
+def test_only_what_is_above_the_speed_limit_counts():
+    assert costs.overspeed_term(4.0, 5.0, 2.0, max) == 0
+    assert costs.overspeed_term(8.0, 5.0, 2.0, max) == 18
+    assert costs.overspeed_term(-8.0, 5.0, 2.0, max) == 18
+    assert costs.overspeed_term(8.0, math.inf, 2.0, max) == 0
+
+
+def test_lateral_ratio_on_level_ground_and_at_rest_on_a_slope():
+    assert ratio(0.5 * G) == pytest.approx(0.5)
+    assert ratio(-0.5 * G) == pytest.approx(0.5)
+    assert ratio(0.0, math.radians(20)) == pytest.approx(math.tan(math.radians(20)))
+    assert ratio(0.0, -math.radians(20)) == pytest.approx(math.tan(math.radians(20)))
+
+
+def test_a_bank_takes_the_load_off_a_bend_towards_it():
+    # The ground falls to the left, as in a banked left turn: at a_y = g tan(bank) nothing is felt sideways.
+    bank = math.radians(15)
+    assert ratio(G * math.tan(bank), bank) == pytest.approx(0, abs=1e-12)
+    assert ratio(-G * math.tan(bank), bank) > 2 * math.tan(bank)
+
+
+def test_angles_add_up():
+    # The specific force leans by atan(a_y / g), the ground by its angle.
+    for lean, angle in ((0.3, 0.2), (0.3, -0.2), (-0.5, 0.1)):
+        assert ratio(G * math.tan(lean), angle) == pytest.approx(abs(math.tan(lean - angle)))
+
+
+def test_lifting_off_is_dear():
+    assert ratio(-50 * G, math.radians(60)) > 20
+
+
+def test_rollover_is_a_step_and_then_a_ramp():
+    assert costs.rollover_term(0.69, 0.7, 100.0, max) == 0
+    assert costs.rollover_term(0.7, 0.7, 100.0, max) == 0
+    assert costs.rollover_term(0.9, 0.7, 100.0, max) == pytest.approx(120)

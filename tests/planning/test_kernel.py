@@ -1,0 +1,285 @@
+"""The fused kernel against the eager model and cost, in every branch of the map and of the cost."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from factories import COMMANDED, VEHICLE, coded, unsettled
+from offpiste.conventions import ACTUATORS
+from offpiste.dynamics import Hybrid, Parametric, rollout
+from offpiste.dynamics.encoder import Compressor, Identity
+from offpiste.mapping.terrain_lookup import MapTerrain, as_codes
+from offpiste.planning.cost_map import Hazards
+from offpiste.planning.costs import Weights, driving_terms
+from offpiste.planning.kernel import coded_map, encode_map, fused_carry, fused_costs, fused_rollout
+from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
+from offpiste.planning.noise import coloured
+from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_carry
+from offpiste.state import Carry
+from planning_grounds import layers, situation
+
+STEPS = 60
+
+
+def ground(seed=0):
+    """Waves, holes in the map, missing features, obstacles, rough and steep places; smaller than what is driven."""
+    draw = np.random.default_rng(seed)
+    flat = layers(61, 0.5)
+    x, y = np.meshgrid(flat.origin[0] + 0.5 * np.arange(61), flat.origin[1] + 0.5 * np.arange(61))
+    normal = np.stack((-0.3 * np.cos(x / 3), -0.2 * np.sin(y / 4), np.ones_like(x)), axis=-1)
+    known = draw.random((61, 61)) > 0.02
+    normal[~known] = np.nan
+    features = draw.normal(size=(61, 61, 2)).astype(np.float32)
+    valid = draw.random((61, 61)) > 0.2
+    features[~valid] = np.nan
+    return layers(
+        61, 0.5,
+        normal=(normal / np.linalg.norm(normal, axis=-1, keepdims=True)).astype(np.float32),
+        slope=(0.6 * draw.random((61, 61))).astype(np.float32),
+        roughness=(0.2 * draw.random((61, 61))).astype(np.float32),
+        obstacle_height=(draw.random((61, 61)) > 0.995).astype(np.float32),
+        features=features, known=known, valid=valid,
+    )  # fmt: skip
+
+
+def model(kind, vehicle=COMMANDED):
+    torch.manual_seed(0)
+    made = {
+        "parametric": Parametric(vehicle),
+        "b": Hybrid(vehicle),
+        "dc": coded(vehicle, 3),
+        "hold": Hybrid(vehicle, encoder=Identity(2), holds=True),
+    }[kind]
+    if isinstance(made, Hybrid):
+        torch.nn.init.normal_(made.compensator.output[-1].weight, std=0.1)
+    return unsettled(made, scale=0.05).requires_grad_(False)
+
+
+def start(dynamics, at):
+    units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
+    actuators = torch.tensor([[0.1, 0.05, 0.0, 1.5]])
+    present = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
+    actuators = torch.where(present, actuators, torch.nan)
+    return Carry(at.state[None], actuators, torch.zeros(1, units), torch.zeros(1, units))
+
+
+def commands(samples, seed=0):
+    noise = coloured((samples, STEPS, 3), torch.Generator().manual_seed(seed))
+    return (noise * torch.tensor([0.4, 0.2, 0.6]) + torch.tensor([0.4, 0.0, 0.0])).clamp(-1, 1)
+
+
+def both(dynamics, at, controls, weights):
+    """Costs, states: eager, fused; and the eager terms."""
+    encoder = getattr(dynamics, "encoder", None)
+    carry = start(dynamics, at)
+    source = ground_ahead(dynamics, at, len(controls), encoder)
+    trajectory = rollout(dynamics, spread_carry(carry, len(controls)), controls, source)
+    eager = driving_costs(dynamics, carry, at, weights, encoder)(controls), trajectory.state
+    fused = fused_rollout(dynamics, carry, controls, at, weights, encode_map(at.ground, encoder))
+    return eager, fused, driving_terms(trajectory, controls, at, weights)
+
+
+@pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+def test_costs_and_states_equal_the_eager_ones(kind, vehicle):
+    at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
+    weights = Weights(lateral_limit=0.25, rollover=20.0)
+    eager, fused, terms = both(model(kind, vehicle), at, commands(70), weights)
+    for name, term in terms._asdict().items():
+        assert (term > 0).any(), name
+    close = (fused[1] - eager[1]).abs().amax(dim=(1, 2)) < 2e-3
+    assert close.float().mean() > 0.9  # at edges of cells rounding decides, and trajectories part
+    torch.testing.assert_close(fused[1][close], eager[1][close], atol=2e-3, rtol=1e-4)
+    difference = (fused[0] - eager[0]).abs()[close]
+    assert (difference < 0.01 * eager[0].abs()[close] + 0.05).float().mean() > 0.9
+    assert difference.median() < 1e-3 * eager[0].median()
+
+
+@pytest.mark.parametrize("kind", ["b", "dc"])
+@pytest.mark.parametrize(
+    ("state", "plane"),
+    [
+        ((0.0, 0, 0, 5, 0, 0), (0.1, -0.2)),
+        ((300.0, 0, 1, 5, 0, 0), (0.1, 0.0)),
+    ],
+    ids=["on the map", "off it"],
+)
+def test_on_even_ground_every_sample_agrees(kind, state, plane):
+    at, controls = situation(layers(plane=plane), state=state), commands(33, seed=2)
+    eager, fused, _ = both(model(kind), at, controls, Weights(lateral_limit=2.0))
+    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["b", "dc"])
+def test_backwards_most_samples_agree(kind):
+    # Random weights make reverse unstable: there the eager float32 is as far from float64 as the kernel is.
+    at, controls = situation(layers(), state=(0.0, 0, 2, -1, 0, 0)), commands(33, seed=2)[:, :30]
+    eager, fused, _ = both(model(kind), at, controls, Weights(lateral_limit=2.0))
+    difference = (fused[1] - eager[1]).abs().amax(dim=(1, 2))
+    assert difference.median() < 1e-4
+    assert (difference < 1e-3).float().mean() > 0.9
+
+
+@pytest.mark.parametrize("kind", ["parametric", "dc", "hold"])
+@pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
+def test_what_is_carried_after_controls_equals_eager_steps(kind, vehicle):
+    at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model(kind, vehicle)
+    controls = commands(1)[0]
+    encoder, carry = getattr(dynamics, "encoder", None), start(dynamics, at)
+    found = fused_carry(dynamics, carry, controls[:8], at, encode_map(at.ground, encoder))
+    source = MapTerrain(at.ground, torch.zeros(1, dtype=torch.long), at.offset[None], at.wheels, encoder)
+    for t, control in enumerate(controls[:8]):
+        carry = dynamics.step(carry, control[None], source.at(t, carry.state))
+    for part in ("state", "actuators", "hidden", "cell"):
+        torch.testing.assert_close(getattr(found, part), getattr(carry, part), atol=1e-4, rtol=1e-4, equal_nan=True)
+
+
+def test_a_model_that_holds_is_another_than_one_that_looks_ahead():
+    at, controls, holding, looking = situation(ground()), commands(8), model("hold"), model("dc")
+    looking.load_state_dict(holding.state_dict())
+    codes = encode_map(at.ground, holding.encoder)
+    held, seen = (fused_rollout(m, start(m, at), controls, at, Weights(), codes)[1] for m in (holding, looking))
+    torch.testing.assert_close(held[:, 0], seen[:, 0])
+    assert (held[:, -1] - seen[:, -1]).abs().max() > 1e-3
+
+
+def test_a_map_that_holds_codes_needs_no_encoder():
+    at, dynamics, controls = situation(ground()), model("dc"), commands(8)
+    encoder, carry = dynamics.encoder, start(dynamics, at)
+    codes, missing = encode_map(at.ground, encoder)
+    # As a map gives them: NaN where nothing was seen.
+    seen = at.ground.features[0].isfinite().all(-1, keepdim=True)
+    coded_at = replace(at, ground=replace(at.ground, features=codes.where(seen, torch.nan)[None]))
+    again = coded_map(coded_at.ground, encoder)
+    torch.testing.assert_close(again, (codes, missing), rtol=0, atol=0)
+    eager = driving_costs(dynamics, carry, coded_at, Weights(), as_codes(missing))(controls)
+    torch.testing.assert_close(eager, driving_costs(dynamics, carry, at, Weights(), encoder)(controls))
+    with pytest.raises(ValueError, match="holds 2 numbers a cell; codes are 3"):
+        coded_map(at.ground, encoder)
+
+
+def test_cells_are_encoded_as_one_by_one_and_only_those_in_reach():
+    torch.manual_seed(0)
+    at, encoder = situation(ground()), Compressor(2).requires_grad_(False)
+    codes, missing = encode_map(at.ground, encoder)
+    features = at.ground.features[0]
+    for row, column in ((0, 0), (30, 31), (60, 60), *features.isnan().any(-1).nonzero()[:2].tolist()):
+        cell = features[row, column][None]
+        torch.testing.assert_close(codes[row, column], encoder(cell, cell.isfinite().all(-1))[0])
+    near, _ = encode_map(at.ground, encoder, centre=torch.tensor([5.0, -3.0]), reach=2.0)
+    # Cells lie every 0.5 m from -15 m on: columns 36 ... 44 and rows 20 ... 28 are within 2 m.
+    assert torch.equal(near[20:29, 36:45], codes[20:29, 36:45])
+    near[20:29, 36:45] = missing
+    assert torch.equal(near, missing.expand_as(near))
+
+
+@pytest.mark.parametrize("cells", [1, 2])
+def test_a_map_of_hardly_any_cells(cells):
+    at, dynamics = situation(layers(cells, 20.0, plane=(0.1, 0.05))), model("b")
+    eager, fused, _ = both(dynamics, at, commands(5), Weights(lateral_limit=2.0))
+    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
+
+
+def test_nothing_known_of_the_map():
+    empty = layers(known=np.zeros((81, 81), bool), features=np.full((81, 81, 2), np.nan, np.float32),
+                   normal=np.full((81, 81, 3), np.nan, np.float32))  # fmt: skip
+    eager, fused, terms = both(model("dc"), situation(empty), commands(5), Weights(lateral_limit=2.0))
+    assert (terms.hazard == Hazards().unknown).all()
+    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("samples", [1, 31, 32, 65])
+def test_any_number_of_samples_costs_what_each_costs_alone(samples):
+    at, dynamics = situation(ground()), model("dc")
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, dynamics.encoder))
+    controls = commands(samples)
+    together = cost_of(controls)
+    assert together.shape == (samples,)
+    for k in {0, samples // 2, samples - 1}:
+        assert torch.equal(cost_of(controls[k : k + 1])[0], together[k])
+
+
+def test_a_plan_is_the_same_on_any_number_of_threads():
+    at, dynamics = situation(ground()), model("dc")
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, dynamics.encoder))
+    settings, plans, threads = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=100), [], torch.get_num_threads()
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        draw = torch.Generator().manual_seed(0)
+        plans.append(improve(torch.zeros(STEPS, 3), cost_of, settings, draw, previous=torch.zeros(3)))
+    torch.set_num_threads(threads)
+    assert torch.equal(plans[0].costs, plans[1].costs)
+    torch.testing.assert_close(plans[0].controls, plans[1].controls)
+
+
+def test_a_sample_with_nan_costs_nan_and_others_do_not():
+    at, dynamics = situation(ground()), model("b")
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, None))
+    controls = commands(40)
+    controls[7, 30] = torch.nan
+    assert cost_of(controls).isnan().nonzero().flatten().tolist() == [7]
+
+
+def test_what_the_kernel_cannot_take_is_refused():
+    at, dynamics = situation(ground()), model("dc")
+    carry, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
+    with pytest.raises(ValueError, match="codes of 0"):
+        fused_costs(dynamics, carry, at, Weights(), encode_map(at.ground, None))
+    with pytest.raises(ValueError, match="the start is"):
+        fused_costs(dynamics, spread_carry(carry, 2), at, Weights(), codes)
+    with pytest.raises(ValueError, match="float64"):
+        fused_costs(dynamics, carry, at, Weights(), codes)(commands(3).double())
+    with pytest.raises(ValueError, match="no kernel"):
+        fused_costs(dynamics.double(), Carry(*(p.double() for p in vars(carry).values())), at, Weights(), codes)
+
+
+def test_a_plan_with_it_is_better_than_doing_nothing():
+    at, dynamics = situation(layers(), state=(-10.0, 3, 0, 3, 0, 0)), model("b")
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, None))
+    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=128, iterations=4)
+    nothing = torch.zeros(STEPS, 3)
+    plan = improve(nothing, cost_of, settings, torch.Generator().manual_seed(0), previous=torch.zeros(3))
+    assert cost_of(plan.controls[None]).item() < 0.8 * cost_of(nothing[None]).item()
+
+
+def test_it_never_reads_out_of_bounds(tmp_path):
+    """In a process of its own: Numba reads the switch when it compiles."""
+    program = """
+import torch, test_fused as f
+from dataclasses import replace
+for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 5, 0, 0), (1e9, -1e9, 0, 5, 0, 0),
+              (float("nan"), 0, 0, 5, 0, 0), (float("inf"), 0, 0, 5, 0, 0)):
+    at = f.situation(f.ground(), state=state)
+    dynamics = f.model("dc")
+    codes = f.encode_map(at.ground, dynamics.encoder)
+    f.fused_costs(dynamics, f.start(dynamics, at), at, f.Weights(), codes)(f.commands(33))
+"""
+    here = Path(__file__).parent
+    paths = os.pathsep.join(map(str, (here, here.parent)))
+    environment = {
+        **os.environ,
+        "NUMBA_BOUNDSCHECK": "1",
+        "PYTHONPATH": paths,
+        "NUMBA_CACHE_DIR": "/tmp/offpiste-checked",
+    }
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
+
+
+def test_the_eager_cost_keeps_the_frame_of_the_situation():
+    at, dynamics = situation(layers(), state=(0.0, 0, 0, 5, 0, 0)), model("b")
+    moved = replace(
+        at, state=at.state - torch.tensor([5.0, 7, 0, 0, 0, 0]), offset=torch.tensor([5.0, 7.0], dtype=torch.float64)
+    )
+    costs = [
+        fused_costs(dynamics, start(dynamics, here), here, Weights(), encode_map(here.ground, None))(commands(8))
+        for here in (at, moved)
+    ]
+    torch.testing.assert_close(costs[0], costs[1], rtol=1e-2, atol=1e-2)

@@ -1,0 +1,230 @@
+"""Both figures from made-up drives: everything is drawn, kept, used again, and bad input is one line."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factories import circle_rows, small_rig
+from offpiste.cli import main
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import add_drive, create, open_dataset
+from offpiste.errors import RunError
+from offpiste.reproduction import runs as work_module
+from offpiste.reproduction import settings
+from offpiste.reproduction.reproduce import reproduce
+from offpiste.reproduction.settings import SIZES, Reproduction, Size
+from offpiste.training.config import TrainConfig
+from seen_drives import seen_dataset
+
+TINY = Size(
+    "tiny",
+    (30.0, 15.0, 15.0),
+    seeds=2,
+    stride=40,
+    train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=40),
+)
+
+
+class Killed(BaseException):
+    """Stands in for a kill: nothing in the program catches it."""
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return seen_dataset(tmp_path_factory.mktemp("data") / "seen.zarr").path
+
+
+@pytest.fixture(scope="module")
+def out(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fig3, killed on the way and begun again, then fig4 in the same folder."""
+    folder = tmp_path_factory.mktemp("reproduced")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(settings, "CODES_SWEPT", (1, 4))
+        patch.setattr(settings, "SEEDED", ("b", "dc"))
+        return reproduced(folder, dataset)
+
+
+def reproduced(folder: Path, dataset: Path) -> Path:
+    asked = Reproduction("fig3", TINY, folder, dataset=dataset, processes=1)
+    real, trained = work_module.train, []
+
+    def killed_later(*arguments: object, **options: object) -> object:
+        if len(trained) == 2:
+            raise Killed
+        trained.append(arguments)
+        return real(*arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work_module, "train", killed_later)
+        with pytest.raises(Killed):
+            reproduce(asked, tell=lambda line: None)
+    kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
+    assert len(kept) == 2
+    reproduce(asked, tell=lambda line: None)
+    assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
+    kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
+    said: list[str] = []
+    reproduce(replace(asked, figure="fig4", processes=2), tell=lambda line: said.append(str(line)))
+    assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
+    assert "[1/13] train b, seed 0: there" in said
+    assert sum(bool(re.fullmatch(r"\[\d+/13\] train dc, seed [01]: done; about .* left", line)) for line in said) == 2
+    assert {path.parent.name for path in folder.glob("runs/*/model.json")} - {p.parent.name for p in kept} == {
+        "dc-0",
+        "dc-1",
+    }
+    return folder
+
+
+def metrics(out: Path, figure: str) -> dict:
+    return json.loads((out / figure / "metrics.json").read_text("utf-8"), parse_constant=lambda name: pytest.fail(name))
+
+
+def test_fig3_has_its_models_in_both_lookups(out: Path) -> None:
+    found = metrics(out, "fig3")
+    variants = {"", "n=1"}
+    rows = found["results"]
+    assert {row["variant"] for row in rows if row["model"] == "cf"} == variants
+    assert {row["model"] for row in rows} == {"b", "df", "cf"}
+    assert {(row["lookup"], row["feature_set"]) for row in rows} == {("recorded", "hindsight"), ("map", None)}
+    assert {a["model"] + a["variant"] for a in found["against_b"]} == {"df"} | {f"cf{name}" for name in variants}
+
+
+def test_relative_differences_are_those_of_the_means(out: Path) -> None:
+    for figure in ("fig3", "fig4"):
+        found = metrics(out, figure)
+        several = {("b", ""), ("dc", "")}
+        at_end = {
+            (row["model"] + row["variant"], row["lookup"], row["feature_set"]): row
+            for row in found["results"]
+            if row["horizon_s"] == 5.0 and (row["seed"] is None or (row["model"], row["variant"]) not in several)
+        }
+        for against in (a for a in found["against_b"] if a["seed"] is None):
+            way = against["lookup"], against["feature_set"]
+            mine, other = at_end[against["model"] + against["variant"], *way], at_end["b", *way]
+            for key, value in against["relative"].items():
+                assert value["mean"] == pytest.approx(mine[key]["mean"] / other[key]["mean"] - 1, abs=1e-9)
+            assert against["n"] == mine["n"] == other["n"]
+
+
+def test_fig4_judges_every_distance_and_the_map(out: Path) -> None:
+    found = metrics(out, "fig4")
+    ways = {(row["lookup"], row["feature_set"]) for row in found["results"] if row["model"] == "dc"}
+    assert ways == {("map", None)} | {("recorded", name) for name in FEATURE_SETS}
+    rates = found["coverage"]["valid"]
+    assert rates[0] == pytest.approx(1.0)
+    assert rates[-1] == pytest.approx(0.2, abs=0.05)
+
+
+@pytest.mark.parametrize(("figure", "pictures"), [("fig3", 6), ("fig4", 6)])
+def test_the_report_needs_nothing_but_itself(out: Path, figure: str, pictures: int) -> None:
+    page = (out / figure / "report.html").read_text("utf-8")
+    sources = re.findall(r'src="([^"]{0,30})', page)
+    assert len(sources) == pictures
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert not re.search(r"https?://|<script|<link", page)
+    assert "What the paper says" in page
+    assert str(metrics(out, figure)["made"]["machine"].split(",")[0]) in page
+    assert ("there are no more here" in page) == (figure in ("fig3", "fig4"))
+    assert all(png.read_bytes().startswith(b"\x89PNG") for png in (out / figure).glob("*.png"))
+
+
+def test_seeds_are_shown_and_their_stages_are_fitted_once(out: Path) -> None:
+    runs = {path.parent.name for path in out.glob("runs/*/model.json")}
+    assert runs == {"b-0", "b-1", "cf-0", "cf-n1-0", "dc-0", "dc-1", "df-0"}
+    for seed in range(2):
+        assert len({path.read_bytes() for path in out.glob(f"runs/*-{seed}/bicycle.safetensors")}) == 1
+        lines = [path.read_text() for path in sorted(out.glob(f"runs/*-{seed}/metrics.jsonl"))]
+        assert sum('"bicycle"' in text for text in lines) == 1
+    single = [a for a in metrics(out, "fig4")["against_b"] if a["model"] == "dc" and a["seed"] is not None]
+    assert {a["seed"] for a in single} == {0, 1}
+    assert "<h2>Seeds</h2>" in (out / "fig4" / "report.html").read_text("utf-8")
+
+
+def test_other_settings_in_the_same_folder_are_refused(out: Path, dataset: Path) -> None:
+    asked = Reproduction("fig3", TINY, out, dataset=dataset)
+    for other, named in (
+        (replace(asked, size=replace(asked.size, stride=50)), "size.stride"),
+        (replace(asked, dataset=None), "dataset"),
+    ):
+        with pytest.raises(RunError, match=named):
+            reproduce(other, tell=lambda line: None)
+
+
+def command(*words: object, capsys: pytest.CaptureFixture) -> str:
+    with pytest.raises(SystemExit) as exit_:
+        main(["reproduce", *map(str, words)])
+    assert exit_.value.code == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1, said
+    return said
+
+
+def test_datasets_that_cannot_carry_a_figure_are_refused_in_one_line(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    blind = tmp_path / "blind.zarr"
+    create(blind, small_rig(), parse_split("blocks:0.6,0.2,0.2"))
+    add_drive(blind, "one", circle_rows(4000), parse_split("blocks:0.6,0.2,0.2"), ())
+    few = tmp_path / "few.zarr"
+    seen_dataset(few, ("train", "validation", "test"), rows=300)
+    alone = tmp_path / "alone.zarr"
+    shutil.copytree(dataset, alone)
+    for drive in list(alone.glob("circle-[123]")):
+        shutil.rmtree(drive)
+    cut = tmp_path / "cut.zarr"
+    shutil.copytree(dataset, cut)
+    chunk = next((cut / "circle-0" / "cells" / "features" / "c").rglob("0"))
+    while chunk.is_dir():
+        chunk = chunk / "0"
+    chunk.write_bytes(chunk.read_bytes()[:100])
+    for path, why in {
+        blind: "no visual features by distance",
+        few: "fewer than a batch",
+        alone: "holds one drive",
+        cut: "cut short",
+        tmp_path / "nothing": "not a dataset",
+    }.items():
+        said = command("fig4", "--dataset", path, "--out", tmp_path / "out", capsys=capsys)
+        assert why in said, said
+    assert not (tmp_path / "out").exists(), "a folder that cannot be filled is not begun"
+
+
+def test_every_size_can_be_started(tmp_path: Path) -> None:
+    from offpiste.reproduction import data
+
+    class Begun(BaseException):
+        pass
+
+    def begin(*arguments: object) -> None:
+        raise Begun
+
+    for name, size in SIZES.items():
+        told: list[object] = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(data, "run_all", begin)
+            with pytest.raises(Begun):
+                reproduce(Reproduction("fig3", size, tmp_path / name), tell=told.append)
+        assert re.match(r"\[1/\d+\] simulate \d+ drives", str(told[0]))
+
+
+def test_a_damaged_judgement_names_its_file(
+    out: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(settings, "SEEDED", ("b", "dc"))
+    copy = tmp_path / "copy"
+    shutil.copytree(out, copy)
+    file = copy / "runs" / "b-0" / "judged" / "map.safetensors"
+    file.write_bytes(file.read_bytes()[:50])
+    with pytest.raises(RunError, match=r"map\.safetensors"):
+        reproduce(Reproduction("fig4", TINY, copy, dataset=dataset), tell=lambda line: None)
+
+
+def test_open_dataset_is_not_changed(dataset: Path, out: Path) -> None:
+    assert {drive.name for drive in open_dataset(dataset).drives} == {f"circle-{k}" for k in range(4)}
+    assert np.all([(drive.part >= 0).all() for drive in open_dataset(dataset).drives])

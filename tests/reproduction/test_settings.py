@@ -1,0 +1,118 @@
+"""Sizes, drives and models of the paper's figures."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.dataset.splits import PARTS, parse_split
+from offpiste.errors import OffpisteError
+from offpiste.reproduction.data import BLOCKS, MIX, planned_drives, seconds_of
+from offpiste.reproduction.settings import (
+    SIZES,
+    Reproduction,
+    compression_sizes,
+    feature_numbers,
+    members,
+    sized,
+    usual,
+)
+from offpiste.simulation.world.world import load_preset
+
+sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
+
+
+@sizes
+def test_every_drive_has_a_world_and_a_seed_of_its_own(size):
+    drives = planned_drives(size)
+    assert len({drive.name for drive in drives}) == len(drives)
+    assert len({drive.settings.world.seed for drive in drives}) == len(drives)
+    assert {drive.part for drive in drives} == set(PARTS)
+    for drive in drives:
+        assert load_preset(drive.settings.world.preset) is not None
+        assert size.shortest <= drive.settings.seconds <= size.longest
+        assert drive.settings.sensors == "light"
+
+
+@pytest.mark.parametrize("name", ["laptop", "paper"])
+def test_worlds_are_mixed_as_in_the_paper(name):
+    size = SIZES[name]
+    for part, total in zip(PARTS, size.seconds, strict=True):
+        mine = [drive for drive in planned_drives(size) if drive.part == part]
+        for world, share in MIX.items():
+            seconds = seconds_of([drive for drive in mine if drive.settings.world.preset == world])
+            assert seconds == pytest.approx(max(share * total, size.shortest), abs=0.5)
+    assert sum(MIX.values()) == pytest.approx(1.0)
+
+
+def test_paper_has_the_papers_number_of_windows_and_epochs():
+    size = SIZES["paper"]
+    count = Counter()
+    for drive in planned_drives(size):
+        count[drive.part] += 50 * (drive.settings.seconds - 5.2)
+    assert count["train"] == pytest.approx(2e6, rel=0.05)
+    assert count["test"] == pytest.approx(250e3, rel=0.05)
+    assert (size.train.epochs, size.train.stride, size.stride) == (30, 1, 1)
+
+
+@sizes
+def test_drives_that_are_cut_have_all_parts(size):
+    split = parse_split(BLOCKS)
+    for drive in planned_drives(size, same_logs=True):
+        place = np.zeros((round(drive.settings.seconds * 50), 2))
+        assert set(PARTS) == {PARTS[p] for p in np.unique(split.label("", place)) if p >= 0}
+
+
+def test_the_same_models_of_different_figures_are_one_run():
+    assert compression_sizes(48)[4] == feature_numbers(48)[40] == usual("cf", 48)
+    found = members("fig3", 48)
+    assert [member.label for member in found[:3]] == ["b", "df", "cf"]
+    assert len(found) == 3 + 4 + 4
+    assert {member.label for member in members("fig4", 48)} == {"b", "df", "cf", "dc"}
+    assert set(members("fig4", 48)) - set(found) == {usual("dc", 48)}
+    folders = [member.folder(0) for member in {*found, *members("fig4", 48)}]
+    assert len(set(folders)) == len(folders)
+    assert usual("b", 48).folder(2) == "b-2"
+
+
+@pytest.mark.parametrize(("stored", "numbers"), [(384, [5, 10, 20, 40, 80]), (48, [5, 10, 20, 40, 48]), (6, [5, 6])])
+def test_no_more_features_than_there_are(stored, numbers):
+    swept = feature_numbers(stored)
+    assert list(swept) == numbers
+    assert all(member.pca == number for number, member in swept.items())
+    assert usual("cf", stored).pca == min(40, stored)
+
+
+def test_three_seeds_where_claims_rest_on_them():
+    size = SIZES["laptop"]
+    seeds = {member.label: len(member.seeds(size)) for member in members("fig3", 48) + members("fig4", 48)}
+    assert {label for label, number in seeds.items() if number == 3} == {"b", "cf", "dc"}
+    assert all(number == 1 for label, number in seeds.items() if "n=" in label or "pca=" in label)
+
+
+def test_a_config_says_what_its_member_is():
+    member = compression_sizes(48)[16]
+    config = member.config(SIZES["laptop"], 0, "cpu")
+    assert (config.model, config.codes, config.pca, config.epochs) == ("cf", 16, 40, SIZES["laptop"].train.epochs)
+
+
+def test_what_a_folder_is_of_does_not_depend_on_figure_or_processes(tmp_path: Path):
+    one = Reproduction("fig3", SIZES["smoke"], tmp_path, processes=1)
+    two = Reproduction("fig4", SIZES["smoke"], tmp_path, processes=2)
+    assert one.described() == two.described()
+    assert one.described() != Reproduction("fig3", SIZES["smoke"], tmp_path, contrast=0.5).described()
+
+
+def test_a_size_with_other_lengths_and_seeds():
+    other = sized("laptop", (1000.0, 100.0, 400.0), 1)
+    assert (other.seconds, other.seeds, other.train) == ((1000.0, 100.0, 400.0), 1, SIZES["laptop"].train)
+    assert sized("laptop") == SIZES["laptop"]
+    for part, seconds in zip(PARTS, other.seconds, strict=True):
+        driven = seconds_of([drive for drive in planned_drives(other) if drive.part == part])
+        assert seconds - 0.1 < driven < seconds + len(MIX) * other.shortest
+    for seconds in ((0.0, 1.0, 1.0), (1.0, float("nan"), 1.0), (1.0, 1.0, float("inf"))):
+        with pytest.raises(OffpisteError, match="three above 0"):
+            sized("smoke", seconds)
+    with pytest.raises(OffpisteError, match="1 or more"):
+        sized("smoke", seeds=0)

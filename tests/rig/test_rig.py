@@ -1,0 +1,104 @@
+"""Rigs: presets load, and every mistake in a file is named in one line."""
+
+import numpy as np
+import pytest
+
+from factories import RIG, small_rig
+from offpiste.errors import RigError
+from offpiste.rig.rig import load_rig, parse_rig, preset_names, unit_factor
+
+GYRO = '[channels.angular_velocity]\ntopic = "o"\nfields = ["a", "b", "c"]\n'
+
+
+def edited(old: str, new: str, more: str = "") -> str:
+    assert old in RIG
+    return RIG.replace(old, new) + more
+
+
+WRONG = {
+    "not TOML": (RIG + "[", r"not valid TOML"),
+    "unknown key": (edited("max_steer", "max_stear"), r"max_stear|max_steer"),
+    "unknown top key": ("colour = 1\n" + RIG, r"`colour`"),
+    "unknown key of a channel": (RIG + "gain = 2.0\n", r"`gain`.*channels"),
+    "missing key": (edited('name = "small"', ""), r"`name`"),
+    "wrong type": (edited("mass = 800.0", 'mass = "heavy"'), r"mass"),
+    "three wheels": (edited(", [0.0, -0.6]]", "]"), r"wheel_positions"),
+    "unknown channel": (edited("[channels.brake]", "[channels.break]"), r"unknown channel 'break'.*brake"),
+    "wrong number of fields": (edited('["x", "y", "z"]', '["x"]'), r"channels\.position\.fields has 1 .* 2 or 3"),
+    "wrong unit": (RIG + 'unit = "m/s"\n', r"unit 'm/s' does not measure steer; use one of: 1, percent"),
+    "no frame": (RIG + GYRO, r"channels\.angular_velocity\.frame is missing.*world.*body"),
+    "unknown frame": (RIG + GYRO + 'frame = "map"\n', r"map"),
+    "sign of two": (RIG + "sign = 2\n", r"sign"),
+    "given and absent": (edited('"steer_angle",', '"steer_angle", "steer",'), r"'steer' is both given and .*absent"),
+    "unknown absent": (edited('"steer_angle",', '"steer_angle", "wings",'), r"unknown channel 'wings'"),
+    "no position": (edited("[channels.position]", "[channels.wheel_speed]").replace('"y", "z"', '"y"'), r"position"),
+    "no heading": (
+        edited("[channels.orientation]", "[channels.wheel_speed]"),
+        r"channels\.orientation or channels\.yaw is missing",
+    ),
+    "neither given nor absent": (edited('"steer_rate",', ""), r"'steer_rate' is neither given nor declared absent"),
+    "no mass": (edited("mass = 800.0", "mass = 0.0"), r"vehicle\.mass is 0\.0 kg"),
+    "mass is no number": (edited("mass = 800.0", "mass = nan"), r"vehicle\.mass is nan kg"),
+    "wheels swapped": (
+        edited("[[2.2, 0.6], [2.2, -0.6]", "[[-3.1, 0.6], [-3.1, -0.6]"),
+        r"front wheels are not ahead",
+    ),
+    "steering in degrees": (edited("max_steer = 0.4", "max_steer = 23.0"), r"max_steer is 23\.0 rad.*below pi/2"),
+    "gap of nothing": (RIG + "[clock]\nmax_gap = 0.0\n", r"clock\.max_gap is 0\.0"),
+    "window backwards": (RIG + "[motion]\nwindow = -0.2\n", r"motion\.window is -0\.2"),
+    "unknown normals": (RIG + '[motion]\nnormals = "body"\n', r"body"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_mistakes_are_named_with_the_file_in_one_line(case, tmp_path):
+    text, message = WRONG[case]
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(RigError, match=message) as error:
+        load_rig(path)
+    assert "mine.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_rig_that_does_not_exist_is_an_error_that_lists_the_presets(tmp_path):
+    for name in ("tartandrive3", str(tmp_path / "no.toml"), str(tmp_path)):
+        with pytest.raises(RigError, match=r"no such rig.*tartandrive2"):
+            load_rig(name)
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_presets_load_and_describe_a_vehicle(name):
+    rig = load_rig(name)
+    assert rig.name
+    assert 0.05 < rig.vehicle.wheelbase < 10
+    assert rig.wheel_positions().shape == (4, 2)
+    front_left, front_right = rig.wheel_positions()[:2]
+    assert front_left[1] > front_right[1]
+
+
+def test_a_rig_file_loads_with_its_defaults(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(RIG)
+    rig = load_rig(path)
+    assert rig == small_rig()
+    assert rig.vehicle.wheelbase == pytest.approx(2.2)
+    assert rig.channels["steer"].interpolation == "linear"
+    assert rig.without_slope().motion.normals == "flat"
+    assert rig.without_slope().channels == rig.channels
+
+
+def test_a_steering_rate_follows_from_a_steering_angle():
+    angle = '[channels.steer_angle]\ntopic = "steering"\nfields = ["angle"]\n'
+    rig = parse_rig(edited('"steer_angle", "steer_rate", ', "", angle), where="test")
+    assert "steer_rate" not in {*rig.channels, *rig.absent}
+
+
+def test_units_are_converted_to_si():
+    assert unit_factor("steer_angle", "deg") == pytest.approx(np.pi / 180)
+    assert unit_factor("linear_velocity", "km/h") == pytest.approx(1 / 3.6)
+    assert unit_factor("yaw_rate", "rev/min") == pytest.approx(2 * np.pi / 60)
+    assert unit_factor("engine_rpm", "rev/min") == pytest.approx(1e-3)
+    assert unit_factor("engine_rpm", "rad/s") * 2 * np.pi / 60 * 1000 == pytest.approx(1)
+    assert unit_factor("throttle", "percent") == pytest.approx(0.01)
+    assert unit_factor("position", "") == 1

@@ -1,0 +1,148 @@
+"""A stream of messages without a simulator: a vehicle that moves as a model says, on a plain that one LiDAR scans."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from offpiste.conventions import CONTROL, DT
+from offpiste.dynamics import Parametric, Vehicle
+from offpiste.dynamics.encoder import Compressor
+from offpiste.dynamics.hybrid import Hybrid
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
+from offpiste.mapping.pipeline import MapSettings
+from offpiste.mapping.replay import ReplaySettings
+from offpiste.mapping.settings import VoxelSettings
+from offpiste.perception.camera import make_pinhole_camera
+from offpiste.planning import mppi
+from offpiste.planning.cost_map import Course
+from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.sensors import CameraSource, LidarSource
+from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.perception import Sight
+from offpiste.runtime.runtime import Runtime, RuntimeSettings
+from offpiste.state import Carry, Terrain
+
+WHEELS = np.array([[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]])
+FLAT = Terrain(torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 3), torch.zeros(1, 4, 0))
+FEATURES = 3
+
+
+def parametric():
+    return Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ())).eval()
+
+
+def seeing_model():
+    """A hybrid that reads features, its network untrained and quiet."""
+    torch.manual_seed(0)
+    return Hybrid(Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=FEATURES), encoder=Compressor(FEATURES)).eval()
+
+
+def settings(**changed):
+    sampling = mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=64, rest=(0.2, 0.0))
+    small = MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1))
+    return RuntimeSettings(**{"sampling": sampling, "replay": ReplaySettings(map=small), "margin": 2.0, **changed})
+
+
+def camera():
+    """Looks 30 degrees down from the roof."""
+    turn = np.array([[0, -np.sin(0.5), np.cos(0.5)], [-1, 0, 0], [0, -np.cos(0.5), -np.sin(0.5)]])
+    mounting = np.eye(4)
+    mounting[:3, :3], mounting[:3, 3] = turn, (0.5, 0.0, 1.6)
+    model = CameraModel(140, 98, np.array([[90.0, 0, 69.5], [0, 90.0, 48.5], [0, 0, 1]]))
+    return make_pinhole_camera(Camera("eye", model, mounting, CameraSource("/eye")), 14)
+
+
+def look(pixels):
+    rows, columns = pixels.shape[0] // 14, pixels.shape[1] // 14
+    return np.full((rows, columns, FEATURES), pixels.mean() / 255, np.float32)
+
+
+@dataclass
+class Stream:
+    """Runs a run time in lockstep; what a test wants to go wrong is given as functions of time.
+
+    Attributes:
+        reads, scans, images: whether such a message arrives at a time.
+        height: of the ground that is scanned [m].
+    """
+
+    runtime: Runtime
+    truth: Parametric = field(default_factory=parametric)
+    state: tuple = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    reads: object = lambda t: True
+    scans: object = lambda t: True
+    images: object = lambda t: True
+    controls: list = field(default_factory=list)
+    states: list = field(default_factory=list)
+    height: float = 0.0
+
+    def run(self, seconds):
+        """Drive on; returns the controls since the beginning."""
+        empty = torch.zeros(1, 0)
+        if not self.states:
+            self.carry = Carry(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty, empty)
+        with torch.no_grad():
+            for row in range(len(self.controls), len(self.controls) + round(seconds / DT)):
+                self._step(row)
+        return self.controls
+
+    def _step(self, row):
+        t = row * DT
+        x, y, yaw, vx, vy, rate = self.carry.state[0].double().tolist()
+        self.states.append((x, y, yaw, vx, vy, rate))
+        if self.reads(t):
+            self.runtime.vehicle(reading(t, x, y, yaw, vx, vy, rate))
+        if row % 25 == 0 and self.images(t):
+            self.runtime.image(Image(t, "eye", np.full((98, 140, 3), 120, np.uint8)))
+        if row % 5 == 0 and self.scans(t):
+            self.runtime.scan(scan(t, self.height))
+        self.controls.append(self.runtime.command(t))
+        command = torch.as_tensor(self.controls[-1].command, dtype=torch.float32)
+        self.carry = self.truth.step(self.carry, command[None], FLAT)
+
+    def modes(self):
+        """Changes of mode, in words."""
+        return [(event.mode, event.why) for event in self.runtime.events]
+
+
+class Held:
+    """A vehicle that nothing moves."""
+
+    def step(self, carry, command, terrain):
+        return carry
+
+
+def reading(t, x, y, yaw, vx, vy, rate):
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    velocity = np.array((cos * vx - sin * vy, sin * vx + cos * vy, 0.0))
+    quaternion = np.array((0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
+    return VehicleReading(t, np.array((x, y, 0.33)), quaternion, velocity, rate, np.full(4, np.nan))
+
+
+def scan(t, height=0.0):
+    """A plain at some height [m]."""
+    at = np.arange(-20.0, 20.0, 0.35)
+    ground = np.stack((*(axis.ravel() for axis in np.meshgrid(at, at)), np.full(len(at) ** 2, height - 2.33)), axis=1)
+    return Cloud(t, "lidar", ground, None, np.ones(len(ground)))
+
+
+def sight(*, eyes=False, looking=look):
+    mounting = np.eye(4)
+    mounting[2, 3] = 2.0
+    lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
+    return Sight(lidars, {"eye": camera()}, looking) if eyes else Sight(lidars)
+
+
+def course(length=60.0, speed=5.0):
+    x = np.arange(0.0, length)
+    return Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), speed))
+
+
+def straight_drive(*, eyes=False, dynamics=None, looking=look, length=60.0, wanted=5.0, seed=0, stream=None, **changed):
+    """A stream for a run time on a straight course."""
+    model = dynamics or (seeing_model() if eyes else parametric())
+    seen, there = sight(eyes=eyes, looking=looking), course(length, wanted)
+    runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed)
+    return Stream(runtime, **(stream or {}))

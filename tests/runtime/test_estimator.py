@@ -1,0 +1,73 @@
+"""Rows and poses of the last seconds, from readings that come as they like."""
+
+import numpy as np
+import pytest
+
+from offpiste.conventions import DT, HISTORY_STEPS
+from offpiste.runtime.estimator import VehicleReading, VehicleTrack
+from runtime.stream import reading
+
+
+def circle(time):
+    """At 4 m/s round a circle of 8 m, from the origin to the east, turning left."""
+    yaw = 0.5 * time
+    return reading(time, 8 * np.sin(yaw), 8 * (1 - np.cos(yaw)), yaw, 4.0, 0.0, 0.5)
+
+
+def test_rows_are_the_last_readings():
+    track = VehicleTrack()
+    for row in range(40):
+        track.add(circle(row * DT))
+    rows = track.rows(39 * DT)
+    at = DT * np.arange(39 - HISTORY_STEPS, 40)
+    np.testing.assert_allclose(rows.state[:, 0], 8 * np.sin(0.5 * at), atol=1e-9)
+    moving = np.stack((0.5 * at, *np.tile([[4.0], [0.0], [0.5]], len(at))), axis=1)
+    np.testing.assert_allclose(rows.state[:, 2:], moving, atol=1e-9)
+    assert rows.state.shape == (HISTORY_STEPS + 1, 6)
+
+
+def test_between_readings_the_vehicle_goes_on_as_it_did():
+    track = VehicleTrack()
+    track.add(reading(1.0, 10.0, 20.0, np.pi / 2, 3.0, 0.0, 0.2))
+    state = track.rows(1.1).state[-1]
+    np.testing.assert_allclose(state[:3], (10.0, 20.3, np.pi / 2 + 0.02), atol=1e-9)
+    # Nothing is told of the time before the first reading: it stands for it, without going backwards.
+    np.testing.assert_allclose(track.rows(1.1).state[0, :3], (10.0, 20.0, np.pi / 2), atol=1e-9)
+
+
+def test_yaw_goes_on_beyond_half_a_turn():
+    track = VehicleTrack()
+    for row in range(20):
+        track.add(reading(row * DT, 0.0, 0.0, np.pi - 0.1 + 0.02 * row, 0.0, 0.0, 1.0))
+    yaw = track.rows(19 * DT).state[:, 2]
+    np.testing.assert_allclose(np.diff(yaw), 0.02, atol=1e-9)
+
+
+def test_rows_have_the_control_that_was_commanded_from_them_on():
+    track = VehicleTrack()
+    for row in range(20):
+        track.add(circle(row * DT))
+        if 10 <= row < 19:  # of the last row, nothing is commanded yet
+            track.commanded(row * DT, np.array((row, 0.0, 0.0)))
+    throttle = track.rows(19 * DT).control[:, 0]
+    assert throttle.tolist() == [0, *range(10, 19), 18]
+
+
+def test_a_jump_forgets_what_was_before():
+    track = VehicleTrack()
+    for row in range(20):
+        assert not track.add(circle(row * DT))
+    assert track.poses().at(np.array([0.1]))[0, 0, 3] == pytest.approx(8 * np.sin(0.05), abs=1e-3)
+    assert not track.add(reading(0.4, 8 * np.sin(0.2) + 0.9, 0.16, 0.2, 4.0, 0.0, 0.5))
+    assert track.add(reading(0.42, 30.0, 0.0, 0.2, 4.0, 0.0, 0.5))
+    assert not track.enough
+    np.testing.assert_allclose(track.rows(0.42).state[:, 0], 30.0)
+
+
+def test_what_is_not_finite_is_no_reading():
+    whole = circle(0.0)
+    assert whole.finite  # actuators may be missing
+    for name in ("position", "orientation", "velocity"):
+        broken = {**vars(whole), name: np.full_like(getattr(whole, name), np.nan)}
+        assert not VehicleReading(**broken).finite
+    assert not VehicleReading(**{**vars(whole), "orientation": np.zeros(4)}).finite

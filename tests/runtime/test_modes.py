@@ -1,0 +1,35 @@
+"""What happens when inputs are late, missing or invalid."""
+
+from dataclasses import replace
+from math import inf
+
+import pytest
+
+from offpiste.runtime.modes import Ages, Judgement, Patience, judge
+
+WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
+
+
+@pytest.mark.parametrize(
+    ("changed", "mode", "why", "slow"),
+    [
+        ({}, "driving", "", False),
+        ({"image": -inf}, "driving", "", False),
+        ({"image": 1.6}, "degraded", "no image", False),
+        ({"image": inf}, "degraded", "no image", False),
+        ({"scan": 0.31}, "degraded", "late scan", True),
+        ({"scan": 0.31, "image": inf}, "degraded", "late scan", True),
+        ({"scan": 1.01}, "stopping", "no scan", False),
+        ({"scan": inf, "plan": inf}, "stopping", "no scan", False),
+        ({"plan": 0.51}, "stopping", "no plan", False),
+        ({"state": 0.11, "scan": inf, "plan": inf}, "stopping", "no state of the vehicle", False),
+    ],
+)
+def test_the_worst_trouble_decides(changed, mode, why, slow):
+    found = judge(replace(WELL, **changed), Patience(), map_empty=False, finished=False)
+    assert found == Judgement(mode, why, slow)
+
+
+def test_an_empty_map_and_the_end_of_the_course_stop():
+    assert judge(WELL, Patience(), map_empty=True, finished=False).why == "empty map"
+    assert judge(WELL, Patience(), map_empty=True, finished=True) == Judgement("stopping", "end of the course")

@@ -1,0 +1,55 @@
+"""The part of the map that a plan reads, by hand."""
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.dynamics.encoder import Compressor
+from offpiste.runtime.prediction import coded_area, cropped
+from planning_grounds import layers
+
+ORIGIN = torch.zeros(2, dtype=torch.float64)
+
+
+@pytest.fixture
+def encoder():
+    torch.manual_seed(0)
+    return Compressor(2).eval().requires_grad_(False)
+
+
+def at(area, x, y):
+    """Codes under a wheel at a place."""
+    state = torch.tensor([[x, y, 0.0, 0.0, 0.0, 0.0]])
+    return area.terrain(ORIGIN, torch.zeros(4, 2), 1).at(0, state).latent[0, 0]
+
+
+def test_a_square_is_cut_out_to_whole_cells():
+    whole = layers(plane=(0.1, -0.3))  # cells every 0.5 m from -20 to 20 m
+    near = cropped(whole, np.array((3.2, -1.1)), 2.0)
+    np.testing.assert_allclose(near.origin, (1.0, -3.5))
+    assert near.known.shape == (10, 10)  # to 5.5 and 1.0 m
+    np.testing.assert_allclose(near.elevation, 0.1 * near.centres[..., 0] - 0.3 * near.centres[..., 1], atol=1e-6)
+    assert cropped(whole, np.array((19.0, -19.0)), 2.0).known.shape == (7, 7)
+    assert cropped(whole, np.array((500.0, 0.0)), 2.0).known.shape[1] == 1
+
+
+def test_a_map_of_codes_is_read_as_it_is(encoder):
+    codes = np.random.default_rng(0).normal(size=(81, 81, encoder.size)).astype(np.float32)
+    codes[42, 41] = np.nan
+    area = coded_area(layers(features=codes), encoder)
+    torch.testing.assert_close(at(area, 1.0, 0.5), torch.from_numpy(codes[41, 42]))
+    torch.testing.assert_close(at(area, 0.5, 1.0), encoder.missing())
+    torch.testing.assert_close(at(area, 90.0, 0.0), encoder.missing())
+    torch.testing.assert_close(area.codes[0][42, 41], encoder.missing())
+
+
+def test_known_ground_is_encoded_where_it_lies(encoder):
+    area = coded_area(layers(), encoder, lambda places: places * (0.1, 0.01))
+    seen = encoder(torch.tensor([[0.3, -0.1]]), torch.ones(1, dtype=torch.bool))[0]
+    torch.testing.assert_close(at(area, 3.0, -10.0), seen)
+
+
+def test_models_without_features_read_none():
+    area = coded_area(layers(), None)
+    assert area.encode is None
+    assert at(area, 0.0, 0.0).shape == (0,)

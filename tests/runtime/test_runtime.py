@@ -1,0 +1,337 @@
+"""The run time on a stream without a simulator: what it does when all is well, and when inputs are late or missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.conventions import CONTROL, DT
+from offpiste.dynamics import Parametric, Vehicle
+from offpiste.errors import PlanningError
+from offpiste.logs.measurements import Image
+from offpiste.planning import mppi
+from offpiste.runtime import prediction, runtime
+from offpiste.runtime.schedule import LaunchSettings
+from runtime.stream import Held, look, reading, scan, seeing_model, settings, straight_drive
+
+
+def speed(stream):
+    return float(np.hypot(*stream.states[-1][3:5]))
+
+
+def commands(stream):
+    return np.stack([c.command for c in stream.controls])
+
+
+@pytest.fixture(scope="module")
+def driven():
+    stream = straight_drive()
+    stream.run(4.0)
+    return stream
+
+
+def test_it_follows_its_course_at_speed(driven):
+    x, y = driven.states[-1][:2]
+    assert x > 8.0
+    assert abs(y) < 0.6
+    assert speed(driven) == pytest.approx(5.0, abs=1.0)
+    assert driven.modes() == [("stopped", "no scan"), ("stopped", "no plan"), ("driving", "")]
+    assert driven.runtime.dropped == {"lidar: before the first poses": 1}
+
+
+def test_the_same_messages_give_the_same_controls(driven):
+    again, other = straight_drive(), straight_drive(seed=1)
+    again.run(0.6)
+    other.run(0.6)
+    np.testing.assert_array_equal(commands(again), commands(driven)[:30])
+    assert not np.array_equal(commands(other), commands(driven)[:30])
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
+def test_a_plan_starts_where_the_vehicle_then_is(latency):
+    # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
+    stream = straight_drive(latency=latency, launch=LaunchSettings(rate=0.0))
+    stream.run(1.5)
+    checked = 0
+    for plan in stream.runtime.predictions:
+        first = round(plan.time / DT)
+        rows = np.arange(first + 1, min(first + 6, len(stream.states)))
+        # What acts from a plan's start on is that plan, until the next one made 0.1 s later.
+        if plan.time > 0.5 and len(rows) == 5:
+            met = np.array([stream.states[row] for row in rows])
+            np.testing.assert_allclose(plan.state[:5], met, atol=2e-3)
+            checked += 1
+    assert checked >= 6
+    acting = [c.time for c in stream.controls if c.mode == "driving"]
+    assert acting[0] == pytest.approx(0.1 + latency, abs=DT / 2)  # the first scan that counts comes at 0.1 s
+
+
+def test_a_standing_vehicle_gets_more_throttle_than_planned(driven):
+    planned = straight_drive(launch=LaunchSettings(rate=0.0))
+    planned.run(0.3)
+    first = next(row for row, command in enumerate(commands(planned)) if command[0] > 0.05)
+    more = commands(driven)[first, 0] - commands(planned)[first, 0]
+    assert more == pytest.approx(LaunchSettings().rate * DT)
+
+
+def test_plans_know_of_the_throttle_that_is_added():
+    stream = straight_drive(latency=0.3)
+    stream.run(1.5)
+    met = []
+    for plan in stream.runtime.predictions:
+        row = round(plan.time / DT)
+        if 0.5 < plan.time < 1.0:  # made when more was given
+            met.append(speed_of(plan.state[0]) - speed_of(stream.states[row + 1]))
+    assert len(met) >= 4
+    np.testing.assert_allclose(met, 0.0, atol=0.02)
+
+
+def test_throttle_that_was_added_does_not_outlive_a_stop():
+    held = straight_drive(stream={"reads": lambda t: not 1.2 <= t < 1.5, "truth": Held()}, wanted=1.0)
+    held.run(1.2)
+    assert held.runtime._launch._more > 0.2, "more and more, since it does not move"
+    held.run(0.4)
+    brake = commands(held)[:, 1]
+    since = len(brake) - 1 - np.flatnonzero(brake == 0.5)[-1]
+    assert 0 < since < 10
+    assert held.runtime._launch._more == pytest.approx(since * LaunchSettings().rate * DT)
+    assert commands(held)[-1, 0] < 0.9
+
+
+def test_a_stamp_ahead_of_the_clock_is_not_believed():
+    stream = straight_drive()
+    stream.run(1.5)
+    x, *rest = stream.states[-1]
+    stream.runtime.vehicle(reading(11.5, x + 40, *rest))
+    stream.runtime.scan(scan(11.5))
+    stream.run(0.5)
+    assert stream.modes()[-1] == ("driving", "")
+    assert stream.runtime.dropped["readings of the vehicle: stamps ahead of the clock"] == 1
+    assert stream.runtime.dropped["lidar: stamps ahead of the clock"] == 1
+
+
+def test_a_clock_that_goes_back_begins_all_anew():
+    stream = straight_drive()
+    stream.run(1.5)
+    for row in range(60):  # the same runtime on another clock, 1 s behind
+        t = 0.5 + row * DT
+        stream.runtime.vehicle(reading(t, *stream.states[-1][:3], 0.0, 0.0, 0.0))
+        if row % 5 == 0:
+            stream.runtime.scan(scan(t))
+        stream.runtime.command(t)
+    modes = stream.modes()
+    assert ("stopping", "the clock went back") in modes
+    assert modes[-1] == ("driving", "")
+
+
+def test_readings_without_the_actuators_that_a_model_reads_count_as_none():
+    stream = straight_drive(dynamics=Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ("engine_rpm",))))
+    stream.run(0.5)
+    assert stream.modes() == [("stopping", "no state of the vehicle")]
+    assert stream.runtime.dropped["readings of the vehicle that are not finite"] == 25
+
+
+def test_settings_that_do_not_fit_the_steps_are_refused():
+    with pytest.raises(PlanningError, match=r"latency of 0\.05"):
+        settings(latency=0.05)
+    for rate in (0.0, 1.0, 15.0):
+        with pytest.raises(PlanningError, match="plans a second"):
+            settings(plan_rate=rate)
+    settings(plan_rate=25.0)
+
+
+def test_a_model_of_features_wants_something_that_looks():
+    with pytest.raises(PlanningError, match="look"):
+        straight_drive(dynamics=seeing_model())
+
+
+def test_predictions_step_by_step_are_those_of_the_kernel(monkeypatch):
+    found = []
+
+    def both(*given):
+        found.append(prediction.predicted(*given))
+        with monkeypatch.context() as slow:
+            slow.setattr(prediction, "_by_kernel", lambda *_: False)
+            found.append(prediction.predicted(*given))
+        return found[-1]
+
+    monkeypatch.setattr(runtime, "predicted", both)
+    straight_drive().run(0.3)
+    assert len(found) >= 2
+    np.testing.assert_allclose(found[0], found[1], atol=2e-3)
+
+
+def test_predictions_of_long_ago_are_forgotten():
+    stream = straight_drive(remember=0.5)
+    stream.run(1.2)
+    times = [p.time for p in stream.runtime.predictions]
+    assert len(times) == 5
+    assert times[-1] == pytest.approx(1.2, abs=0.11)
+
+
+def test_without_scans_it_slows_down_and_stops():
+    stream = straight_drive(slow=1.0, stream={"scans": lambda t: t < 2.0})
+    stream.run(2.2)
+    before = speed(stream)
+    stream.run(0.66)
+    assert stream.modes()[-1] == ("degraded", "late scan")
+    assert speed(stream) < before - 0.2
+    stream.run(2.7)
+    assert stream.modes()[-2:] == [("stopping", "no scan"), ("stopped", "no scan")]
+    assert speed(stream) < 0.3
+    times = {event.why: event.time for event in reversed(stream.runtime.events)}
+    assert times["late scan"] == pytest.approx(1.9 + 0.3, abs=2 * DT)
+
+
+def test_a_stop_is_ended_before_it_drives_on():
+    stream = straight_drive(stream={"reads": lambda t: not 1.0 <= t < 1.3})
+    stream.run(3.2)
+    why = "no state of the vehicle"
+    assert stream.modes()[-2:] == [("stopping", why), ("driving", "")]
+    lost = commands(stream)[round(1.12 / DT) : round(1.3 / DT)]
+    np.testing.assert_array_equal(lost[:, 0], 0.0)
+    np.testing.assert_array_equal(lost[:, 1], 0.5)
+    assert min(np.hypot(s[3], s[4]) for s in stream.states[55:]) < 0.3
+
+
+def test_plans_made_during_a_stop_start_from_the_braked_vehicle():
+    stream = straight_drive(stream={"reads": lambda t: not 1.5 <= t < 1.8}, latency=0.3)
+    stream.run(2.9)
+    rows = [(round(p.time / DT) + 1, p.state[0]) for p in stream.runtime.predictions if 2.05 < p.time < 2.75]
+    assert len(rows) >= 5
+    for row, planned in rows:
+        assert stream.controls[row - 1].mode == "stopping"
+        assert speed_of(planned) == pytest.approx(speed_of(stream.states[row]), abs=0.02)
+
+
+def speed_of(state):
+    return float(np.hypot(*state[3:5]))
+
+
+def test_after_a_long_stop_old_plans_are_forgotten():
+    stream = straight_drive(stream={"scans": lambda t: not 1.0 <= t < 3.5})
+    stream.run(3.4)
+    schedule = stream.runtime._schedule
+    old = schedule.latest
+    assert schedule.control(3.0) is not None
+    stream.run(0.2)
+    assert schedule.latest is not old
+    assert schedule.control(3.0) is None
+
+
+def test_an_empty_map_stops_it():
+    stream = straight_drive()
+    stream.run(1.5)
+    stream.runtime.forget_map()
+    stream.height = 1000.0  # echoes from nowhere
+    stream.run(0.2)
+    assert stream.modes()[-1] == ("stopping", "empty map")
+    stream.run(1.8)
+    assert stream.modes()[-1] == ("stopped", "empty map")
+    assert speed(stream) < 0.3
+
+
+def test_a_plan_that_fails_leaves_the_last_one_for_a_while(monkeypatch):
+    stream = straight_drive()
+    stream.run(1.5)
+    planned = stream.runtime._schedule.latest.controls
+
+    def fails(*_, **__):
+        raise PlanningError("none of 64 sampled trajectories has a finite cost")
+
+    monkeypatch.setattr(mppi, "improve", fails)
+    stream.run(0.5)
+    last = stream.runtime._schedule.latest
+    assert last.controls is planned
+    row = round(last.start / DT)
+    np.testing.assert_allclose(commands(stream)[row : row + 20], planned[:20], atol=1e-7)
+    stream.run(0.5)
+    assert stream.modes()[-1] == ("stopping", "no plan")
+    assert len(stream.runtime.failures) >= 5
+    monkeypatch.undo()
+    stream.run(3.5)
+    assert stream.modes()[-1] == ("driving", "")
+
+
+def test_it_stops_at_the_end_of_its_course():
+    stream = straight_drive(length=8.0)
+    stream.run(6.5)
+    assert stream.modes()[-1] == ("stopped", "end of the course")
+    assert 5.0 < stream.states[-1][0] < 14.0
+
+
+def test_without_images_it_goes_on_and_says_so():
+    stream = straight_drive(eyes=True, stream={"images": lambda t: t < 1.2})
+    stream.run(1.5)
+    layers = stream.runtime._seeing.layers()
+    assert layers.features.shape[2] == 4  # codes of 3 features
+    assert layers.valid.sum() > 100
+    codes = layers.features[layers.valid]
+    stream.run(1.5)
+    assert stream.modes()[-1] == ("degraded", "no image")
+    assert speed(stream) > 2.0
+    # The map holds codes, not features: those of the one colour that was seen.
+    features = look(np.full((98, 140, 3), 120, np.uint8))[:1, 0]
+    expected = stream.runtime._encoder(torch.from_numpy(features), torch.ones(1, dtype=torch.bool)).numpy()
+    np.testing.assert_allclose(codes, np.broadcast_to(expected, codes.shape), atol=1e-5)
+
+
+def test_features_that_are_not_finite_count_as_no_image():
+    broken = []
+
+    def looking(pixels):
+        return np.full_like(look(pixels), np.nan) if broken else look(pixels)
+
+    stream = straight_drive(eyes=True, looking=looking)
+    stream.run(1.0)
+    broken.append(True)
+    stream.run(2.2)
+    assert stream.modes()[-1] == ("degraded", "no image")
+    assert stream.runtime.dropped["images without finite features"] >= 3
+    assert np.isfinite(commands(stream)).all()
+    assert np.isfinite(stream.runtime._seeing.layers().features[stream.runtime._seeing.layers().valid]).all()
+
+
+def test_what_is_no_use_is_dropped_and_counted():
+    stream = straight_drive(eyes=True)
+    stream.run(2.0)
+    driver, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
+    driver.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
+    driver.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
+    assert driver._seeing.image_time == 1.9
+    driver.image(Image(2.05, "eye", pixels))  # a little ahead of poses
+    driver.image(Image(7.0, "eye", pixels))  # from the future
+    before = driver._seeing.scan_time
+    broken = scan(1.95)
+    driver.scan(type(broken)(1.95, "lidar", np.full_like(broken.points, np.nan), None, broken.intensity))
+    assert driver._seeing.scan_time == before
+    points = np.where(broken.points[:, :1] > 0, np.nan, broken.points)  # only what lies behind is finite
+    driver.scan(type(broken)(1.96, "lidar", points, None, broken.intensity))
+    assert driver._seeing.scan_time == 1.96
+    driver.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
+    driver.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
+    assert driver.dropped == {
+        "eye: before the first poses": 1,
+        "lidar: before the first poses": 1,
+        "eye: stamps repeat or go back": 1,
+        "eye: stamped when the pose is not known": 1,
+        "eye: stamps ahead of the clock": 1,
+        "scans without a finite point": 1,
+        "readings of the vehicle that are not finite": 1,
+        "readings of the vehicle whose stamps repeat or go back": 1,
+    }
+
+
+def test_a_pose_that_jumps_begins_the_map_anew():
+    stream = straight_drive()
+    stream.run(1.5)
+    assert stream.runtime._seeing.layers().known.any()
+    stream.scans = lambda t: False
+    stream.carry = replace(stream.carry, state=stream.carry.state + torch.tensor([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
+    stream.run(DT)
+    assert not stream.runtime._seeing.layers().known.any()
+    assert stream.modes()[-1] == ("stopping", "no scan")
+    stream.scans = lambda t: True
+    stream.run(4.0)
+    assert stream.modes()[-1] == ("driving", "")

@@ -1,0 +1,54 @@
+"""Which control is due when."""
+
+import numpy as np
+import torch
+
+from offpiste.conventions import DT
+from offpiste.runtime.schedule import Schedule, TimedPlan
+
+REST = np.array((9.0, 9.0, 9.0))
+
+
+def plan(start, first, steps=5):
+    """Throttle counts steps from `first`."""
+    controls = torch.zeros(steps, 3)
+    controls[:, 0] = first + torch.arange(steps)
+    return TimedPlan(start, start, controls)
+
+
+def test_a_later_plan_acts_instead_of_the_earlier_from_its_start_on():
+    schedule = Schedule()
+    assert schedule.control(0.0) is None
+    assert schedule.acting(0.0) is None
+    schedule.add(plan(0.10, 0.0))
+    schedule.add(plan(0.14, 100.0))
+    assert schedule.control(0.08) is None
+    due = [schedule.control(0.10 + DT * row)[0] for row in range(8)]
+    assert due == [0, 1, 100, 101, 102, 103, 104, 104]  # the last one is held
+    assert schedule.acting(0.12).start == 0.10
+    assert schedule.acting(0.20).start == 0.14
+
+
+def test_what_is_committed_is_what_will_be_commanded():
+    schedule = Schedule()
+    schedule.add(plan(0.04, 0.0))
+    schedule.add(plan(0.08, 100.0))
+    committed = schedule.committed(0.0, 6, REST)
+    assert committed[:, 0].tolist() == [9, 9, 0, 1, 100, 101]
+    assert schedule.committed(0.0, 0, REST).shape == (0, 3)
+
+
+def test_the_next_plan_begins_with_what_is_left():
+    schedule = Schedule()
+    assert schedule.continued(1.0, 4, REST).tolist() == [[9.0] * 3] * 4
+    schedule.add(plan(0.0, 0.0))
+    assert schedule.continued(0.06, 5, REST)[:, 0].tolist() == [3, 4, 4, 4, 4]
+    assert schedule.continued(1e3, 5, REST)[:, 0].tolist() == [4] * 5
+
+
+def test_stamps_of_this_century_do_not_shift_steps():
+    begin = 1_700_000_000.0
+    schedule = Schedule()
+    schedule.add(plan(begin + 0.1, 0.0, steps=250))
+    for row in range(250):
+        assert schedule.control(begin + 0.1 + row * DT)[0] == row

@@ -1,0 +1,131 @@
+"""The driver on a small world: what it excites, that it stays in sight of its limits, and that it cannot feel grip."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from offpiste.simulation.drive import drive, on_other_ground, with_driver
+from offpiste.simulation.driver.driver import Driver, DriverSettings
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
+
+VEHICLE = load_vehicle()
+SEEDS = (0, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return make_world(WorldSettings("mojave", seed=1, size=160.0, resolution=0.5))
+
+
+@pytest.fixture(scope="module")
+def drives(world: World) -> list[list[VehicleSample]]:
+    """Of 45 s, or until they end."""
+    started = (with_driver(world, VEHICLE, seed=seed) for seed in SEEDS)
+    return [list(drive(world, VEHICLE, start, driver, steps=2250)) for start, driver in started]
+
+
+def of(drives: list[list[VehicleSample]], name: str) -> np.ndarray:
+    return np.array([getattr(sample, name) for samples in drives for sample in samples])
+
+
+def test_most_drives_last(drives):
+    assert sum(len(samples) == 2250 for samples in drives) >= 2
+
+
+def test_commands_cover_their_ranges(drives):
+    throttle, brake, steer = of(drives, "command").T
+    assert throttle.min() < 1e-3
+    assert throttle.max() > 0.9
+    assert brake.min() == 0
+    assert brake.max() > 0.7
+    assert steer.min() < -0.7
+    assert steer.max() > 0.7
+    assert ((brake > 0.2) & (np.abs(steer) > 0.2)).mean() > 0.01
+    assert ((throttle > 0.05) & (brake > 0.05)).mean() < 0.1
+    for command in (throttle, brake, steer):
+        assert command.std() > 0.1
+
+
+def test_speeds_and_slip_cover_their_ranges(drives):
+    speed = np.hypot(*of(drives, "velocity")[:, :2].T)
+    assert 3.5 < np.median(speed) < 6.0
+    assert np.quantile(speed, 0.05) < 2.0
+    assert np.quantile(speed, 0.95) > 7.0
+    assert speed.max() < 13.5
+    angles = np.array([np.abs(s.truth.slip_angle).max() for samples in drives for s in samples])
+    assert (angles[speed > 1] > 0.2).mean() > 0.04
+    ratios = np.array([s.truth.slip_ratio for samples in drives for s in samples])
+    assert ratios.max() > 0.5
+    assert ratios.min() < -0.5
+
+
+def test_the_ground_changes_within_most_windows(drives):
+    changed = []
+    for samples in drives:
+        kind = np.array([sample.truth.kind[0] for sample in samples])
+        changed += [len(set(kind[i : i + 250])) > 1 for i in range(0, len(kind) - 250, 25)]
+    assert np.mean(changed) > 0.6
+
+
+def test_it_stays_in_the_world(drives, world):
+    half = (world.elevation.shape[0] - 1) * world.resolution / 2
+    assert np.abs(of(drives, "position")[:, :2]).max() < half - 3
+    assert "left the world" not in {event for samples in drives for s in samples for event in s.events}
+
+
+def test_the_same_samples_bring_the_same_commands_on_any_ground(drives, world):
+    """What it does follows from shapes and its own motion: commands are no oracle of the ground."""
+    other = make_world(WorldSettings("mojave", seed=2, size=160.0, resolution=0.5))
+    ground = on_other_ground(world, replace(other, properties=np.ones_like(other.properties)))
+    _, driver = with_driver(ground, VEHICLE, seed=SEEDS[0])
+    blind = [replace(s, truth=replace(s.truth, properties=np.zeros((4, 4)))) for s in drives[0]]
+    np.testing.assert_array_equal([driver.command(s) for s in blind], [s.command for s in drives[0]])
+
+
+def test_seeds_start_and_drive_differently(drives):
+    starts = np.array([samples[0].position[:2] for samples in drives])
+    assert len(np.unique(starts, axis=0)) == len(SEEDS)
+    assert not np.array_equal(drives[0][100].command, drives[1][100].command)
+
+
+def test_starts_are_standing_and_flying(world):
+    speeds = np.array([with_driver(world, VEHICLE, seed=seed)[0].speed for seed in range(40)])
+    assert 2 <= (speeds == 0).sum() <= 20
+    assert speeds[speeds > 0].min() >= 2
+    assert speeds.max() <= 7
+
+
+def test_who_cannot_move_tries_and_gives_up(drives, world):
+    driver = Driver(world, VEHICLE, np.random.default_rng(0), DriverSettings(patience=9.0))
+    pinned = replace(drives[0][0], velocity=np.zeros(3), wheel_speed=np.zeros(4), angular_velocity=np.zeros(3))
+    commands = []
+    while not driver.stuck and len(commands) < 6000:
+        commands.append(driver.command(pinned))
+    assert 9.0 <= len(commands) * 0.02 < 30.0
+    throttle, _, steer = np.array(commands).T
+    assert throttle.max() > 0.7
+    assert np.ptp(steer) > 0.3
+
+
+def test_it_drives_around_a_tree(world):
+    """A tree on the trail in front of the start."""
+    start, _ = with_driver(world, VEHICLE, seed=0)
+    ahead = np.array((start.x, start.y)) + 12 * np.array((np.cos(start.yaw), np.sin(start.yaw)))
+    tree = replace(
+        world.trees,
+        foot=np.array([[*ahead, 0.0]], dtype=world.trees.foot.dtype),
+        trunk_radius=world.trees.trunk_radius[:1],
+        crown_radius=world.trees.crown_radius[:1],
+        height=world.trees.height[:1],
+    )
+    planted = replace(world, trees=tree)
+    start, driver = with_driver(planted, VEHICLE, seed=0)
+    samples = list(drive(planted, VEHICLE, start, driver, steps=400))
+    away = np.hypot(*(np.array([s.position[:2] for s in samples]) - ahead).T)
+    assert not any(sample.events for sample in samples)
+    assert away.min() > 1.0
+    assert len(samples) == 400

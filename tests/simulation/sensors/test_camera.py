@@ -1,0 +1,193 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from offpiste.simulation.sample import Pose, standing
+from offpiste.simulation.sensors.camera import Camera, CameraSettings, pixel_rays, render
+from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
+from offpiste.simulation.sensors.scene import world_scene
+from offpiste.simulation.sensors.shading import FINE, GLOSS, HIGH, LOW, SUN
+from offpiste.simulation.sensors.suite import full_suite, mounted, sensor_suite
+from offpiste.simulation.top_view import overlay, project
+from offpiste.simulation.world.appearance import make_appearance
+from offpiste.simulation.world.meshes import SURFACES
+from offpiste.simulation.world.world import GROUND_KINDS
+from simulation import scenes
+
+SETTINGS = CameraSettings("camera", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True))
+SMALL = replace(SETTINGS, width=240, height=148, focal_length=(132.0, 132.2), centre=(120.6, 73.1))
+GROUND, BODY = SURFACES.index("ground"), SURFACES.index("body")
+
+
+def _pose(x=0.0, y=0.0, z=0.36, yaw=0.0):
+    return Pose(np.array([x, y, z]), np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
+
+
+def _picture(world, settings=SMALL, pose=None, seed=0, drive=0, ragged=0.0):
+    scene = world_scene(world)
+    look = make_appearance(world, scene, drive, ragged=ragged)
+    return render(scene, look, Camera(settings), pose or _pose(), np.random.default_rng(seed))
+
+
+def test_rays_go_through_the_pixels_that_the_recorded_calibration_says():
+    rays = pixel_rays(SETTINGS)
+    pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), SETTINGS.matrix, np.array(SETTINGS.distortion))
+    u, v = np.meshgrid(np.arange(SETTINGS.width), np.arange(SETTINGS.height))
+    np.testing.assert_allclose(pixels[:, 0], np.stack((u, v), axis=-1).reshape(-1, 2), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0)
+
+
+def test_a_mounted_camera_looks_where_it_is_told():
+    left_down = mounted((0.0, 0.0, 0.0), yaw=90.0, pitch=30.0, optical=True).rotation
+    np.testing.assert_allclose(left_down @ [0, 0, 1], [0, np.cos(np.pi / 6), -0.5], atol=1e-12)  # ahead
+    np.testing.assert_allclose(left_down @ [1, 0, 0], [1, 0, 0], atol=1e-12)  # right of the image: the body's front
+
+
+@pytest.mark.parametrize("name", [camera.name for camera in full_suite().cameras])
+def test_every_camera_sees_the_ground_and_part_of_the_vehicle(name):
+    settings = next(camera for camera in full_suite().cameras if camera.name == name)
+    scene = world_scene(scenes.world(size=200, resolution=5.0))
+    surface = Camera(settings).hits(scene, _pose()).surface
+    assert (surface == GROUND).mean() > 0.4
+    assert 0.002 < (surface == BODY).mean() < 0.3
+
+
+def test_borders_of_colour_are_found_where_the_calibration_projects_them():
+    # Stripes 2 m wide across and along: borders at every odd metre, half-way between nodes 0.5 m apart.
+    dark, bright = GROUND_KINDS.index("mud"), GROUND_KINDS.index("loose_sand")
+
+    def kind(x, y):
+        return np.where((np.floor((x + 1.25) / 2) + np.floor((y + 1.25) / 2)) % 2 == 0, dark, bright)
+
+    world = scenes.world(size=40, resolution=0.5, kind=kind, slope=(0.03, -0.02))
+    world = replace(world, settings=replace(world.settings, appearance_noise=0.0))
+    pose = _pose(z=0.4, yaw=0.1)
+    camera_from_world = (pose @ SETTINGS.body_from_camera).inverse()
+    scene = world_scene(world)
+    look = make_appearance(world, scene, 0, ragged=0.0)
+    plain = look.ground.nodes.copy()
+    plain[..., HIGH : HIGH + 3], plain[..., FINE : GLOSS + 1] = plain[..., LOW : LOW + 3], 0  # colours, no texture
+    look = replace(look, ground=look.ground._replace(nodes=plain))
+    image = render(scene, look, Camera(SETTINGS), pose, np.random.default_rng(0)).astype(float).sum(axis=2)
+
+    # Along lines across a border, from 0.9 m before it to 0.9 m behind: brightness against the step's place.
+    errors = []
+    along = np.linspace(-0.9, 0.9, 181)
+    for x, y in [(x, y) for x in (3.75, 5.75, 7.75) for y in (-2.25, -0.25, 1.75)]:
+        points = np.column_stack((x + along - 1.0, np.full(181, y), 0.03 * (x + along - 1.0) - 0.02 * y))
+        pixels, seen = project(camera_from_world.apply(points), SETTINGS)
+        if not seen.all():
+            continue
+        values = cv2.remap(
+            image.astype(np.float32), pixels[:, :1].astype(np.float32), pixels[:, 1:].astype(np.float32), 1
+        )
+        values = values[:, 0]
+        halves = values[:40].mean(), values[-40:].mean()
+        assert abs(halves[0] - halves[1]) > 60
+        # The border is the middle of the step: its first moment.
+        share = np.clip((values - halves[0]) / (halves[1] - halves[0]), -0.5, 1.5)
+        found = 0.9 - np.trapezoid(share, along)
+        metres_per_pixel = 1.8 / np.linalg.norm(pixels[-1] - pixels[0])
+        errors.append(found / metres_per_pixel)
+    assert len(errors) >= 6
+    assert np.max(np.abs(errors)) < 1.0
+
+
+def test_lidar_points_land_on_what_the_camera_sees_there():
+    world = scenes.world(trees=scenes.tree(9.0, 1.0), bushes=scenes.bush(6.0, -2.0), slope=(0.05, 0.02))
+    scene, pose = world_scene(world), _pose(z=0.5)
+    lidar = LidarSettings("lidar", mounted((0.0, 0.0, 1.95)), rings=48, columns=1024, range_noise=0.0)
+    scan = Lidar(lidar).scan(scene, standing(pose), 0.0, np.random.default_rng(0))
+    camera = Camera(SETTINGS)
+    hits = camera.hits(scene, pose)
+    surface = hits.surface.reshape(SETTINGS.height, SETTINGS.width)
+    distance = hits.distance.reshape(surface.shape)
+
+    in_camera = (SETTINGS.body_from_camera.inverse() @ lidar.body_from_lidar).apply(scan.points.astype(float))
+    pixels, seen = project(in_camera, SETTINGS)
+    u, v = np.rint(pixels[seen]).astype(int).T
+    # Away from edges: all pixels around see the same surface.
+    around = [surface[np.clip(v + j, 0, 593), np.clip(u + i, 0, 959)] for j in (-3, 0, 3) for i in (-3, 0, 3)]
+    clear = (np.array(around) == around[4]).all(axis=0)
+    same = scan.surface[seen][clear] == around[4][clear]
+    assert clear.sum() > 3000
+    assert same.mean() > 0.99  # the rest: seen over an edge by the one, behind it by the other
+    of_ground = clear & (scan.surface[seen] == GROUND) & (around[4] == GROUND)
+    far = np.linalg.norm(in_camera[seen], axis=1)
+    np.testing.assert_allclose(far[of_ground], distance[v, u][of_ground], rtol=0.01)
+
+
+def test_images_depend_on_the_seeds_alone():
+    world = scenes.world(grass=0.4)
+    image = _picture(world)
+    np.testing.assert_array_equal(image, _picture(world))
+    noisy = _picture(world, seed=1).astype(int) - image
+    assert 0.3 < noisy.std() < 6
+    assert np.abs(_picture(world, drive=1).astype(int) - image).mean() > 3
+
+
+def test_texture_is_finer_where_the_camera_is_nearer():
+    world = scenes.world(kind=lambda x, y: np.full(np.broadcast(x, y).shape, GROUND_KINDS.index("gravel")))
+    down = CameraSettings(
+        "down", mounted((3.0, 0.0, 1.0), pitch=90.0, optical=True), distortion=(0.0, 0.0, 0.0, 0.0, 0.0)
+    )
+    near, far = (_picture(world, down, _pose(z=z))[150:450, 250:700, 1] for z in (0.3, 6.0))
+
+    def roughness(image):  # of neighbouring pixels
+        return np.abs(np.diff(image.astype(float), axis=1)).mean() / image.mean()
+
+    assert near.std() / near.mean() > far.std() / far.mean()
+    assert roughness(near) > 0.01
+    assert roughness(far) > 0.002
+
+
+def test_kinds_of_ground_look_different_and_wet_ground_is_darker():
+    def mean(kind, wetness):
+        world = scenes.world(kind=lambda x, y: np.full(np.broadcast(x, y).shape, kind))
+        world = replace(world, wetness=np.full_like(world.wetness, wetness))
+        world = replace(world, settings=replace(world.settings, appearance_noise=0.0))
+        scene = world_scene(world)
+        nodes = make_appearance(world, scene, 0).ground.nodes
+        return (nodes[10, 10, :6].reshape(2, 3) / 255.0) ** 2
+
+    dry = np.array([mean(kind, 0.0).mean(axis=0) for kind in range(len(GROUND_KINDS))])
+    wet = np.array([mean(kind, 1.0).mean(axis=0) for kind in range(len(GROUND_KINDS))])
+    assert (wet.sum(axis=1) < 0.85 * dry.sum(axis=1)).all()
+    apart = np.linalg.norm(dry[:, None] - dry[None], axis=2) + np.eye(len(dry))
+    assert apart.min() > 0.02
+
+
+def test_shadows_lie_on_the_side_away_from_the_sun():
+    world = scenes.world(trees=scenes.tree(0.0, 0.0), size=60, resolution=0.5)
+    look = make_appearance(
+        replace(world, settings=replace(world.settings, appearance_noise=0.0)), world_scene(world), 0
+    )
+    sunlit = look.ground.nodes[..., SUN] > 20
+    away = -4.0 * look.light.sun[:2] / look.light.sun[2]  # of a point 4 m up in the crown
+
+    def node(x, y):
+        return round((y + 30) / 0.5), round((x + 30) / 0.5)
+
+    assert not sunlit[node(*away)]
+    assert sunlit[node(*-away)]
+    assert sunlit.mean() > 0.95
+
+
+def test_points_behind_the_camera_are_not_drawn():
+    image = np.zeros((SETTINGS.height, SETTINGS.width, 3), np.uint8)
+    ahead, behind = np.array([[0.0, 0.0, 5.0]]), np.array([[0.0, 0.0, -5.0]])
+    assert overlay(image, ahead, SETTINGS).any()
+    assert not overlay(image, behind, SETTINGS).any()
+    u, v = np.argwhere(overlay(image, ahead, SETTINGS).any(axis=2)).mean(axis=0)[::-1]
+    assert (u, v) == pytest.approx(SETTINGS.centre, abs=0.6)
+
+
+def test_profiles_are_those_of_the_issue():
+    full, light = sensor_suite("full"), sensor_suite("light")
+    assert [(c.rate, c.width, c.height) for c in full.cameras] == [(10, 960, 594)] * 3 + [(2, 960, 594)]
+    assert [(x.rate, x.rings, x.columns, x.max_range) for x in full.lidars] == [(10, 64, 1024, 80)] * 2
+    assert [c.rate for c in light.cameras] == [2]
+    assert [(x.rings, x.columns) for x in light.lidars] == [(32, 512)]
+    assert len(full.mountings()) == 6

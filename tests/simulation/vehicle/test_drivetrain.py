@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from offpiste.simulation.vehicle.drivetrain import (
+    braked_pressure,
+    clutch_rate,
+    engine_torque,
+    shifted_ratio,
+    spin,
+    steered,
+    wheel_angles,
+)
+from offpiste.simulation.vehicle.parameters import load_vehicle
+
+PARAMETERS = load_vehicle()
+P = PARAMETERS.as_record()
+DT = 0.002
+
+
+def turned(speeds, *, seconds=DT, ratio=2.0, throttle=0.0, brake=0.0, tyre=(0.0, 0.0, 0.0, 0.0), p=P):
+    speeds = np.array(speeds, float)
+    for _ in range(round(seconds / DT)):
+        spin(speeds, ratio, throttle, brake, np.array(tyre, float), DT, p, np.zeros((5, 6)))
+    return speeds
+
+
+def test_engine_has_its_power_and_its_limiter():
+    speeds = np.arange(100.0, 900.0)
+    power = [w * engine_torque(w, 1.0, P) for w in speeds]
+    assert 50e3 < max(power) < 70e3
+    assert engine_torque(P.engine_torque_speed, 1.0, P) == pytest.approx(P.engine_torque)
+    assert engine_torque(P.limiter_speed, 1.0, P) < 0
+    assert engine_torque(500.0, 0.0, P) == pytest.approx(-(P.engine_drag + 500 * P.engine_drag_slope))
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.floats(0, 800), st.floats(0, 1), st.floats(0, 0.5))
+def test_more_throttle_never_gives_less_torque_above_idle(speed, throttle, more):
+    speed = max(speed, P.idle_speed)
+    assert engine_torque(speed, min(throttle + more, 1.0), P) >= engine_torque(speed, throttle, P) - 1e-9
+
+
+def test_engine_idles():
+    engine = turned([P.idle_speed, 0, 0, 0, 0], seconds=5)[0]
+    assert 0.85 * P.idle_speed < engine <= P.idle_speed
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.floats(0, 2000), st.floats(0, 1), st.floats(0.72, 3.4))
+def test_ratio_stays_between_its_limits(shaft, throttle, ratio):
+    for _ in range(20):
+        ratio = shifted_ratio(ratio, shaft, throttle, 0.1, P)
+        assert P.ratio_high - 1e-9 <= ratio <= P.ratio_low + 1e-9
+
+
+def test_ratio_settles_where_the_engine_has_its_wanted_speed():
+    ratio = 3.0
+    for _ in range(2000):
+        ratio = shifted_ratio(ratio, 400.0, 1.0, DT, P)
+    assert ratio * 400 == pytest.approx(P.power_speed, rel=1e-3)
+
+
+def test_clutch_is_open_at_idle_and_never_above_its_capacity():
+    assert clutch_rate(P.idle_speed, P.idle_speed, P) == 0.0
+    capacity = P.clutch_gain * (300.0**2 - P.clutch_speed**2)
+    assert clutch_rate(300.0, 250.0, P) * 250.0 == pytest.approx(capacity)
+    assert clutch_rate(0.0, -300.0, P) > 0  # overrun: the wheels turn the engine
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.lists(st.floats(0, 80), min_size=4, max_size=4), st.floats(0, 800), st.floats(0.72, 3.4), st.floats(0, 1))
+def test_couplings_and_brakes_only_take_energy(wheels, engine, ratio, brake):
+    p = replace(PARAMETERS, engine_drag=1e-12, engine_drag_slope=1e-12, idle_gain=1e-12).as_record()
+    before = np.array([engine, *wheels])
+    after = turned(before, ratio=ratio, brake=brake, p=p)
+    inertia = np.array([p.engine_inertia, *[p.wheel_inertia] * 4])
+    assert (inertia * after**2).sum() <= (inertia * before**2).sum() * (1 + 1e-9) + 1e-9
+
+
+def test_brake_torque_of_each_wheel():
+    # One step of free wheels: J dw/dt = -T, the front taking its share.
+    p = replace(PARAMETERS, clutch_gain=1e-12, centre_rate=1e-12, front_rate=1e-12, rear_rate=1e-12).as_record()
+    slowed = 60 - turned([0, 60, 60, 60, 60], brake=1.0, p=p)[1:]
+    drag = p.shaft_drag + 60 * p.shaft_drag_slope
+    front, rear = (share * p.brake_torque / 2 + drag for share in (p.brake_front_share, 1 - p.brake_front_share))
+    np.testing.assert_allclose(slowed, np.array((front, front, rear, rear)) * DT / p.wheel_inertia, rtol=0.06)
+
+
+def test_locked_wheel_stays_locked_below_the_brakes_torque():
+    pulled = turned([P.idle_speed, 0, 0, 0, 0], seconds=2, brake=1.0, tyre=(300.0, -300.0, 300.0, 300.0))[1:]
+    assert abs(pulled).max() < 1e-3
+    over = turned([P.idle_speed, 0, 0, 0, 0], seconds=2, brake=0.1, tyre=(300.0,) * 4)[1:]
+    assert over.min() > 1
+
+
+def test_differentials_front_open_rear_limited_centre_locked():
+    wheels = turned([0, 30, 10, 25, 15], seconds=0.06)[1:]
+    assert wheels[0] - wheels[1] > 0.5 * 20
+    assert wheels[2] - wheels[3] < 0.1 * 10
+    assert wheels[:2].mean() == pytest.approx(wheels[2:].mean(), abs=0.1)
+
+
+def test_brake_pressure_lags():
+    pressure = 0.0
+    for _ in range(round(P.brake_time / DT)):
+        pressure = braked_pressure(pressure, 1.0, DT, P)
+    assert pressure == pytest.approx(1 - np.exp(-1), abs=0.02)
+
+
+def test_steering_rings_like_its_second_order():
+    # A step small enough to stay below the rate limit overshoots by exp(-pi zeta / sqrt(1 - zeta^2)).
+    zeta, angle, rate, path = P.steer_damping, 0.0, 0.0, []
+    for _ in range(2000):
+        angle, rate = steered(angle, rate, 0.05, DT, P)
+        path.append(angle)
+    expected = 0.05 * P.max_steer
+    assert path[-1] == pytest.approx(expected, rel=1e-6)
+    assert max(path) / expected - 1 == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), abs=0.01)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.lists(st.floats(-1, 1), min_size=1, max_size=20))
+def test_steering_keeps_its_limits_and_ends_with_its_angle(commands):
+    angle = rate = 0.0
+    for command in commands:
+        for _ in range(50):
+            moved, rate = steered(angle, rate, command, DT, P)
+            assert abs(moved) <= P.max_steer
+            assert abs(rate) <= P.max_steer_rate
+            assert abs(moved - angle) <= P.max_steer_rate * DT + 1e-12
+            angle = moved
+
+
+def test_front_wheels_point_at_one_centre():
+    left, right = wheel_angles(0.3, P)
+    radius = P.wheelbase / np.tan(0.3)
+    assert np.tan(left) == pytest.approx(P.wheelbase / (radius - P.track / 2))
+    assert np.tan(right) == pytest.approx(P.wheelbase / (radius + P.track / 2))
+    assert wheel_angles(-0.3, P) == pytest.approx((-right, -left))

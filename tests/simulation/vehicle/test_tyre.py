@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from offpiste.simulation.vehicle.tyre import brush_force, limit_deflection, limit_force, relax, standstill_fade
+
+slips = st.floats(-3, 3)
+frictions = st.floats(0.1, 1.0)
+loads = st.floats(1, 20e3)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(slips, slips, frictions, loads)
+def test_force_opposes_slip_and_stays_within_friction(slip_x, slip_y, friction, load):
+    x, y = brush_force(slip_x, slip_y, 9.0, 6.0, friction, load)
+    assert x * slip_x <= 0
+    assert y * slip_y <= 0
+    assert np.hypot(x, y) <= friction * load * (1 + 1e-12)
+
+
+@pytest.mark.parametrize(("x", "y"), [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+def test_derivative_at_zero_is_the_stiffness(x, y):
+    step = 1e-6
+    force = np.array(brush_force(x * step, y * step, 9.0, 6.0, 0.6, 2500.0)) / step
+    np.testing.assert_allclose(force, (-9.0 * x * 2500, -6.0 * y * 2500), rtol=1e-4, atol=1e-6)
+
+
+def test_whole_patch_slides_at_three_frictions_over_stiffness():
+    # Fiala: tan(alpha_sl) = 3 mu F_z / C_alpha.
+    sliding = 3 * 0.6 / 6.0
+    assert brush_force(0.0, sliding, 9.0, 6.0, 0.6, 1000.0)[1] == pytest.approx(-600.0)
+    assert brush_force(0.0, 0.5 * sliding, 9.0, 6.0, 0.6, 1000.0)[1] == pytest.approx(-600.0 * 0.875)
+    assert brush_force(0.0, 9 * sliding, 9.0, 6.0, 0.6, 1000.0)[1] == pytest.approx(-600.0)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.floats(0.01, 1), st.floats(0, 2 * np.pi), frictions)
+def test_isotropic_when_both_stiffnesses_are_equal(size, angle, friction):
+    turned = brush_force(size * np.cos(angle), size * np.sin(angle), 7.0, 7.0, friction, 1000.0)
+    straight = brush_force(size, 0.0, 7.0, 7.0, friction, 1000.0)[0]
+    np.testing.assert_allclose(turned, (straight * np.cos(angle), straight * np.sin(angle)), atol=1e-9 * 1000)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.floats(0, 0.5), st.floats(0.0, 0.5))
+def test_braking_takes_from_cornering(slip_x, slip_y):
+    alone = abs(brush_force(0.0, slip_y, 9.0, 6.0, 0.6, 1000.0)[1])
+    together = abs(brush_force(slip_x, slip_y, 9.0, 6.0, 0.6, 1000.0)[1])
+    assert together <= alone + 1e-9
+
+
+def test_no_friction_no_force():
+    assert brush_force(0.3, 0.2, 9.0, 6.0, 0.0, 1000.0) == (0.0, 0.0)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(slips, slips, frictions)
+def test_limited_deflection_keeps_direction_and_force(slip_x, slip_y, friction):
+    x, y = limit_deflection(slip_x, slip_y, 9.0, 6.0, friction)
+    assert abs(x * slip_y - y * slip_x) < 1e-9
+    assert np.hypot(9 * x, 6 * y) <= 3 * friction * (1 + 1e-9)
+    kept = brush_force(x, y, 9.0, 6.0, friction, 1000.0)
+    np.testing.assert_allclose(kept, brush_force(slip_x, slip_y, 9.0, 6.0, friction, 1000.0), atol=1e-6)
+
+
+def test_deflection_relaxes_over_its_length_to_the_steady_slip():
+    # du/dt = v_s - V u / length: (1 - 1/e) of v_s length / V after one length.
+    u, dt = 0.0, 1e-4
+    for _ in range(round(0.35 / 5.0 / dt)):
+        u = relax(u, 0.5, 5.0, 0.35, dt)
+    assert u / 0.35 == pytest.approx(0.5 / 5.0 * (1 - np.exp(-1)), rel=2e-3)
+
+
+def test_deflection_is_stable_at_any_speed():
+    u = 1.0
+    for _ in range(10):
+        u = relax(u, 0.0, 1e4, 0.35, 0.002)
+    assert 0 <= u < 1e-10
+
+
+def test_fade_goes_from_one_to_zero():
+    assert standstill_fade(0.0, 2.5) == 1.0
+    assert standstill_fade(-1.25, 2.5) == pytest.approx(0.5)
+    assert standstill_fade(2.5, 2.5) == standstill_fade(-9.0, 2.5) == 0.0
+
+
+def test_limited_force():
+    assert limit_force(3.0, 4.0, 10.0) == (3.0, 4.0)
+    np.testing.assert_allclose(limit_force(3.0, -4.0, 1.0), (0.6, -0.8))
+    assert limit_force(0.0, 0.0, 0.0) == (0.0, 0.0)

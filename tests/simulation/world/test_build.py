@@ -1,0 +1,176 @@
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from offpiste.errors import OffpisteError
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.ground import property_table
+from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.terrain import HALF_WIDTH, SPACING, curvature, distance_to_trails
+from offpiste.simulation.world.vegetation import BUSH_DRAG, CLEARANCE
+from offpiste.simulation.world.world import GROUND_KINDS, WorldSettings, load_preset, preset_names
+
+SMALL = WorldSettings(size=100.0, resolution=0.5)
+
+
+@pytest.fixture(scope="module")
+def mojave():
+    return make_world(WorldSettings(resolution=0.5))
+
+
+@pytest.fixture(scope="module", params=preset_names())
+def world(request):
+    return make_world(WorldSettings(preset=request.param, seed=2, resolution=0.5))
+
+
+def _arrays(thing):
+    if is_dataclass(thing):
+        return [array for field in fields(thing) for array in _arrays(getattr(thing, field.name))]
+    if isinstance(thing, tuple):
+        return [array for part in thing for array in _arrays(part)]
+    return [thing] if isinstance(thing, np.ndarray) else []
+
+
+def test_the_same_settings_make_the_same_bytes():
+    first, second = _arrays(make_world(SMALL)), _arrays(make_world(SMALL))
+    assert len(first) > 12
+    assert all(a.dtype == b.dtype and a.tobytes() == b.tobytes() for a, b in zip(first, second, strict=True))
+
+
+def test_another_seed_or_preset_makes_another_world():
+    here, other, preset = (make_world(replace(SMALL, **change)) for change in ({}, {"seed": 1}, {"preset": "dunes"}))
+    for world in (other, preset):
+        assert np.abs(here.elevation - world.elevation).mean() > 0.3
+        assert (here.kinds.argmax(axis=0) != world.kinds.argmax(axis=0)).mean() > 0.3
+        assert here.trails[0].shape != world.trails[0].shape or np.abs(here.trails[0] - world.trails[0]).max() > 1
+
+
+def test_settings_of_grip_and_looks_leave_the_place_as_it_is():
+    here, other = (make_world(replace(SMALL, grip_contrast=c, appearance_noise=n)) for c, n in ((1.0, 1.0), (0.5, 0.0)))
+    np.testing.assert_array_equal(here.elevation, other.elevation)
+    np.testing.assert_array_equal(here.kinds, other.kinds)
+    np.testing.assert_array_equal(here.trees.foot, other.trees.foot)
+    mean = property_table().mean(axis=(0, 1))
+    np.testing.assert_allclose(other.properties - mean, 0.5 * (here.properties - mean), atol=1e-5)
+
+
+def test_grids_fit_together(world):
+    ny, nx = world.elevation.shape
+    assert (ny, nx) == (641, 641)
+    assert world.origin == (-160.0, -160.0)
+    assert world.kinds.shape[1:] == world.wetness.shape == world.grass_height.shape == world.properties.shape[:2]
+    assert all(grid.dtype == np.float32 for grid in (world.elevation, world.kinds, world.wetness, world.properties))
+    assert all(np.isfinite(array).all() for array in _arrays(world))
+
+
+def test_shares_sum_to_one_and_properties_stay_within_the_table(world):
+    np.testing.assert_allclose(world.kinds.sum(axis=0), 1, atol=1e-5)
+    assert world.kinds.min() >= 0
+    assert world.wetness.min() >= 0
+    assert world.wetness.max() <= 1
+    table = property_table().reshape(-1, 4)
+    assert (world.properties >= table.min(axis=0) - 1e-5).all()
+    assert (world.properties <= table.max(axis=0) + 1e-5).all()
+
+
+def test_a_preset_has_mostly_the_ground_it_lists(world):
+    preset = load_preset(world.settings.preset)
+    listed = {*preset.open_ground, *preset.trail_ground}
+    absent = [k for k, kind in enumerate(GROUND_KINDS) if kind not in listed]
+    assert world.kinds[absent].sum(axis=0).mean() < 0.01
+
+
+def test_slopes_are_steep_somewhere_and_drivable_mostly(world):
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(world.elevation, world.resolution))))
+    assert 30 < slope.max() < 47
+    assert (slope < 15).mean() > 0.75
+    assert np.median(slope) > 3
+
+
+def test_trails_are_smooth_along_and_level_across(world):
+    for loop in world.trails:
+        ahead = np.roll(loop, -1, axis=0) - np.roll(loop, 1, axis=0)
+        left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
+        middle, *sides = (
+            read_grid(world.elevation, world.origin, world.resolution, loop + d * left) for d in (0.0, -1.4, 1.4)
+        )
+        grade = np.degrees(np.arctan((np.roll(middle, -2) - np.roll(middle, 2)) / (4 * SPACING)))
+        across = np.degrees(np.arctan((sides[1] - sides[0]) / 2.8))
+        assert np.abs(grade).max() < 16
+        assert np.percentile(np.abs(across), 95) < 4
+
+
+def test_the_ground_changes_every_few_seconds_along_trails(world):
+    """At 5 m/s: three in four windows of 5 s reach other ground."""
+    best = world.kinds.argmax(axis=0).astype(float)
+    reaches = []
+    for loop in world.trails:
+        kind = np.round(best[tuple(np.round((loop - world.origin) / world.resolution).astype(int).T[::-1])])
+        window = round(25 / SPACING)
+        ahead = np.stack([np.roll(kind, -i) for i in range(window)])
+        reaches.append((ahead != kind).any(axis=0))
+    assert 0.65 < np.concatenate(reaches).mean() < 0.97
+
+
+def test_the_ground_on_trails_has_contrast(mojave):
+    on_trail = read_grid(mojave.properties, mojave.origin, mojave.resolution, np.concatenate(mojave.trails))
+    friction, _, rolling, _ = np.percentile(on_trail, [5, 95], axis=0).T
+    assert friction[1] - friction[0] > 0.25
+    assert rolling[1] - rolling[0] > 0.1
+
+
+def test_uniform_looks_different_everywhere_and_drives_the_same():
+    world = make_world(replace(SMALL, preset="uniform"))
+    assert np.unique(world.kinds.argmax(axis=0)).size > 3
+    mean = property_table().mean(axis=(0, 1))
+    np.testing.assert_allclose(world.properties[0, 0], mean, rtol=1e-5)
+    assert (world.properties == world.properties[0, 0]).all()  # to the bit: a scaler would blow rounding up
+
+
+def test_plants_stand_on_the_ground_and_trees_clear_of_trails(world):
+    trees, bushes = world.trees, world.bushes
+    assert len(bushes.foot) > 20
+    for plants in (trees, bushes):
+        ground = read_grid(world.elevation, world.origin, world.resolution, plants.foot[:, :2])
+        np.testing.assert_allclose(plants.foot[:, 2], ground, atol=1e-4)
+    assert (distance_to_trails(world.trails, trees.foot[:, :2]) >= HALF_WIDTH + CLEARANCE).all()
+    assert (bushes.drag >= BUSH_DRAG[0]).all()
+    assert (bushes.drag <= BUSH_DRAG[1]).all()
+    assert (trees.trunk_radius > 0).all()
+    assert (trees.trunk_radius < 0.5).all()
+    near = distance_to_trails(world.trails, bushes.foot[:, :2])
+    assert (near > 0.55 * HALF_WIDTH).all()
+    assert (near < HALF_WIDTH + 1.5).any()  # some at the edge
+    assert world.grass_height.min() == 0
+    assert world.grass_height.max() <= load_preset(world.settings.preset).grass_height + 1e-6
+    assert world.grass_height.max() > 0.1
+
+
+def test_loops_turn_left_and_right(mojave):
+    bend = np.concatenate([curvature(loop) for loop in mojave.trails])
+    assert (bend > 1 / 60).mean() > 0.15
+    assert (bend < -1 / 60).mean() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"preset": "moon"}, "choose one of mojave"),
+        ({"size": 0.0}, "size is 0.0; choose 60 to 2000 m"),
+        ({"size": float("nan")}, "size is nan"),
+        ({"resolution": -0.25}, "resolution is -0.25"),
+        ({"grip_contrast": 1.5}, "grip_contrast is 1.5; choose 0 to 1"),
+        ({"appearance_noise": -1.0}, "appearance_noise"),
+        ({"seed": -1}, "seed is -1"),
+    ],
+)
+def test_settings_out_of_range_are_named(change, said):
+    with pytest.raises(OffpisteError, match=said) as caught:
+        make_world(replace(SMALL, **change))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_world_may_have_no_plants():
+    world = make_world(WorldSettings(preset="dunes", size=60.0, resolution=1.0, seed=4))
+    assert world.trees.foot.shape == (len(world.trees.height), 3)

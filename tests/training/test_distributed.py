@@ -1,0 +1,80 @@
+"""Several processes train what one does; sharing out leaves nothing over."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from factories import circle_rows, small_rig
+from offpiste.cli import main
+from offpiste.dataset import store
+from offpiste.dataset.splits import parse_split
+from offpiste.errors import RunError
+from offpiste.training.distributed import ALONE, Group, joined
+
+SETTINGS = ["--epochs", "2", "--bicycle-epochs", "2", "--actuator-epochs", "1", "--batch", "33"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ddp") / "data.zarr"
+    split = parse_split("blocks:0.5,0.25,0.25")
+    store.create(path, small_rig(), split)
+    store.add_drive(path, "one", circle_rows(2400), split, ())
+    return path
+
+
+def test_every_window_belongs_to_one_process():
+    for count in (0, 1, 2, 7, 128):
+        for size in (1, 2, 3):
+            shares = [np.arange(count)[Group(rank, size).share(count)] for rank in range(size)]
+            np.testing.assert_array_equal(np.concatenate(shares), np.arange(count))
+            parts = [np.array([n]) for n in range(count)]
+            mine = sorted(number for rank in range(size) for number, _ in Group(rank, size).mine(parts))
+            assert mine == list(range(count))
+
+
+def test_one_process_adds_nothing():
+    value = torch.tensor(3.0, requires_grad=True)
+    assert ALONE.sum(value) is value
+    ALONE.sum_gradients([value])
+    assert value.grad is None
+    with pytest.raises(RunError, match="here"):
+        ALONE.together(RunError("here"))
+
+
+def test_ddp_without_torchrun_ends_in_one_line(monkeypatch):
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    with pytest.raises(RunError, match="torchrun"), joined("cpu"):
+        raise AssertionError
+
+
+def test_two_processes_train_what_one_does(dataset, tmp_path):
+    with pytest.raises(SystemExit) as exit_:
+        main(["train", str(dataset), "--out", str(tmp_path / "one"), *SETTINGS])
+    assert not exit_.value.code
+    launch = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "-m", "offpiste"]
+    command = [*launch, "train", str(dataset), "--out", str(tmp_path / "two"), *SETTINGS, "--ddp"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("kept its best epoch") == 1
+    ours, theirs = (
+        [json.loads(line) for line in (tmp_path / name / "metrics.jsonl").read_text().splitlines()]
+        for name in ("one", "two")
+    )
+    assert len(ours) == len(theirs) == 4
+    for one, two in zip(ours, theirs, strict=True):
+        assert (one["stage"], one["epoch"]) == (two["stage"], two["epoch"])
+        assert two["train_loss"] == pytest.approx(one["train_loss"], rel=1e-4)
+        assert two["validation_loss"] == pytest.approx(one["validation_loss"], rel=1e-4)
+    weights = load_file(tmp_path / "one" / "model.safetensors")
+    for name, value in load_file(tmp_path / "two" / "model.safetensors").items():
+        torch.testing.assert_close(value, weights[name], rtol=2e-3, atol=2e-4)
+    again = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert again.returncode
+    assert "holds a run already" in again.stderr

@@ -1,0 +1,114 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from factories import RIG, circle_rows
+from offpiste.conventions import DT
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.splits import Split
+from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.windows import Windows
+from offpiste.rig.rig import parse_rig
+from offpiste.state import RecordedTerrain
+from offpiste.training.terrain_sources import path_terrain
+
+SPEED = 5.0
+SPLIT = Split("all", "drives", drives=(("hill", "test"), ("valley", "test")))
+
+
+def slope(s: np.ndarray) -> np.ndarray:
+    """The slope after s metres: steeper all the way, so that the slope tells the place."""
+    return 0.001 * s
+
+
+def hill(rows: int = 700) -> Rows:
+    """A drive straight ahead along x, uphill."""
+    flat = circle_rows(rows, speed=SPEED, yaw_rate=1e-6)
+    s = flat.state[:, 0].astype(float)
+    normal = np.stack((-slope(s), np.zeros(rows), np.ones(rows)), axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return replace(flat, normal=np.repeat(normal[None, :, None], 4, axis=2).astype(np.float32))
+
+
+def windows(*drives: StoredDrive) -> Windows:
+    return Windows(Dataset(Path("nowhere"), parse_rig(RIG, where="test"), SPLIT, drives), "test", start="smoothed")
+
+
+def stored(name: str, rows: Rows) -> StoredDrive:
+    return StoredDrive(name, rows, np.full(len(rows.time), 2, dtype=np.int8), ())
+
+
+def slopes(normal: torch.Tensor) -> np.ndarray:
+    return (-normal[..., 0, 0] / normal[..., 0, 2]).numpy()
+
+
+@pytest.fixture
+def uphill() -> Windows:
+    return windows(stored("hill", hill()))
+
+
+def test_following_the_record_reads_what_was_recorded(uphill: Windows) -> None:
+    index = np.array([0, 100, len(uphill) - 1])
+    batch = uphill.gather(index)
+    source, recorded = path_terrain(uphill, index), RecordedTerrain(batch.terrain)
+    state = batch.state
+    for t in range(uphill.horizon):
+        assert torch.equal(source.at(t, state).normal, recorded.at(t, state).normal)
+        state = batch.target[:, t]
+
+
+def test_lagging_behind_reads_the_ground_where_it_is(uphill: Windows) -> None:
+    index = np.array([40])
+    batch = uphill.gather(index)
+    source = path_terrain(uphill, index)
+    start = SPEED * DT * float(uphill.row_in_drive(index)[0])
+    for t, behind in ((0, 0.0), (100, 4.0), (249, 20.0)):
+        state = batch.target[:, t].clone()
+        state[:, 0] -= behind
+        where = start + SPEED * DT * (t + 1) - behind
+        found = slopes(source.at(t, state).normal)
+        np.testing.assert_allclose(found, slope(np.array([where])), atol=1e-5)
+    assert slopes(batch.terrain.normal[:, 249]) - found > 0.019  # the record would have told of the lag
+
+
+def test_a_place_beside_the_path_reads_the_nearest_point(uphill: Windows) -> None:
+    index = np.array([0])
+    state = uphill.gather(index).state.clone()
+    state[:, 0], state[:, 1] = 12.0, 3.0
+    start = SPEED * DT * float(uphill.row_in_drive(index)[0])
+    found = slopes(path_terrain(uphill, index).at(0, state).normal)
+    np.testing.assert_allclose(found, slope(np.array([start + 12.0])), atol=0.001 * SPEED * DT)
+
+
+def test_the_time_is_not_looked_at(uphill: Windows) -> None:
+    index = np.array([0, 7])
+    state = uphill.gather(index).target[:, 30]
+    source = path_terrain(uphill, index)
+    assert torch.equal(source.at(0, state).normal, source.at(249, state).normal)
+
+
+def test_rows_of_other_drives_and_invalid_rows_are_not_read() -> None:
+    rows = hill(400)
+    rows.valid[320:] = False
+    rows.state[350:] = np.nan
+    both = windows(stored("hill", rows), stored("valley", hill(400)))
+    last = np.flatnonzero(both.drive == 0)[-1]
+    position, _ = both.path(np.array([last]))
+    known = torch.isfinite(position).all(dim=-1)[0]
+    row = int(both.row_in_drive(np.array([last]))[0])
+    assert known.tolist() == [0 <= r < 320 for r in range(row - 50, row + 401)]
+    far = both.gather(np.array([last])).state.clone()
+    far[:, 0] = 1000.0
+    found = path_terrain(both, np.array([last])).at(0, far)
+    np.testing.assert_allclose(slopes(found.normal), slope(np.array([SPEED * DT * 319])), atol=1e-5)
+
+
+def test_a_prediction_that_is_not_finite_still_finds_ground(uphill: Windows) -> None:
+    source = path_terrain(uphill, np.array([0]))
+    for value in (torch.nan, torch.inf):
+        terrain = source.at(0, torch.full((1, 6), value))
+        assert torch.isfinite(terrain.normal).all()
+        assert terrain.latent.shape == (1, 4, 0)

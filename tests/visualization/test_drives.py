@@ -1,0 +1,126 @@
+"""`offpiste view` on datasets whose features are made up."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from factories import circle_rows, small_rig
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset import store
+from offpiste.dataset.cells import Cells
+from offpiste.dataset.passes import find_passes
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.splits import parse_split
+from offpiste.mapping.terrain_map import wheel_places
+from offpiste.visualization.coverage import covered, passes_of
+from offpiste.visualization.drives import DRIVES_A_PAGE, pages
+from offpiste.visualization.page import house_style
+
+SPLIT = parse_split("blocks:0.5,0.25,0.25")
+SETS = len(FEATURE_SETS)
+
+
+def with_features(rows: Rows, *, shift: int = 0) -> Rows:
+    """Features that grow by 0.1 with every set, valid in every second cell from 0 m on."""
+    xy = rows.state[:, :2].astype(np.float64) + rows.origin
+    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), small_rig().wheel_positions())
+    passes = find_passes(rows.time, xy, wheels, resolution=0.2)
+    count = len(passes.cell)
+    valid = np.ones((SETS, count), bool)
+    valid[3:, ::2] = False
+    features = np.zeros((SETS, count, 2)) + 0.1 * np.arange(SETS)[:, None, None]
+    features[0, :, 0] = np.linspace(0, 1, count)
+    features[~valid] = np.nan
+    known = np.where(valid, 5.0, np.nan).astype(np.float32)
+    return replace(rows, cells=Cells(passes.index + shift, features.astype(np.float16), valid, known, known))
+
+
+def written(folder: Path, rows: list[Rows], features: tuple[str, ...] = ("pca_0", "pca_1")) -> Path:
+    path = folder / "data.zarr"
+    store.create(path, small_rig(), SPLIT, features)
+    for number, some in enumerate(rows):
+        store.add_drive(path, f"drive-{number}", some, SPLIT, ("a <note>",))
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rows = [with_features(circle_rows(1500, seed=seed)) for seed in (0, 1)]
+    return written(tmp_path_factory.mktemp("dataset"), rows)
+
+
+def test_the_numbers_are_those_of_the_features(dataset: Path) -> None:
+    found = covered(store.open_dataset(dataset))
+    assert [rates.name for rates in found.drives] == ["drive-0", "drive-1"]
+    assert found.whole.cells == sum(rates.cells for rates in found.drives)
+    np.testing.assert_allclose(found.whole.share, (1, 1, 1, *[0.5] * 5), atol=0.01)
+    np.testing.assert_allclose(found.quartiles, 5.0)
+    # In hindsight the first feature grows evenly from 0 to 1, the second is constant.
+    np.testing.assert_allclose(found.apart.neighbours()[:, 0], 0.1 / 0.98, rtol=0.01)
+    np.testing.assert_allclose(found.apart_of_total.neighbours()[:, 0], 0.1, rtol=0.01)
+    assert np.isnan(found.apart.neighbours()[:, 1]).all()
+    assert found.contacts.sum() == 2 * 1500 * 4
+
+
+def test_what_is_in_reach_is_unknown_where_passes_are_others(tmp_path: Path) -> None:
+    rows = with_features(circle_rows(1500, seed=0))
+    other = replace(rows, cells=replace(rows.cells, index=np.maximum(rows.cells.index - 1, 0)))
+    dataset = store.open_dataset(written(tmp_path, [rows, other]))
+    assert passes_of(dataset.drives[0], dataset.rig) is not None
+    assert passes_of(dataset.drives[1], dataset.rig) is None
+    found = covered(dataset)
+    assert np.isnan(found.drives[1].in_reach).all()
+    assert len(found.contacts) == 0
+
+
+def test_the_command_writes_pictures_a_table_and_a_page_that_needs_nothing_else(
+    run: Callable[..., int], dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("view", str(dataset), "--out", str(tmp_path)) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {
+        *(f"{name}.png" for name in ("paths", "rates", "distances", "differences")),
+        "report.html",
+    }
+    assert all(cv2.imread(str(p)) is not None for p in tmp_path.glob("*.png"))
+    said = capsys.readouterr().out
+    assert "valid rate by distance" in said
+    assert "0.21" in said  # the paper's at 40 m
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 4
+    assert not re.search(r'(?:src|href)="(?!data:)', page)
+    assert "a &lt;note&gt;" in page
+    assert "$" not in re.sub(r"base64,[^\"]*", "", page)
+
+
+def test_a_dataset_without_visual_features_shows_its_paths(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, [circle_rows(1500, seed=0)], ())
+    assert run("view", str(path), "--out", str(tmp_path / "out"), "--rig", "dart") == 0
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"paths.png", "report.html"}
+    assert "do nothing" in capsys.readouterr().out
+    assert "no visual features" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_broken_dataset_ends_in_one_line(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store.create(tmp_path / "empty.zarr", small_rig(), SPLIT)
+    assert run("view", str(tmp_path / "empty.zarr"), "--out", str(tmp_path / "out")) == 1
+    assert "holds no drive" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_many_drives_take_several_pages(dataset: Path) -> None:
+    drive = store.open_dataset(dataset).drives[0]
+    assert [len(page) for page in pages([drive] * (DRIVES_A_PAGE + 1))] == [DRIVES_A_PAGE, 1]
+
+
+def test_pages_of_offpiste_look_alike() -> None:
+    assert "--ink" in house_style()
+    assert "<" not in house_style()
