@@ -20,7 +20,7 @@ from offpiste.planning.cost_map import Course, Hazards, cost_map, speed_limit
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, sample
-from offpiste.state import Carry
+from offpiste.state import ModelState
 
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
 LINE, LABEL = "#2a6f97", 8
@@ -58,12 +58,12 @@ def draw_plan(axes: Axes) -> None:
     state, nowhere = torch.tensor([-10.0, 3, 0, 5, 0, 0]), torch.zeros(2, dtype=torch.float64)
     at = Situation(stack_maps([ground.terrain_map()]), costs, WHEELS, nowhere, state, torch.zeros(3))
     model = Parametric(Vehicle(1200.0, 2.1, 0.5, CONTROL, ())).requires_grad_(False)
-    carry = Carry(state[None], torch.full((1, 4), torch.nan), torch.zeros(1, 0), torch.zeros(1, 0))
+    model_state = ModelState(state[None], torch.full((1, 4), torch.nan), torch.zeros(1, 0), torch.zeros(1, 0))
     codes, draw = encode_map(at.ground, None), torch.Generator().manual_seed(0)
     settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.05, 0.25), samples=1024, iterations=8, temperature=2.0)
-    cost_of = fused_costs(model, carry, at, weights, codes)
+    cost_of = fused_costs(model, model_state, at, weights, codes)
     plan = improve(torch.zeros(250, 3), cost_of, settings, draw, previous=at.control).controls
-    _, samples = fused_rollout(model, carry, sample(plan, settings, draw)[:300].clamp(-1, 1), at, weights, codes)
+    _, samples = fused_rollout(model, model_state, sample(plan, settings, draw)[:300].clamp(-1, 1), at, weights, codes)
     axes.imshow(np.log1p(costs.layers[..., 0].numpy()), origin="lower", extent=(-30, 30, -30, 30), cmap="Greys", vmax=9)
     axes.plot(samples[1:, :, 0].T, samples[1:, :, 1].T, color="#e09f3e", linewidth=0.3, alpha=0.4)
     axes.axhline(0, color="#5b8e7d", linestyle="--", linewidth=1.2, label="course")

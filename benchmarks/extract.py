@@ -25,7 +25,7 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import ReplaySettings, replay
-from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig, load_rig
 
 
@@ -33,31 +33,31 @@ from offpiste.rig.rig import Rig, load_rig
 class Counting:
     """A look that counts."""
 
-    looking: Looking
+    extractor: FeatureExtractor
     times: list[float]
 
     @property
     def patch(self) -> int:
         """As of the look."""
-        return self.looking.patch
+        return self.extractor.patch
 
     @property
     def channels(self) -> int:
         """As of the look."""
-        return self.looking.channels
+        return self.extractor.channels
 
     def look(self, pixels: np.ndarray) -> np.ndarray:
         """As the look's, timed."""
         began = time.perf_counter()
-        features = self.looking.look(pixels)
+        features = self.extractor.look(pixels)
         self.times.append(time.perf_counter() - began)
         return features
 
 
-def scans_alone(log: SensorLog, looking: Looking, start: float, end: float) -> float:
+def scans_alone(log: SensorLog, extractor: FeatureExtractor, start: float, end: float) -> float:
     """Processor time of the scans without images [s]."""
     began = time.process_time()
-    for _ in replay(log, {}, looking.look, 0, start=start, end=end):
+    for _ in replay(log, {}, extractor.look, 0, start=start, end=end):
         pass
     return time.process_time() - began
 
@@ -70,15 +70,15 @@ def apart(cells: Cells, other: Cells) -> float:
     return float(np.linalg.norm(one - two, axis=1).mean() / np.linalg.norm(random - two, axis=1).mean())
 
 
-def playing(log: SensorLog, rows: Rows, rig: Rig, looking: Looking) -> None:
+def playing(log: SensorLog, rows: Rows, rig: Rig, extractor: FeatureExtractor) -> None:
     """The table of playing back."""
     start, end = rows.time[0], rows.time[-1]
     seconds = end - start
     print(f"{seconds:.0f} s of {Path(log.path).name}, {rows.distance:.0f} m; processor seconds per second of drive")
-    print(f"scans alone               {scans_alone(log, looking, start, end) / seconds:5.2f}")
+    print(f"scans alone               {scans_alone(log, extractor, start, end) / seconds:5.2f}")
     every: Cells | None = None
     for metres in (0.0, 0.5, 1.0, 2.0):
-        counting = Counting(looking, [])
+        counting = Counting(extractor, [])
         began = time.process_time()
         cells = with_visual_features(rows, log, rig, counting, ReplaySettings(metres)).cells
         spent = (time.process_time() - began) / seconds
@@ -127,11 +127,11 @@ def main(
     loaded = load_rig(rig)
     opened = open_log(log)
     rows = extract_rows(drive_from_log(opened, loaded))
-    looking = load_looking(pca)
+    extractor = load_feature_extractor(pca)
     sensors = open_sensors(opened, loaded)
-    looking.look(np.zeros((140, 140, 3), np.uint8))
-    scans_alone(sensors, looking, rows.time[0], rows.time[0] + 1)  # compiles
-    playing(sensors, rows, loaded, looking)
+    extractor.look(np.zeros((140, 140, 3), np.uint8))
+    scans_alone(sensors, extractor, rows.time[0], rows.time[0] + 1)  # compiles
+    playing(sensors, rows, loaded, extractor)
     reading(log, loaded, pca)
 
 

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT, JUDGED_STRIDE
+from offpiste.conventions import DT, EVALUATION_STRIDE
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Kinematic
@@ -32,19 +32,19 @@ def integrated(states: Float[Tensor, "B T 6"]) -> Float[Tensor, "B 2"]:
 def informed(kinematic: Kinematic, batch: Batch) -> Float[Tensor, "B 2"]:
     """The kinematic bicycle with the recorded speed put in at every step [m]."""
     step, states = kinematic.stepper(), torch.cat((batch.state[:, None], batch.target), dim=1)
-    carry = kinematic.start(batch.history, batch.state, batch.actuators)
+    model_state = kinematic.start(batch.history, batch.state, batch.actuators)
     for t in range(batch.control.shape[1]):
-        state = torch.cat((carry.state[:, :3], states[:, t, 3:4], carry.state[:, 4:]), dim=1)
+        state = torch.cat((model_state.state[:, :3], states[:, t, 3:4], model_state.state[:, 4:]), dim=1)
         terrain = replace(batch.terrain, normal=batch.terrain.normal[:, t], latent=batch.terrain.latent[:, t])
-        carry = step(replace(carry, state=state), batch.control[:, t], terrain)
-    return carry.state[:, :2]
+        model_state = step(replace(model_state, state=state), batch.control[:, t], terrain)
+    return model_state.state[:, :2]
 
 
 def main(path: str) -> None:
     """Print a line a limit."""
     dataset = open_dataset(path)
     windows = Windows(dataset, "test")
-    batch = windows.gather(windows.every(JUDGED_STRIDE))
+    batch = windows.gather(windows.every(EVALUATION_STRIDE))
     kinematic = Kinematic(vehicle_of(dataset))
     with torch.no_grad():
         places = {

@@ -34,7 +34,7 @@ from offpiste.planning.costs import Situation, Weights, terms_after
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
 from offpiste.planning.rollouts import driving_costs
-from offpiste.state import Carry
+from offpiste.state import ModelState
 
 FEATURES = 40
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
@@ -84,10 +84,10 @@ def stepwise(model: Hybrid, at: Situation, weights: Weights, samples: int) -> tu
     return dynamics, cost
 
 
-def start(model: Hybrid, at: Situation) -> Carry:
+def start(model: Hybrid, at: Situation) -> ModelState:
     """At rest within, at speed without."""
     units = torch.zeros(1, model.compensator.hidden + model.actuators.hidden)
-    return Carry(at.state[None], torch.full((1, 4), torch.nan), units, units)
+    return ModelState(at.state[None], torch.full((1, 4), torch.nan), units, units)
 
 
 def pytorch_mppi(model: Hybrid, at: Situation, weights: Weights, controls: Tensor, *, compiled: bool) -> Callable:
@@ -149,9 +149,9 @@ def agreement(costs: Tensor, reference: Tensor) -> float:
 def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Namespace, skip: list[str]) -> None:
     """Print what the same rollouts cost each planner."""
     weights, codes = Weights(), encode_map(at.ground, model.encoder)
-    coded, carry = codes_first(at, codes), start(model, at)
-    fused = fused_costs(model, carry, at, weights, codes)
-    eager = driving_costs(model, carry, coded, weights, as_codes(codes[1]) if model.codes else None)
+    coded, model_state = codes_first(at, codes), start(model, at)
+    fused = fused_costs(model, model_state, at, weights, codes)
+    eager = driving_costs(model, model_state, coded, weights, as_codes(codes[1]) if model.codes else None)
     makers = {
         "fused": lambda: lambda: fused(controls),
         "eager": lambda: lambda: eager(controls),

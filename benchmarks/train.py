@@ -28,7 +28,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.kernels.autograd import rollout_recorded
-from offpiste.state import Carry, RecordedTerrain, Terrain, Trajectory
+from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
 from offpiste.training.run import build, vehicle_of
@@ -38,7 +38,7 @@ from offpiste.training.train import kinematic_scale, standardise
 Mark = Callable[[str], None]
 """Says that the part of this name has just ended."""
 
-Rollout = Callable[[Carry, Batch], Trajectory]
+Rollout = Callable[[ModelState, Batch], Trajectory]
 
 PAPER = {"windows": 2_000_000, "judged": 250_000, "epochs": 30}
 """Section "Training" of the paper."""
@@ -57,11 +57,11 @@ class Timed:
         return f"{self.wall:8.0f} ({self.processor:5.0f})"
 
 
-def in_turn(ways: dict[str, Callable[[Mark], None]], repeats: int) -> dict[str, dict[str, Timed]]:
+def in_turn(readings: dict[str, Callable[[Mark], None]], repeats: int) -> dict[str, dict[str, Timed]]:
     """Times of every part of every way; a first turn is not counted."""
-    found: dict[str, dict[str, list[tuple[float, float]]]] = {name: {} for name in ways}
+    found: dict[str, dict[str, list[tuple[float, float]]]] = {name: {} for name in readings}
     for turn in range(repeats + 1):
-        for name, way in ways.items():
+        for name, reading in readings.items():
             before = [time.perf_counter(), time.process_time()]
 
             def mark(part: str, name: str = name, before: list[float] = before, counted: bool = turn > 0) -> None:
@@ -70,7 +70,7 @@ def in_turn(ways: dict[str, Callable[[Mark], None]], repeats: int) -> dict[str, 
                     found[name].setdefault(part, []).append((now[0] - before[0], now[1] - before[1]))
                 before[:] = now
 
-            way(mark)
+            reading(mark)
     return {
         name: {
             part: Timed(*(1e3 * statistics.median(t) for t in zip(*times, strict=True))) for part, times in of.items()
@@ -87,27 +87,29 @@ def total(parts: Iterable[Timed]) -> Timed:
 
 def by_kernel(model: Hybrid) -> Rollout:
     """What training does."""
-    return lambda carry, batch: rollout_recorded(model, carry, batch.control, batch.terrain)
+    return lambda model_state, batch: rollout_recorded(model, model_state, batch.control, batch.terrain)
 
 
 def by_eager(model: Hybrid) -> Rollout:
     """Plain torch."""
-    return lambda carry, batch: rollout(model, carry, batch.control, RecordedTerrain(batch.terrain))
+    return lambda model_state, batch: rollout(model, model_state, batch.control, RecordedTerrain(batch.terrain))
 
 
 def by_compiled(model: Hybrid) -> Rollout:
     """torch.compile of one step, called for each."""
     compiled: list[Step] = []
 
-    def roll(carry: Carry, batch: Batch) -> Trajectory:
+    def roll(model_state: ModelState, batch: Batch) -> Trajectory:
         if not compiled:
             torch._dynamo.config.cache_size_limit = 64
             compiled.append(torch.compile(lambda *given: model.stepper()(*given), dynamic=False))
         states, actuators = [], []
         for t, control in enumerate(batch.control.unbind(dim=1)):
-            carry = compiled[0](carry, control, Terrain(batch.terrain.normal[:, t], batch.terrain.latent[:, t]))
-            states.append(carry.state)
-            actuators.append(carry.actuators)
+            model_state = compiled[0](
+                model_state, control, Terrain(batch.terrain.normal[:, t], batch.terrain.latent[:, t])
+            )
+            states.append(model_state.state)
+            actuators.append(model_state.actuators)
         return Trajectory(torch.stack(states, dim=1), torch.stack(actuators, dim=1))
 
     return roll
@@ -116,20 +118,22 @@ def by_compiled(model: Hybrid) -> Rollout:
 def recurrent(model: Hybrid, batch: Batch, roll: Rollout) -> Callable[[Mark], None]:
     """Forward and backward of the rollout alone."""
 
-    def way(mark: Mark) -> None:
+    def reading(mark: Mark) -> None:
         model.zero_grad()
         latent = batch.terrain.latent.detach().requires_grad_()
         read = replace(batch, terrain=Terrain(batch.terrain.normal, latent))
         with torch.no_grad():
-            carry = model.start(batch.history, batch.state, batch.actuators)
-        carry = replace(carry, hidden=carry.hidden.requires_grad_(), cell=carry.cell.requires_grad_())
+            model_state = model.start(batch.history, batch.state, batch.actuators)
+        model_state = replace(
+            model_state, hidden=model_state.hidden.requires_grad_(), cell=model_state.cell.requires_grad_()
+        )
         mark("start")
-        loss = roll(carry, read).state[..., 3:].square().mean()
+        loss = roll(model_state, read).state[..., 3:].square().mean()
         mark("forward")
         loss.backward()  # type: ignore[no-untyped-call]
         mark("backward")
 
-    return way
+    return reading
 
 
 @dataclass(frozen=True)
@@ -146,8 +150,8 @@ class Trainer:
     def step(self, mark: Mark, encode: Callable[[Hybrid, Batch], Batch], roll: Rollout) -> None:
         """One step, from the windows on disk to new weights."""
         index = self.rng.choice(len(self.windows), self.batch, replace=len(self.windows) < self.batch)
-        views = per_trajectory(self.rng, self.batch, self.windows.horizon, self.windows.sets)
-        batch = self.windows.gather(index, views)
+        feature_set_choice = per_trajectory(self.rng, self.batch, self.windows.horizon, self.windows.sets)
+        batch = self.windows.gather(index, feature_set_choice)
         mark("gather")
         batch = encode(self.model, batch)
         mark("encode")
@@ -220,7 +224,7 @@ def recurrent_table(trainer: Trainer, compile_seconds: int, repeats: int) -> str
     with torch.no_grad():
         index = trainer.rng.choice(len(trainer.windows), trainer.batch)
         batch = encoded(model, trainer.windows.gather(index))
-    ways = {"kernel": recurrent(model, batch, by_kernel(model)), "eager": recurrent(model, batch, by_eager(model))}
+    readings = {"kernel": recurrent(model, batch, by_kernel(model)), "eager": recurrent(model, batch, by_eager(model))}
     lines = []
     if compile_seconds:
         compiled = recurrent(model, batch, by_compiled(model))
@@ -229,11 +233,11 @@ def recurrent_table(trainer: Trainer, compile_seconds: int, repeats: int) -> str
         try:
             with within(compile_seconds):
                 compiled(lambda part: None)
-            ways["torch.compile"] = compiled
+            readings["torch.compile"] = compiled
             lines.append(f"torch.compile of a step took {time.perf_counter() - began:.0f} s")
         except Exception as error:  # noqa: BLE001  (whatever a compiler may say)
             lines.append(f"torch.compile is left out: {(str(error) or type(error).__name__).splitlines()[0]}")
-    found = in_turn(ways, repeats)
+    found = in_turn(readings, repeats)
     best = total(found["kernel"][part] for part in ("forward", "backward"))
     lines.append(f"{'recurrent part':16}{'forward':>16}{'backward':>16}   to the kernel: wall, processor")
     for name, parts in found.items():
@@ -261,9 +265,9 @@ def step_table(trainer: Trainer, repeats: int) -> str:
         ratios = f"{plain.wall / mine.wall:8.1f} {plain.processor / mine.processor:8.1f}"
         lines.append(f"{part:16}{mine!s:>16}{plain!s:>16}   {ratios}")
     steps = PAPER["windows"] / trainer.batch * PAPER["epochs"]
-    for way, all_of in zip(("here", "plain"), rows["all"], strict=True):
+    for reading, all_of in zip(("here", "plain"), rows["all"], strict=True):
         hours = f"{steps * all_of.wall / 3.6e6:.1f} h (processor {steps * all_of.processor / 3.6e6:.1f} h)"
-        lines.append(f"paper size, {way}: {hours} for {PAPER['epochs']} epochs of 2M windows")
+        lines.append(f"paper size, {reading}: {hours} for {PAPER['epochs']} epochs of 2M windows")
     judge, batches = found["judge"]["judge"], PAPER["judged"] / trainer.batch
     minutes = f"{batches * judge.wall / 6e4:.1f} min (processor {batches * judge.processor / 6e4:.1f} min)"
     lines.append(f"judging 250k windows once: {minutes}")

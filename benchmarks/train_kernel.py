@@ -16,10 +16,10 @@ from offpiste.conventions import CONTROL, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, rollout
 from offpiste.dynamics.encoder import Identity
 from offpiste.dynamics.kernels.autograd import rollout_recorded
-from offpiste.state import Carry, RecordedTerrain, Terrain, Trajectory
+from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
 
 
-def inputs(model: Hybrid, batch: int) -> tuple[Carry, Tensor, Terrain]:
+def inputs(model: Hybrid, batch: int) -> tuple[ModelState, Tensor, Terrain]:
     """Windows that drive off at 1 to 9 m/s."""
     state = torch.zeros(batch, 6)
     state[:, 3] = 1 + 8 * torch.rand(batch)
@@ -27,7 +27,7 @@ def inputs(model: Hybrid, batch: int) -> tuple[Carry, Tensor, Terrain]:
     controls = torch.rand(batch, HORIZON_STEPS, 3) * torch.tensor([0.6, 0.3, 0.4])
     normal = torch.tensor([0.0, 0.0, 1.0]).expand(batch, HORIZON_STEPS, 4, 3).contiguous()
     latent = torch.randn(batch, HORIZON_STEPS, 4, model.codes)
-    return Carry(state, torch.full((batch, 4), torch.nan), recurrent, recurrent), controls, Terrain(normal, latent)
+    return ModelState(state, torch.full((batch, 4), torch.nan), recurrent, recurrent), controls, Terrain(normal, latent)
 
 
 def timed(model: Hybrid, predict: Callable[[], Trajectory], repeats: int) -> tuple[float, float]:
@@ -55,10 +55,10 @@ def main() -> None:
         model = Hybrid(vehicle, encoder=Identity(codes - 1) if codes else None)
         torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.05)
         for batch in (128, 1024):
-            carry, controls, terrain = inputs(model, batch)
+            model_state, controls, terrain = inputs(model, batch)
             terrain.latent.requires_grad_(codes > 0)
-            eager = timed(model, lambda: rollout(model, carry, controls, RecordedTerrain(terrain)), repeats=5)  # noqa: B023
-            kernel = timed(model, lambda: rollout_recorded(model, carry, controls, terrain), repeats=15)  # noqa: B023
+            eager = timed(model, lambda: rollout(model, model_state, controls, RecordedTerrain(terrain)), repeats=5)  # noqa: B023
+            kernel = timed(model, lambda: rollout_recorded(model, model_state, controls, terrain), repeats=15)  # noqa: B023
             ratio = sum(eager) / sum(kernel)
             times = f"{eager[0]:7.0f} {eager[1]:7.0f} | {kernel[0]:7.1f} {kernel[1]:7.1f}"
             print(f"{codes:5} {batch:5} | {times} | {ratio:5.1f}")

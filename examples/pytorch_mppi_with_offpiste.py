@@ -12,7 +12,7 @@ from torch import Tensor
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.mapping.terrain_lookup import MapTerrain, stack_maps
 from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.state import Carry
+from offpiste.state import ModelState
 
 SAMPLES, STEPS, RADIUS, SPEED = 200, 75, 20.0, 5.0
 
@@ -42,7 +42,7 @@ def drive(steps: int = 200, seed: int = 0) -> Tensor:
 
     state = torch.tensor([[RADIUS, 0.0, 1.57, 4.0, 0.0, 0.2]])
     recurrent = torch.zeros(1, model.compensator.hidden + model.actuators.hidden)
-    packed = Carry(state, torch.full((1, 4), torch.nan), recurrent, recurrent).pack()
+    packed = ModelState(state, torch.full((1, 4), torch.nan), recurrent, recurrent).pack()
     planner = MPPI(
         step,
         cost,

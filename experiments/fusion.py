@@ -5,6 +5,7 @@ Simulated drives are played back once with each rule; PCA and frames are the sam
 """
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import tyro
 from jaxtyping import Bool, Float, Int
 from rich.table import Table
 
+from experiments.command import run
 from experiments.sensor_faults import stretch
 from offpiste.conventions import FEATURE_SETS, GROUND_KINDS
 from offpiste.dataset.cells import Cells
@@ -31,10 +33,12 @@ from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import ReplaySettings
 from offpiste.mapping.settings import RULES, VoxelSettings
 from offpiste.mapping.terrain_map import wheel_places
-from offpiste.perception.feature_extractor import Looking, load_looking
-from offpiste.progress import tell, track
+from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
+from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.world.surface import read_grid
+
+logger = logging.getLogger("experiments")
 
 MEASURES = {
     "valid": "valid rate",
@@ -116,7 +120,9 @@ def table_of(rows: Sequence[dict[str, Any]], title: str) -> Table:
     return table
 
 
-def ride(log: Path, rig: Rig, looking: Looking, rules: Sequence[str], seconds: float | None = None) -> Ridden:
+def ride(
+    log: Path, rig: Rig, extractor: FeatureExtractor, rules: Sequence[str], seconds: float | None = None
+) -> Ridden:
     """Play a simulated drive back with each rule.
 
     Args:
@@ -132,7 +138,7 @@ def ride(log: Path, rig: Rig, looking: Looking, rules: Sequence[str], seconds: f
     cells = {}
     for rule in track(rules, log.stem):
         settings = ReplaySettings(map=MapSettings(VoxelSettings(rule=rule)))
-        found = with_visual_features(rows, sensors, rig, looking, settings).cells
+        found = with_visual_features(rows, sensors, rig, extractor, settings).cells
         assert found is not None
         cells[rule] = found
     resolution = VoxelSettings().size
@@ -172,19 +178,19 @@ class Fusion:
 
     def run(self) -> None:
         """Play back, print a table for each drive and the medians."""
-        rig, looking = load_rig(self.rig), load_looking(self.pca)
+        rig, extractor = load_rig(self.rig), load_feature_extractor(self.pca)
         rows: list[dict[str, Any]] = []
         for log in self.logs:
-            mine = compare(ride(log, rig, looking, RULES, self.seconds))
+            mine = compare(ride(log, rig, extractor, RULES, self.seconds))
             rows += [{"drive": log.stem, **row} for row in mine]
-            tell(table_of(mine, log.stem))
+            logger.info(table_of(mine, log.stem))
         middle = medians(rows)
         if len(self.logs) > 1:
-            tell(table_of(middle, f"median of {len(self.logs)} drives"))
+            logger.info(table_of(middle, f"median of {len(self.logs)} drives"))
         if self.out is not None:
-            made = {"settings": asdict(self), "pca": looking.identity}
+            made = {"settings": asdict(self), "pca": extractor.identity}
             write_text(self.out / "fusion.json", json.dumps({**made, "rows": rows, "medians": middle}, default=str))
 
 
 if __name__ == "__main__":
-    tyro.cli(Fusion).run()
+    run(Fusion)

@@ -6,16 +6,15 @@ along its way, `hold` only that of the start, `b` nothing; `b-history` has more 
 """
 
 import json
+import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import tyro
-
+from experiments.command import run
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.splits import write_drives
-from offpiste.evaluation.evaluate_runs import judge_runs
-from offpiste.progress import tell
+from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.reproduction.data import simulate_once
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.rig.rig import load_rig
@@ -23,6 +22,8 @@ from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
+
+logger = logging.getLogger("experiments")
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,6 @@ class Gate:
             self.out / "dataset.zarr",
             split=write_drives(self.out / "parts.txt", ((path.stem, part) for path, part in drives)),
             features=self.features,
-            tell=tell,
         )
         runs = []
         for model in self.models:
@@ -68,10 +68,10 @@ class Gate:
                 if not (folder / "model.json").exists():
                     config = replace(self.train, model=model, seed=seed)
                     reuse_stages(self.out / "runs", folder, seed)
-                    train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
+                    train(dataset, config, folder, resume=(folder / "config.json").exists())
                 runs.append(folder)
-        judge_runs(runs, dataset.path, self.out / "report", starts=("causal",), tell=tell)
-        tell(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
+        evaluate_runs(runs, dataset.path, self.out / "report", starts=("causal",))
+        logger.info(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
 
     def simulate(self) -> list[tuple[Path, str]]:
         """The logs and their parts."""
@@ -81,7 +81,7 @@ class Gate:
         ):
             path = self.out / "logs" / f"{self.world}-{number}.mcap"
             world = WorldSettings(self.world, 1000 if self.same_world else 1000 + number, self.contrast)
-            simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path, tell=tell)
+            logger.info(simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path))
             found.append((path, part))
         return found
 
@@ -107,4 +107,4 @@ def verdict(metrics: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    tyro.cli(Gate).run()
+    run(Gate)

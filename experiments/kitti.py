@@ -7,6 +7,7 @@ A KITTI drive the whole way: PCA, dataset, pictures, valid rates by distance, an
 Its drives are too short to be split: all of it counts as training (`blocks:1,0,0`).
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ import tyro
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from experiments.command import run
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
@@ -26,9 +28,10 @@ from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.perception.backbones.backbone import open_backbone
 from offpiste.perception.motion_compensation import points_in_world
 from offpiste.perception.pca import save_pca
-from offpiste.progress import tell
 from offpiste.rig.rig import load_rig
 from offpiste.visualization.view import view
+
+logger = logging.getLogger("experiments")
 
 WAYS = ("by the poses", "sweep not unbent", "stamped 0.2 s late", "not carried")
 """How scans are carried: as they should be, and three ways in which they should not."""
@@ -92,7 +95,7 @@ APART = (1, 2, 5)
 
 def carried_table(log: SensorLog) -> str:
     """Distances by how far scans lie apart and by how they are carried, in lines; all LiDARs one after the other."""
-    lines = [f"{'off upright planes [m]':22}" + "".join(f"{way:>20}" for way in WAYS) + "     pairs"]
+    lines = [f"{'off upright planes [m]':22}" + "".join(f"{reading:>20}" for reading in WAYS) + "     pairs"]
     for name, lidar in log.lidars.items():
         scans = [scan for scan in log.stream([name]) if isinstance(scan, Cloud)]
         for apart in APART:
@@ -116,13 +119,13 @@ def main(drive: tyro.conf.Positional[Path], out: Path = Path("kitti"), backbone:
     rig = load_rig("kitti")
     out.mkdir(parents=True, exist_ok=True)
     pca = out / "pca.safetensors"
-    save_pca(pca, fit_pca([drive], rig, parse_split(SPLIT), open_backbone(backbone), tell=tell).pca)
-    dataset = make_dataset([drive], rig, out / "dataset.zarr", split=SPLIT, pca=pca, tell=tell)
-    written = view(drive, out / "log", rig="kitti", pca=pca, rrd=False, tell=tell)
-    written += view(dataset.path, out / "dataset", tell=tell)
-    tell(carried_table(open_sensors(open_log(drive), rig)))
-    tell(f"wrote {', '.join(map(str, written))}")
+    save_pca(pca, fit_pca([drive], rig, parse_split(SPLIT), open_backbone(backbone)).pca)
+    dataset = make_dataset([drive], rig, out / "dataset.zarr", split=SPLIT, pca=pca)
+    written = view(drive, out / "log", rig="kitti", pca=pca, rrd=False)
+    written += view(dataset.path, out / "dataset")
+    logger.info(carried_table(open_sensors(open_log(drive), rig)))
+    logger.info(f"wrote {', '.join(map(str, written))}")
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run(main)

@@ -7,6 +7,7 @@ The forest frame of MonoForce's tracked robot: points in four distorted cameras,
 `python -m experiments.marv ../shared/data/monoforce_marv --out marv`
 """
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from jaxtyping import Float, Float32, UInt8
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
+from experiments.command import run
 from experiments.map_picture import map_picture
 from offpiste.errors import LogError
 from offpiste.logs.measurements import Camera
@@ -27,14 +29,15 @@ from offpiste.mapping.pipeline import FeatureCloud, MapPipeline
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.backbones.backbone import Backbone, open_backbone
 from offpiste.perception.camera import make_pinhole_camera
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.motion_compensation import transformed
 from offpiste.perception.pca import Moments, fit
 from offpiste.perception.projection import View, project
-from offpiste.progress import tell
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource
 from offpiste.visualization.images import beside, colour_limits, colours, overlay, sheet, write_png
+
+logger = logging.getLogger("experiments")
 
 _CELL: Final = np.deg2rad(0.35)
 """Of the range image: the spacing of a LiDAR's columns or a little more [rad]."""
@@ -115,7 +118,7 @@ class Frame:
         body_from_lidar: where the LiDAR sits.
     """
 
-    views: tuple[View, ...]
+    feature_set_choice: tuple[View, ...]
     images: tuple[UInt8[np.ndarray, "h w 3"], ...]
     points_lidar: Float[np.ndarray, "n 3"]
     body_from_lidar: Float[np.ndarray, "4 4"]
@@ -164,7 +167,7 @@ def read_frame(folder: Path) -> Frame:
 def overlays(frame: Frame) -> list[UInt8[np.ndarray, "h w 3"]]:
     """Each image with the points that it shows."""
     drawn = []
-    for view, image in zip(frame.views, frame.images, strict=True):
+    for view, image in zip(frame.feature_set_choice, frame.images, strict=True):
         found = project(frame.points_body, [view])
         drawn.append(overlay(image, found.pixel[found.seen], found.distance[found.seen], farthest=30.0))
     return drawn
@@ -173,8 +176,8 @@ def overlays(frame: Frame) -> list[UInt8[np.ndarray, "h w 3"]]:
 def edge_scores(frame: Frame, turns: tuple[float, ...] = TURNS) -> Float[np.ndarray, "cameras 3 turns"]:
     """The edge score of each camera, its mounting turned about its x (pitch), y (yaw) and z (roll) axis [deg]."""
     strength, points = depth_edges(frame.points_lidar), frame.points_body
-    scores = np.zeros((len(frame.views), 3, len(turns)))
-    for number, (view, image) in enumerate(zip(frame.views, frame.images, strict=True)):
+    scores = np.zeros((len(frame.feature_set_choice), 3, len(turns)))
+    for number, (view, image) in enumerate(zip(frame.feature_set_choice, frame.images, strict=True)):
         edges = image_edges(image)
         for axis in range(3):
             for index, turn in enumerate(turns):
@@ -185,22 +188,22 @@ def edge_scores(frame: Frame, turns: tuple[float, ...] = TURNS) -> Float[np.ndar
     return scores
 
 
-def fit_looking(frame: Frame, backbone: Backbone, *, components: int = 20) -> Looking:
+def fit_extractor(frame: Frame, backbone: Backbone, *, components: int = 20) -> FeatureExtractor:
     """A PCA on the patches of the frame's images that points hit at all: a forest's ground is hard to tell."""
-    found = project(frame.points_body, frame.views)
+    found = project(frame.points_body, frame.feature_set_choice)
     moments = Moments.none(backbone.channels)
-    for number, (view, image) in enumerate(zip(frame.views, frame.images, strict=True)):
+    for number, (view, image) in enumerate(zip(frame.feature_set_choice, frame.images, strict=True)):
         mask = view.camera.grid.hit(found.pixel[found.view == number])
         with torch.no_grad():
             moments = moments.add(backbone(image[None]), mask[None])
-    return Looking(backbone, fit(moments, backbone, components=components))
+    return FeatureExtractor(backbone, fit(moments, backbone, components=components))
 
 
-def terrain(frame: Frame, looking: Looking) -> TerrainLayers:
+def terrain(frame: Frame, extractor: FeatureExtractor) -> TerrainLayers:
     """The map of the one scan, with the features of the images."""
-    found = project(frame.points_body, frame.views)
-    features = found.gather([looking.look(image) for image in frame.images])
-    pipeline = MapPipeline(looking.channels)
+    found = project(frame.points_body, frame.feature_set_choice)
+    features = found.gather([extractor.look(image) for image in frame.images])
+    pipeline = MapPipeline(extractor.channels)
     cloud = FeatureCloud(frame.points_body, frame.body_from_lidar[:3, 3], features, found.seen)
     pipeline.add(cloud, np.zeros(3))
     return pipeline.layers()
@@ -215,22 +218,22 @@ def main(folder: tyro.conf.Positional[Path], out: Path = Path("marv"), backbone:
         backbone: as in `offpiste fit-pca`.
     """
     frame = read_frame(folder)
-    looking = fit_looking(frame, open_backbone(backbone))
-    looks = [looking.look(image) for image in frame.images]
-    layers = terrain(frame, looking)
-    limits = colour_limits(np.concatenate([look.reshape(-1, looking.channels) for look in looks]))
+    extractor = fit_extractor(frame, open_backbone(backbone))
+    looks = [extractor.look(image) for image in frame.images]
+    layers = terrain(frame, extractor)
+    limits = colour_limits(np.concatenate([look.reshape(-1, extractor.channels) for look in looks]))
     out.mkdir(parents=True, exist_ok=True)
-    pairs = zip(frame.views, frame.images, looks, strict=True)
+    pairs = zip(frame.feature_set_choice, frame.images, looks, strict=True)
     write_png(out / "overlay.png", sheet(overlays(frame)))
     write_png(
         out / "features.png",
         sheet([beside(i, colours(look, limits), v.camera.grid) for v, i, look in pairs], columns=1),
     )
     write_png(out / "map.png", map_picture(layers, np.zeros(2), reach=12.0, limits=limits, pixels=6))
-    tell("edge score by turn [deg]:   " + "".join(f"{turn:7.1f}" for turn in TURNS))
+    logger.info("edge score by turn [deg]:   " + "".join(f"{turn:7.1f}" for turn in TURNS))
     for name, scores in zip((*CAMERAS, "mean"), _with_mean(edge_scores(frame)), strict=True):
         for axis, row in zip(("pitch", "yaw", "roll"), scores, strict=True):
-            tell(f"{name:14} {axis:12}" + "".join(f"{score:7.2f}" for score in row))
+            logger.info(f"{name:14} {axis:12}" + "".join(f"{score:7.2f}" for score in row))
 
 
 def _with_mean(scores: Float[np.ndarray, "n 3 k"]) -> Float[np.ndarray, "m 3 k"]:
@@ -253,4 +256,4 @@ def _yaml(path: Path) -> Mapping[str, Any]:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run(main)

@@ -3,6 +3,7 @@
 `python -m experiments.photographs ../shared/data/tartandrive2/images --out photographs`
 """
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,12 +13,15 @@ import torch
 import tyro
 from jaxtyping import Bool, Float, UInt8
 
+from experiments.command import run
 from offpiste.errors import PerceptionError
 from offpiste.perception.backbones.backbone import Backbone, open_backbone
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit
-from offpiste.progress import tell, track
+from offpiste.progress import track
 from offpiste.visualization.images import beside, colour_limits, colours, sheet, write_png
+
+logger = logging.getLogger("experiments")
 
 Photograph = UInt8[np.ndarray, "h w 3"]
 _SKY = 1 / 3
@@ -43,14 +47,16 @@ def read_photographs(folder: Path) -> dict[str, Photograph]:
     return found
 
 
-def fit_on_photographs(photographs: Sequence[Photograph], backbone: Backbone, *, components: int = 20) -> Looking:
+def fit_on_photographs(
+    photographs: Sequence[Photograph], backbone: Backbone, *, components: int = 20
+) -> FeatureExtractor:
     """A PCA on the patches between sky and hood: where a LiDAR is lacking, the best guess at ground."""
     moments = Moments.none(backbone.channels)
     for photograph in photographs:
         with torch.no_grad():
             features = backbone(photograph[None])
         moments = moments.add(features, _between(*features.shape[1:3])[None])
-    return Looking(backbone, fit(moments, backbone, components=components))
+    return FeatureExtractor(backbone, fit(moments, backbone, components=components))
 
 
 def _between(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
@@ -59,10 +65,12 @@ def _between(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
     return np.repeat(inside[:, None], columns, axis=1)
 
 
-def picture(photograph: Photograph, looking: Looking, limits: Float[np.ndarray, "2 3"]) -> UInt8[np.ndarray, "h w2 3"]:
+def picture(
+    photograph: Photograph, extractor: FeatureExtractor, limits: Float[np.ndarray, "2 3"]
+) -> UInt8[np.ndarray, "h w2 3"]:
     """A photograph and its first three components."""
     height, width = photograph.shape[:2]
-    return beside(photograph, colours(looking.look(photograph), limits), looking.backbone.grid(width, height))
+    return beside(photograph, colours(extractor.look(photograph), limits), extractor.backbone.grid(width, height))
 
 
 def main(folder: tyro.conf.Positional[Path], out: Path = Path("photographs"), backbone: str = "filterbank") -> None:
@@ -74,19 +82,19 @@ def main(folder: tyro.conf.Positional[Path], out: Path = Path("photographs"), ba
         backbone: as in `offpiste fit-pca`.
     """
     photographs = read_photographs(folder)
-    looking = fit_on_photographs(list(photographs.values()), open_backbone(backbone))
-    looks = [looking.look(photograph) for photograph in photographs.values()]
+    extractor = fit_on_photographs(list(photographs.values()), open_backbone(backbone))
+    looks = [extractor.look(photograph) for photograph in photographs.values()]
     ground = [look[_between(*look.shape[:2])] for look in looks]
     limits = colour_limits(np.concatenate(ground))
     out.mkdir(parents=True, exist_ok=True)
-    drawn = [picture(photograph, looking, limits) for photograph in track(list(photographs.values()), "pictures")]
+    drawn = [picture(photograph, extractor, limits) for photograph in track(list(photographs.values()), "pictures")]
     for name, one in zip(photographs, drawn, strict=True):
         write_png(out / f"{name}.png", one)
     if len({one.shape for one in drawn}) == 1:
         write_png(out / "all.png", sheet([cv2.resize(one, None, fx=0.5, fy=0.5) for one in drawn]))
-    share = looking.pca.variance[:3].sum() / looking.pca.total_variance
-    tell(f"{len(drawn)} photographs; the three components drawn explain {share:.0%} of the variance")
+    share = extractor.pca.variance[:3].sum() / extractor.pca.total_variance
+    logger.info(f"{len(drawn)} photographs; the three components drawn explain {share:.0%} of the variance")
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run(main)

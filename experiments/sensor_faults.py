@@ -6,6 +6,7 @@ Faults are planted in the measurements of a log, one sensor and one fault at a t
 axis, stamps are moved. `python -m experiments.sensor_faults LOG... --rig proving_ground`.
 """
 
+import logging
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -18,15 +19,18 @@ from jaxtyping import Float
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from experiments.command import run
 from offpiste.inspection.misfit import turned
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensors import Judged, judge_cameras, judge_lidars
+from offpiste.inspection.sensors import Judged, camera_misfits, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.progress import tell, track
+from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
+
+logger = logging.getLogger("experiments")
 
 
 @dataclass(frozen=True)
@@ -134,14 +138,14 @@ def outcomes(path: str, rig: Rig, rng: np.random.Generator) -> Iterator[Outcome]
     sensors = open_sensors(open_log(path), rig)
     cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
     gathered = gather(sensors, cameras)
-    clean = judge_lidars(sensors.lidars, gathered, sensors.poses)
+    clean = lidar_misfits(sensors.lidars, gathered, sensors.poses)
     for fault in track(list(faults()), path):
         axis = rng.standard_normal(3)
         turn, late = np.deg2rad(fault.turn) * axis / np.linalg.norm(axis), fault.late / 1e3
         name = next(iter(cameras if fault.kind == "camera" else sensors.lidars))
         lidars, turned_cameras, moved = planted(sensors.lidars, cameras, gathered, name, turn, late)
-        judged = clean if name in cameras else judge_lidars(lidars, moved, sensors.poses)
-        judged = judged + judge_cameras(turned_cameras, judged, moved, sensors.poses)
+        judged = clean if name in cameras else lidar_misfits(lidars, moved, sensors.poses)
+        judged = judged + camera_misfits(turned_cameras, judged, moved, sensors.poses)
         accused = {one.sensor.name: one for one in judged}
         mine = accused.pop(name)
         other = any(one.is_turned or one.is_late for one in accused.values())
@@ -215,8 +219,8 @@ def main(
     found: list[Outcome] = []
     for number, path in enumerate(logs):
         found += outcomes(path, load_rig(rig), np.random.default_rng((seed, number)))
-    tell(tabulate(found))
+    logger.info(tabulate(found))
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    run(main)

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from log_messages import logged
 from offpiste.conventions import FEATURE_SETS
 from offpiste.demo import DemoSettings, run_demo
 from offpiste.errors import RunError
@@ -20,13 +21,13 @@ SMALL = DemoSettings(
 
 
 def test_the_demo_walks_the_whole_path_and_can_be_repeated(tmp_path: Path) -> None:
-    said: list[object] = []
-    run_demo(tmp_path, SMALL, processes=1, tell=said.append)
+    with logged() as said:
+        run_demo(tmp_path, SMALL, processes=1)
     report = tmp_path / "report"
     rows = json.loads((report / "metrics.json").read_text())["results"]
     assert {row["model"] for row in rows} == {"b", "dc", "ctrv", "kinematic"}
-    ways = {("recorded", name) for name in FEATURE_SETS} | {("map", None)}
-    assert {(row["lookup"], row["feature_set"]) for row in rows if row["model"] == "dc"} == ways
+    readings = {("recorded", name) for name in FEATURE_SETS} | {("map", None)}
+    assert {(row["lookup"], row["feature_set"]) for row in rows if row["model"] == "dc"} == readings
     assert (report / "distance.png").read_bytes().startswith(b"\x89PNG")
     assert f"picture: {report / 'distance.png'}" in said
     assert any("no real vehicle" in str(line) for line in said)
@@ -37,10 +38,10 @@ def test_the_demo_walks_the_whole_path_and_can_be_repeated(tmp_path: Path) -> No
 
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
     kept |= {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.mcap")}
-    again: list[object] = []
-    run_demo(tmp_path, SMALL, processes=1, tell=again.append)
+    with logged() as again:
+        run_demo(tmp_path, SMALL, processes=1)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert again[-2:] == said[-2:]
 
     with pytest.raises(RunError, match=r"demo\.seconds"):
-        run_demo(tmp_path, DemoSettings(), tell=said.append)
+        run_demo(tmp_path, DemoSettings())

@@ -10,26 +10,27 @@ from pathlib import Path
 import pytest
 
 from jobs import square
+from log_messages import logged
 from offpiste.errors import LogError, OffpisteError
 from offpiste.parallel import run_all
 
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_all_jobs_are_done_even_if_one_fails(processes):
-    said: list[str] = []
-    failed = run_all(square, [3, -1, 4, 5], processes, "squares", said.append)
+    with logged() as said:
+        failed = run_all(square, [3, -1, 4, 5], processes, "squares")
     assert sorted(said) == ["16", "25", "9", "failed: here: -1 is negative; give another"]
     assert [(type(error), str(error)) for error in failed] == [(LogError, "here: -1 is negative; give another")]
 
 
 def test_a_single_job_leaves_its_failure_to_the_caller():
-    said: list[str] = []
-    assert len(run_all(square, [-1], 4, "squares", said.append)) == 1
+    with logged() as said:
+        assert len(run_all(square, [-1], 4, "squares")) == 1
     assert not said
 
 
 def test_a_process_that_is_killed_is_reported_and_does_not_hang():
-    failed = run_all(square, [13, 13], 2, "squares", lambda line: None)
+    failed = run_all(square, [13, 13], 2, "squares")
     assert len(failed) == 2
     assert all("killed" in str(error) and "--processes" in str(error) for error in failed)
 
@@ -42,7 +43,7 @@ def test_errors_come_back_from_other_processes_as_they_were():
 
 
 def test_processes_end_when_their_parent_is_killed():
-    code = "from jobs import wait; from offpiste.parallel import run_all; run_all(wait, [1, 2], 2, 'waiting', print)"
+    code = "from jobs import wait; from offpiste.parallel import run_all; run_all(wait, [1, 2], 2, 'waiting', finished=print)"
     script = f"if __name__ == '__main__':\n    {code}"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(["tests", *sys.path])}
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, env=environment)

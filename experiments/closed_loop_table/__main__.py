@@ -1,6 +1,6 @@
 """Command line of the closed loop's table, and of its faults."""
 
-import sys
+import logging
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,13 +10,15 @@ import tyro
 
 from experiments.closed_loop_table.drives import DEVELOPMENT, TEST, drive_all, entries, places
 from experiments.closed_loop_table.table import write_table
+from experiments.command import run
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDrive
 from offpiste.closed_loop.faults import KINDS, Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import OffpisteError
 from offpiste.parallel import usable_cores
-from offpiste.progress import tell
+
+logger = logging.getLogger("experiments")
 
 
 @dataclass(frozen=True)
@@ -57,29 +59,18 @@ class ClosedLoop:
         planners = [load_planner(run, self.pca) for run in self.runs]
         asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
-        drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores(), tell=tell)
+        drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores())
         if not self.faults:
             results = drive(entries(planners, self.latencies), out=self.out, asked=asked)
-            tell(write_table(results, self.out, self.seconds))
+            logger.info(write_table(results, self.out, self.seconds))
             return
         kinds: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "none")
         for kind in kinds:
             told = replace(asked, fault=kind)
             for result in drive(entries(planners, ()), out=self.out / "faults" / kind, asked=told):
                 ending = ", ".join(f"{t} s {mode}: {why}" for t, mode, why in result["modes"])
-                tell(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command: exit 1 when the input or a drive failed, 130 when interrupted, each with one line on stderr."""
-    try:
-        tyro.cli(ClosedLoop, args=arguments).run()
-    except OffpisteError as error:
-        sys.exit(str(error))
-    except KeyboardInterrupt:
-        print("interrupted; drives that were finished are kept", file=sys.stderr)  # noqa: T201
-        sys.exit(130)
+                logger.info(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
 
 
 if __name__ == "__main__":
-    main()
+    run(ClosedLoop)

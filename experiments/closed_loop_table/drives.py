@@ -84,7 +84,6 @@ def drive_all(
     asked: CourseDrive | None = None,
     *,
     processes: int = 1,
-    tell: Callable[[object], None] = lambda said: None,
 ) -> list[dict[str, Any]]:
     """Drive what is not driven yet; returns all results.
 
@@ -101,9 +100,7 @@ def drive_all(
     for row in rows:
         check_settings(_at_latency(asked, row))
     courses = [(world, [row for row in rows if _found(row, world, out, asked) is None]) for world in worlds]
-    failed = run_all(
-        partial(_drive_rows, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses", tell
-    )
+    failed = run_all(partial(_drive_rows, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses")
     if failed:
         raise failed[0]
     found = [(row, _found(row, world, out, asked)) for world in worlds for row in rows]

@@ -1,6 +1,6 @@
 """`python -m experiments.controls WHAT --reproduction results/ --out controls/`; docs/controls.md."""
 
-import sys
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from experiments.command import run
 from experiments.controls.models import models_control
 from experiments.controls.oracle import oracle_control
 from experiments.controls.reproduced import open_reproduction
@@ -16,9 +17,9 @@ from experiments.controls.snapshots import snapshots_control
 from experiments.controls.sweep import Sweep, sweep_control
 from experiments.controls.twins import twins_control
 from experiments.controls.uniform import UniformDrives, uniform_control
-from offpiste.errors import OffpisteError
-from offpiste.progress import tell
 from offpiste.reproduction.pieces import claim_folder
+
+logger = logging.getLogger("experiments")
 
 What = Literal["models", "snapshots", "shift", "oracle", "uniform", "twins", "contrast", "appearance"]
 
@@ -55,31 +56,27 @@ class Controls:
         # What was judged is used again: it must be of the same runs.
         claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
         controls: dict[What, Callable[[], Path]] = {
-            "models": lambda: models_control(of, self.out, list(self.models), tell=tell),
+            "models": lambda: models_control(of, self.out, list(self.models)),
             "snapshots": lambda: snapshots_control(
-                of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds, tell=tell
+                of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds
             ),
-            "shift": lambda: shift_control(of, self.out, tell=tell),
-            "oracle": lambda: oracle_control(of, self.out, tell=tell),
-            "uniform": lambda: uniform_control(of, self.out, self.uniform, tell=tell),
+            "shift": lambda: shift_control(of, self.out),
+            "oracle": lambda: oracle_control(of, self.out),
+            "uniform": lambda: uniform_control(of, self.out, self.uniform),
             "twins": lambda: twins_control(
                 of,
                 self.out,
                 drives=self.twin_drives,
                 seconds=self.twin_seconds,
                 oracle=self.out / "oracle",
-                tell=tell,
             ),
-            "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, tell=tell),
-            "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, tell=tell),
+            "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep),
+            "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep),
         }
         page = controls[self.what]()
-        tell(page.read_text("utf-8"))
-        tell(f"written: {page}")
+        logger.info(page.read_text("utf-8"))
+        logger.info(f"written: {page}")
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(Controls).run()
-    except OffpisteError as error:
-        sys.exit(str(error))
+    run(Controls)

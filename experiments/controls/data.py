@@ -1,6 +1,7 @@
 """Datasets that controls need: their own drives, or other features of the same ones."""
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 from offpiste.dataset.extract import make_dataset
@@ -13,6 +14,8 @@ from offpiste.reproduction.data import PlannedDrive, simulate_once
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
+
+logger = logging.getLogger("experiments")
 
 RIG = "proving_ground"
 
@@ -50,7 +53,6 @@ def driven_dataset(
     features: FeatureSource = "none",
     snapshot_seconds: float = 0.5,
     min_hindsight: float = MIN_HINDSIGHT,
-    tell: Callable[[str], None],
 ) -> Dataset:
     """Simulate what is missing of some drives and extract them into `folder/dataset.zarr`.
 
@@ -60,7 +62,7 @@ def driven_dataset(
     """
     logs = [folder / "logs" / f"{drive.name}.mcap" for drive in drives]
     for drive, log in zip(drives, logs, strict=True):
-        simulate_once(drive.settings, log, tell=tell)
+        logger.info(simulate_once(drive.settings, log))
     return make_dataset(
         logs,
         load_rig(RIG),
@@ -70,10 +72,9 @@ def driven_dataset(
         features=features,
         min_hindsight=min_hindsight,
         snapshots=SnapshotSettings(snapshot_seconds),
-        tell=tell,
     )
 
 
-def oracle_dataset(logs: Sequence[Path], split: str, out: Path, *, tell: Callable[[str], None]) -> Dataset:
+def oracle_dataset(logs: Sequence[Path], split: str, out: Path) -> Dataset:
     """The true properties of the ground under the wheels of the same drives (`conventions.GROUND_PROPERTIES`)."""
-    return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth", tell=tell)
+    return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth")

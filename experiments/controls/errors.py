@@ -14,16 +14,16 @@ from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors, Ground, predict
 from offpiste.evaluation.intervals import PairedDifference, Resampling, relative
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.evaluation.tables import Sampling, pool
 from offpiste.files import write_whole
 from offpiste.progress import track
-from offpiste.reproduction.runs import judged_windows
+from offpiste.reproduction.runs import evaluation_windows
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import on_map
 
-MAP: Way = ("map", None)
-HINDSIGHT: Way = ("recorded", "hindsight")
+MAP: Reading = ("map", None)
+HINDSIGHT: Reading = ("recorded", "hindsight")
 
 
 class Gain(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,13 +49,13 @@ class Gain(msgspec.Struct, frozen=True, kw_only=True):
     loss: PairedDifference
 
 
-def judged_index(windows: Windows, way: Way, stride: int, *, most: int = 0) -> Int[np.ndarray, " n"]:
+def evaluation_index(windows: Windows, reading: Reading, stride: int, *, most: int = 0) -> Int[np.ndarray, " n"]:
     """Windows that a reproduction judges in one way.
 
     Args:
         most: so many of them, evenly spread; 0: all.
     """
-    index = judged_windows(windows, way, stride)
+    index = evaluation_windows(windows, reading, stride)
     if 0 < most < len(index):
         index = index[np.unique(np.linspace(0, len(index) - 1, most).astype(int))]
     return index
@@ -81,7 +81,7 @@ def errors_of(
     run: Run,
     windows: Windows,
     index: Int[np.ndarray, " n"],
-    way: Way,
+    reading: Reading,
     *,
     scale: torch.Tensor,
     kept: Path,
@@ -95,7 +95,7 @@ def errors_of(
     """
 
     def found() -> Errors:
-        lookup, chosen = way
+        lookup, chosen = reading
         return predict(
             run.dynamics,
             windows.reading(chosen) if chosen else windows,
@@ -108,7 +108,7 @@ def errors_of(
             description=f"judging {run.folder.name}",
         )
 
-    return errors_from(kept / run.folder.name / f"{'-'.join(filter(None, way))}.safetensors", found)
+    return errors_from(kept / run.folder.name / f"{'-'.join(filter(None, reading))}.safetensors", found)
 
 
 def errors_from(path: Path, find: Callable[[], Errors]) -> Errors:
@@ -129,7 +129,7 @@ def errors_from(path: Path, find: Callable[[], Errors]) -> Errors:
 
 
 def gain(
-    case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], way: Way, *, baseline: str = "b"
+    case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], reading: Reading, *, baseline: str = "b"
 ) -> Gain:
     """A model against a baseline; errors of several runs are averaged window by window."""
     one, other = pool(mine), pool(others)
@@ -138,8 +138,8 @@ def gain(
         case=case,
         model=model,
         baseline=baseline,
-        lookup=str(way[0]),
-        feature_set=way[1],
+        lookup=str(reading[0]),
+        feature_set=reading[1],
         n=len(one.row),
         seeds=len(mine),
         error_m=float(one.distance().mean()),

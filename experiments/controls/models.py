@@ -3,20 +3,22 @@
 Runs that controls need beside those of a reproduction; a finished one is used again, an interrupted one goes on.
 """
 
-from collections.abc import Callable
+import logging
 from pathlib import Path
 
-from experiments.controls.errors import HINDSIGHT, MAP, errors_of, gain, judged_index
+from experiments.controls.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, write_control
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
+
+logger = logging.getLogger("experiments")
 
 FEATURED = {
     "dc-hold": "dc with the features of the window's start held: what looking ahead adds",
@@ -34,7 +36,7 @@ ABOUT = (
 )
 
 
-def models_control(of: Reproduced, out: Path, models: list[str], *, tell: Callable[[str], None]) -> Path:
+def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
     """Train one run each of the control models as the reproduction trains its own, and judge all on its windows.
 
     Args:
@@ -47,24 +49,24 @@ def models_control(of: Reproduced, out: Path, models: list[str], *, tell: Callab
     runs = {model: of.runs(model) for model in present}
     for model in chosen:
         config = of.member(model).config(of.size, 0, "cpu")
-        runs[model] = [trained(of.dataset, config, folder / "runs", stages=of.folder / "runs", tell=tell)]
-    ways: list[Way] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
-    errors: dict[tuple[str, Way], list[Errors]] = {}
-    for way in ways:
-        index = judged_index(windows, way, of.size.stride)
+        runs[model] = [trained(of.dataset, config, folder / "runs", stages=of.folder / "runs")]
+    readings: list[Reading] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
+    errors: dict[tuple[str, Reading], list[Errors]] = {}
+    for reading in readings:
+        index = evaluation_index(windows, reading, of.size.stride)
         for model in runs:
-            if way in (MAP, HINDSIGHT) or model not in BLIND:
-                errors[model, way] = [
-                    errors_of(run, windows, index, way, scale=scale, kept=out / "judged") for run in runs[model]
+            if reading in (MAP, HINDSIGHT) or model not in BLIND:
+                errors[model, reading] = [
+                    errors_of(run, windows, index, reading, scale=scale, kept=out / "judged") for run in runs[model]
                 ]
     over_b = [
-        gain(FEATURED.get(model, BLIND.get(model, "")), model, found, errors["b", way], way)
-        for (model, way), found in errors.items()
+        gain(FEATURED.get(model, BLIND.get(model, "")), model, found, errors["b", reading], reading)
+        for (model, reading), found in errors.items()
         if model != "b"
     ]
     over_dc = [
-        gain("", model, found, errors["dc", way], way, baseline="dc")
-        for (model, way), found in errors.items()
+        gain("", model, found, errors["dc", reading], reading, baseline="dc")
+        for (model, reading), found in errors.items()
         if "dc" in runs and model not in ("b", "cf", "dc")
     ]
     tables = [gain_table("Control models against b", over_b, ABOUT + "Baseline: b.")]
@@ -73,9 +75,7 @@ def models_control(of: Reproduced, out: Path, models: list[str], *, tell: Callab
     return write_control(folder, tables, {"control": "models", "against_b": over_b, "against_dc": over_dc})
 
 
-def trained(
-    dataset: Dataset, config: TrainConfig, runs: Path, *, tell: Callable[[str], None], stages: Path | None = None
-) -> Run:
+def trained(dataset: Dataset, config: TrainConfig, runs: Path, *, stages: Path | None = None) -> Run:
     """The run of a configuration in `runs/MODEL-SEED`.
 
     Args:
@@ -84,6 +84,6 @@ def trained(
     folder = runs / f"{config.model}-{config.seed}"
     if not (folder / "model.json").exists():
         reuse_stages(stages or runs, folder, config.seed)
-        tell(f"training {folder.name}")
+        logger.info(f"training {folder.name}")
         train(dataset, config, folder, resume=(folder / "config.json").exists())
     return load_run(folder)

@@ -1,20 +1,19 @@
 """The ceiling: what models gain that are told the true ground, and how much of it visual features reach."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from experiments.controls.data import oracle_dataset
-from experiments.controls.errors import HINDSIGHT, MAP, errors_of, gain, judged_index, same_windows, share
+from experiments.controls.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain, same_windows, share
 from experiments.controls.models import trained
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, percent, write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.evaluation.tables import Sampling, pool
 from offpiste.visualization.coverage import TextTable
 
@@ -29,36 +28,36 @@ SHARES = (
 )
 
 
-def oracle_control(of: Reproduced, out: Path, *, tell: Callable[[str], None]) -> Path:
+def oracle_control(of: Reproduced, out: Path) -> Path:
     """Train b and df on the truth, judge them on the reproduction's windows, and compare its runs with them."""
     folder, scale, stride = out / "oracle", of.scale, of.size.stride
-    truth = oracle_dataset(of.logs(), of.split_for(folder), folder / "dataset.zarr", tell=tell)
+    truth = oracle_dataset(of.logs(), of.split_for(folder), folder / "dataset.zarr")
     config = replace(of.size.train, seed=0)
-    knowing = {m: trained(truth, replace(config, model=m), folder / "runs", tell=tell) for m in ("b", "df")}
+    knowing = {m: trained(truth, replace(config, model=m), folder / "runs") for m in ("b", "df")}
     windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")
     models = of.present(("cf", "dc", "df"))
     gains, lines = [], []
-    oracle: dict[tuple[str, Way], Errors] = {}
-    for way in [MAP, *(("recorded", name) for name in FEATURE_SETS)]:
-        index = judged_index(windows, way, stride)
-        there, of_truth = same_windows(windows, index, true_windows), MAP if way == MAP else HINDSIGHT
+    oracle: dict[tuple[str, Reading], Errors] = {}
+    for reading in [MAP, *(("recorded", name) for name in FEATURE_SETS)]:
+        index = evaluation_index(windows, reading, stride)
+        there, of_truth = same_windows(windows, index, true_windows), MAP if reading == MAP else HINDSIGHT
         if ("b", of_truth) not in oracle:
             for model, run in knowing.items():
                 kept = out / "judged" / "oracle"
                 oracle[model, of_truth] = errors_of(run, true_windows, there, of_truth, scale=scale, kept=kept)
             gains.append(gain("true ground", "oracle", [oracle["df", of_truth]], [oracle["b", of_truth]], of_truth))
 
-        def errors(model: str, way: Way = way, index: np.ndarray = index) -> list[Errors]:
-            return [errors_of(run, windows, index, way, scale=scale, kept=out / "judged") for run in of.runs(model)]
+        def errors(model: str, reading: Reading = reading, index: np.ndarray = index) -> list[Errors]:
+            return [errors_of(run, windows, index, reading, scale=scale, kept=out / "judged") for run in of.runs(model)]
 
         blind = errors("b")
         for model in models:
             mine = errors(model)
-            gains.append(gain("", model, mine, blind, way))
+            gains.append(gain("", model, mine, blind, reading))
             best, base = (pool([oracle[name, of_truth]]) for name in ("df", "b"))
             reached = share(pool(mine), pool(blind), best, base, Sampling().on(best))
-            lines.append((model, " ".join(filter(None, way)), percent(reached, 0), reached))
+            lines.append((model, " ".join(filter(None, reading)), percent(reached, 0), reached))
     table = TextTable("Share of the oracle's gain", ("model", "lookup", "share"), tuple(x[:3] for x in lines), SHARES)
-    shares = [{"model": model, "way": way, "share": reached} for model, way, _, reached in lines]
+    shares = [{"model": model, "way": reading, "share": reached} for model, reading, _, reached in lines]
     results = {"control": "oracle", "gains": gains, "shares": shares}
     return write_control(folder, [table, gain_table("Gains over b", gains, ABOUT)], results)

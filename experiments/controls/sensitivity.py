@@ -20,7 +20,7 @@ ABOUT = (
 )
 
 
-class Told(msgspec.Struct, frozen=True, kw_only=True):
+class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
     """How a model's differences follow the simulator's; ahead and to the left together unless said."""
 
     model: str
@@ -47,7 +47,7 @@ class Differences:
     predicted: Float[np.ndarray, "n 2"]
 
 
-def told_apart(model: str, found: Differences, seed: int = 0) -> Told:
+def sensitivity(model: str, found: Differences, seed: int = 0) -> Sensitivity:
     """Slope, correlation and what is left over, each with its interval."""
     drawn = resampling(blocks(found.drive, found.row), np.random.default_rng(seed))
     s, p = found.simulated, found.predicted
@@ -59,7 +59,7 @@ def told_apart(model: str, found: Differences, seed: int = 0) -> Told:
             mean = float(of(*(value.mean(keepdims=True) for value in values))[0])
             return PairedDifference(mean, drawn.interval(of(*(drawn.means(value) for value in values))))
 
-    return Told(
+    return Sensitivity(
         model=model,
         n=len(s),
         simulated_rms_m=float(np.sqrt(ss.mean())),
@@ -76,7 +76,7 @@ def _correlation(ss: np.ndarray, pp: np.ndarray, sp: np.ndarray) -> np.ndarray:
     return sp / np.sqrt(ss * pp)
 
 
-def told_table(told: Sequence[Told]) -> TextTable:
+def sensitivity_table(told: Sequence[Sensitivity]) -> TextTable:
     """A line a model."""
 
     def said(value: PairedDifference) -> str:
@@ -96,7 +96,7 @@ def told_table(told: Sequence[Told]) -> TextTable:
     return TextTable("Twins told apart", names, tuple(lines), ABOUT)
 
 
-def draw_told(found: Mapping[str, Differences], told: Sequence[Told]) -> Figure:
+def draw_sensitivity(found: Mapping[str, Differences], told: Sequence[Sensitivity]) -> Figure:
     """Predicted against simulated differences, a column a model, ahead and to the left."""
     figure = Figure(figsize=(1.0 + 2.8 * len(found), 5.6), layout="constrained")
     panels = figure.subplots(2, len(found), squeeze=False, sharex="row", sharey="row")

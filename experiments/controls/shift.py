@@ -4,7 +4,7 @@ The shifted features look like those of any ground, as often missing at each dis
 driven on. What is left of the gain does not come from knowing the ground.
 """
 
-from collections.abc import Callable
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,16 +12,18 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from experiments.controls.errors import HINDSIGHT, MAP, Gain, errors_of, gain, judged_index, same_windows
+from experiments.controls.errors import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, percent, write_control
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.mapping.terrain_lookup import MapTerrain
 from offpiste.state import Terrain, TerrainSource
 from offpiste.training.terrain_sources import map_terrain, with_past_on
+
+logger = logging.getLogger("experiments")
 
 METRES = 50.0
 """Patches of ground are 8 to 25 m long (`simulation.ground.PATCH_GRAIN`): so far on lies another one."""
@@ -33,27 +35,27 @@ ABOUT = (
 )
 
 
-def shift_control(of: Reproduced, out: Path, *, tell: Callable[[str], None]) -> Path:
+def shift_control(of: Reproduced, out: Path) -> Path:
     """Judge the reproduction's runs with features from elsewhere."""
     windows, kept, scale = Windows(of.dataset, "test"), out / "judged", of.scale
     elsewhere = Windows(shifted(of.dataset, METRES), "test")
-    ways: list[Way] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
+    readings: list[Reading] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
     gains: list[Gain] = []
-    for way in ways:
-        index = judged_index(windows, way, of.size.stride)
-        if way == MAP and not len(index):
+    for reading in readings:
+        index = evaluation_index(windows, reading, of.size.stride)
+        if reading == MAP and not len(index):
             continue
-        blind = [errors_of(run, windows, index, way, scale=scale, kept=kept) for run in of.runs("b")]
-        other, ground = (windows, ShiftedMap(windows, METRES)) if way == MAP else (elsewhere, None)
+        blind = [errors_of(run, windows, index, reading, scale=scale, kept=kept) for run in of.runs("b")]
+        other, ground = (windows, ShiftedMap(windows, METRES)) if reading == MAP else (elsewhere, None)
         there = same_windows(windows, index, other)
         for model in of.present(("cf", "dc", "df")):
             runs = of.runs(model)
-            mine = [errors_of(run, windows, index, way, scale=scale, kept=kept) for run in runs]
+            mine = [errors_of(run, windows, index, reading, scale=scale, kept=kept) for run in runs]
             asked = {} if ground is None else {"ground": ground}
-            moved = [errors_of(run, other, there, way, scale=scale, kept=kept / "shifted", **asked) for run in runs]
-            gains += [gain("as recorded", model, mine, blind, way), gain("shifted", model, moved, blind, way)]
+            moved = [errors_of(run, other, there, reading, scale=scale, kept=kept / "shifted", **asked) for run in runs]
+            gains += [gain("as recorded", model, mine, blind, reading), gain("shifted", model, moved, blind, reading)]
             there_too = f"{percent(gains[-2].distance)}, shifted {percent(gains[-1].distance)}"
-            tell(f"{model}, {' '.join(filter(None, way))}: {there_too}")
+            logger.info(f"{model}, {' '.join(filter(None, reading))}: {there_too}")
     table = gain_table("Features shifted along the path", gains, ABOUT)
     return write_control(out / "shift", [table], {"control": "shift", "metres": METRES, "gains": gains})
 

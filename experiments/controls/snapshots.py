@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.controls.data import RIG
-from experiments.controls.errors import MAP, errors_of, gain, judged_index
+from experiments.controls.errors import MAP, errors_of, evaluation_index, gain
 from experiments.controls.models import trained
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, write_control
@@ -34,7 +34,7 @@ ABOUT = (
 )
 
 
-def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float, tell: Callable[[str], None]) -> Path:
+def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float) -> Path:
     """Extract some drives with snapshots for their training windows too, train on both kinds, judge on maps.
 
     Args:
@@ -57,13 +57,12 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float,
         split=of.split_for(folder),
         pca=of.pca,
         snapshots=kept,
-        tell=tell,
     )
     # Each window is a drive with one start, its row 10: no stride. Fewer windows than usual, so smaller batches.
     config = replace(of.member("cf").config(of.size, 0, "cpu"), stride=1, batch=64)
     on_map, usual = (own_drives(dataset, read) for read in (read_on_snapshot, read_as_stored))
     windows = Windows(of.dataset, "test")
-    index, gains = judged_index(windows, MAP, of.size.stride), []
+    index, gains = evaluation_index(windows, MAP, of.size.stride), []
     for case, data, models in (
         ("trained on snapshots", on_map, ("b", "cf")),
         ("trained on the same windows", usual, ("b", "cf", "dc")),
@@ -71,7 +70,7 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float,
         place = folder / case.replace(" ", "-")
         errors = {
             model: errors_of(
-                trained(data, replace(config, model=model), place / "runs", tell=tell),
+                trained(data, replace(config, model=model), place / "runs"),
                 windows,
                 index,
                 MAP,

@@ -4,7 +4,8 @@ Cheap: drives without cameras; features are the true kinds of ground and wetness
 smooth noise of a stated size in the place of imperfect sight. Dear: drives with cameras and the reproduction's PCA.
 """
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.controls.data import driven_dataset, planned
-from experiments.controls.errors import MAP, Gain, errors_of, gain, judged_index
+from experiments.controls.errors import MAP, Gain, errors_of, evaluation_index, gain
 from experiments.controls.models import trained
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, write_control
@@ -23,6 +24,8 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.simulation.world.noise import smooth_noise
+
+logger = logging.getLogger("experiments")
 
 FIRST_SEED = 4000
 GRAIN = 3.0
@@ -51,15 +54,15 @@ class Sweep:
     test: tuple[float, ...] = (90.0, 90.0)
 
 
-def sweep_control(of: Reproduced, out: Path, kind: str, sweep: Sweep, *, tell: Callable[[str], None]) -> Path:
+def sweep_control(of: Reproduced, out: Path, kind: str, sweep: Sweep) -> Path:
     """Drive, train and judge at every value of "contrast" or "appearance"."""
     by_contrast, gains = kind == "contrast", []
     values = sweep.contrasts if by_contrast else sweep.appearances
     for value in values:
         contrast, looks = (value, 1.0 if sweep.visual else 0.0) if by_contrast else (1.0, value)
-        mine = _condition(of, out / "sweeps", sweep, contrast, looks, tell)
+        mine = _condition(of, out / "sweeps", sweep, contrast, looks)
         gains += [(value, _named(g, f"{kind} {value:g}")) for g in mine]
-        tell(f"{kind} {value:g}: " + ", ".join(f"{g.model} {g.distance.mean:+.1%}" for g in mine))
+        logger.info(f"{kind} {value:g}: " + ", ".join(f"{g.model} {g.distance.mean:+.1%}" for g in mine))
     name = f"{kind}-visual" if sweep.visual else kind
     table = gain_table(f"Gain against {kind}", [g for _, g in gains], _about(sweep))
     results = {"control": name, "sweep": sweep, "gains": [{"value": value, "gain": g} for value, g in gains]}
@@ -74,18 +77,16 @@ def _named(found: Gain, case: str) -> Gain:
     return msgspec.structs.replace(found, case=case)
 
 
-def _condition(
-    of: Reproduced, folder: Path, sweep: Sweep, contrast: float, looks: float, tell: Callable[[str], None]
-) -> list[Gain]:
+def _condition(of: Reproduced, folder: Path, sweep: Sweep, contrast: float, looks: float) -> list[Gain]:
     lengths = (sweep.train, sweep.validation, sweep.test)
     appearance, noise = (looks, 0.0) if sweep.visual else (1.0, looks)
     sensors = "light" if sweep.visual else "none"
     drives = planned(sweep.world, lengths, seed=FIRST_SEED, sensors=sensors, contrast=contrast, appearance=appearance)
     place = folder / f"{'visual' if sweep.visual else 'kinds'}-contrast{contrast:g}-appearance{appearance:g}"
     if sweep.visual:
-        dataset = driven_dataset(drives, place, pca=of.pca, snapshot_seconds=of.size.snapshot_seconds, tell=tell)
+        dataset = driven_dataset(drives, place, pca=of.pca, snapshot_seconds=of.size.snapshot_seconds)
     else:
-        dataset = driven_dataset(drives, place, features="ground-kind", tell=tell)
+        dataset = driven_dataset(drives, place, features="ground-kind")
         if noise:
             dataset = with_noise(dataset, [place / "logs" / f"{d.name}.mcap" for d in dataset.drives], noise)
     models = ("b", "cf", "dc") if sweep.visual else ("b", "df")
@@ -93,9 +94,9 @@ def _condition(
     runs = {}
     for model in models:
         own = place / (f"runs-noise{noise:g}" if noise and model != "b" else "runs")
-        runs[model] = trained(dataset, replace(config, model=model), own, stages=place / "runs", tell=tell)
+        runs[model] = trained(dataset, replace(config, model=model), own, stages=place / "runs")
     windows, scale = Windows(dataset, "test"), runs["b"].scale
-    index = judged_index(windows, MAP, of.size.stride)
+    index = evaluation_index(windows, MAP, of.size.stride)
     errors = {
         model: errors_of(run, windows, index, MAP, scale=scale, kept=run.folder.parent.parent / f"judged-{noise:g}")
         for model, run in runs.items()

@@ -5,7 +5,7 @@ ground. So two maps show the same places with other looks, everything else being
 The simulator says where the vehicle would have gone there, parting from the drive at each window's start.
 """
 
-from collections.abc import Callable
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from experiments.controls.branches import branches_of, load_branches, record_on,
 from experiments.controls.data import driven_dataset, oracle_dataset
 from experiments.controls.errors import same_windows
 from experiments.controls.reproduced import Reproduced
-from experiments.controls.sensitivity import Differences, draw_told, told_apart, told_table
+from experiments.controls.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
 from experiments.controls.tables import write_control
 from offpiste.conventions import DT
 from offpiste.dataset.store import Dataset, open_dataset
@@ -27,10 +27,10 @@ from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.run import Run, load_run
 
+logger = logging.getLogger("experiments")
 
-def twins_control(
-    of: Reproduced, out: Path, *, drives: int, seconds: float, oracle: Path | None, tell: Callable[[str], None]
-) -> Path:
+
+def twins_control(of: Reproduced, out: Path, *, drives: int, seconds: float, oracle: Path | None) -> Path:
     """Record twins of test drives, and compare what models predict on both grounds with what the simulator says.
 
     Args:
@@ -43,26 +43,24 @@ def twins_control(
     for drive in chosen:
         log, kept = folder / "logs" / f"{drive.name}.mcap", folder / "branches" / f"{drive.name}.safetensors"
         if not (log.exists() and kept.exists()):
-            tell(f"driving {drive.name} once more")
+            logger.info(f"driving {drive.name} once more")
             world, ground = twin_worlds(drive.settings)
             if not kept.exists():
                 save_branches(kept, branches_of(drive.settings, world, ground, _snapshot_rows(of.dataset, drive.name)))
             record_on(drive.settings, world, ground, log)
-    other = driven_dataset(
-        chosen, folder, pca=of.pca, snapshot_seconds=of.size.snapshot_seconds, min_hindsight=0.0, tell=tell
-    )
+    other = driven_dataset(chosen, folder, pca=of.pca, snapshot_seconds=of.size.snapshot_seconds, min_hindsight=0.0)
     found: dict[str, Differences] = {}
     for model in ("b", *of.present(("cf", "dc"))):
         runs = of.runs(model)
         found[model] = _mean([_compared(run, of.dataset, other, folder / "branches") for run in runs])
     if oracle is not None and (oracle / "runs" / "df-0" / "model.json").exists():
         logs = [folder / "logs" / f"{drive.name}.mcap" for drive in chosen]
-        truth = oracle_dataset(logs, f"drives:{folder / 'parts.txt'}", folder / "truth.zarr", tell=tell)
+        truth = oracle_dataset(logs, f"drives:{folder / 'parts.txt'}", folder / "truth.zarr")
         run, own = load_run(oracle / "runs" / "df-0"), open_dataset(oracle / "dataset.zarr")
         found["oracle"] = _compared(run, own, truth, folder / "branches", like=found["b"], names=of.dataset)
-    told = [told_apart(model, differences) for model, differences in found.items()]
+    told = [sensitivity(model, differences) for model, differences in found.items()]
     return write_control(
-        folder, [told_table(told)], {"control": "twins", "told": told}, {"twins": draw_told(found, told)}
+        folder, [sensitivity_table(told)], {"control": "twins", "told": told}, {"twins": draw_sensitivity(found, told)}
     )
 
 

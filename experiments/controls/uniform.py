@@ -1,11 +1,10 @@
 """Ground that looks different and drives alike: features have nothing to say, and no gain may remain."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from experiments.controls.data import driven_dataset, planned
-from experiments.controls.errors import HINDSIGHT, MAP, errors_of, gain, judged_index
+from experiments.controls.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
 from experiments.controls.models import trained
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, write_control
@@ -36,30 +35,27 @@ class UniformDrives:
 FIRST_SEED = 3000
 
 
-def uniform_control(of: Reproduced, out: Path, drives: UniformDrives, *, tell: Callable[[str], None]) -> Path:
+def uniform_control(of: Reproduced, out: Path, drives: UniformDrives) -> Path:
     """Drive, train and judge b, cf and dc on uniform ground, with the reproduction's PCA and settings."""
     folder = out / "uniform"
     lengths = (drives.train, drives.validation, drives.test)
-    dataset = driven_dataset(
-        planned("uniform", lengths, seed=FIRST_SEED, sensors="light"), folder, pca=of.pca, tell=tell
-    )
+    dataset = driven_dataset(planned("uniform", lengths, seed=FIRST_SEED, sensors="light"), folder, pca=of.pca)
     windows, gains = Windows(dataset, "test"), []
     member = of.member("b")
     config = replace(member.config(of.size, 0, "cpu"), pca=min(member.pca, len(dataset.features)))
     runs = {
         model: [
-            trained(dataset, replace(config, model=model, seed=seed), folder / "runs", tell=tell)
-            for seed in range(drives.seeds)
+            trained(dataset, replace(config, model=model, seed=seed), folder / "runs") for seed in range(drives.seeds)
         ]
         for model in ("b", "cf", "dc")
     }
     scale = runs["b"][0].scale
-    for way in (MAP, HINDSIGHT):
-        index = judged_index(windows, way, of.size.stride)
+    for reading in (MAP, HINDSIGHT):
+        index = evaluation_index(windows, reading, of.size.stride)
         errors = {
-            model: [errors_of(run, windows, index, way, scale=scale, kept=folder / "judged") for run in mine]
+            model: [errors_of(run, windows, index, reading, scale=scale, kept=folder / "judged") for run in mine]
             for model, mine in runs.items()
         }
-        gains += [gain("uniform", model, errors[model], errors["b"], way) for model in ("cf", "dc")]
+        gains += [gain("uniform", model, errors[model], errors["b"], reading) for model in ("cf", "dc")]
     table = gain_table("Uniform ground", gains, ABOUT)
     return write_control(folder, [table], {"control": "uniform", "drives": drives.__dict__, "gains": gains})

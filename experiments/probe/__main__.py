@@ -6,6 +6,7 @@ ceiling, the true ground kind, and its floor, brightness; then what wrong mounti
 """
 
 import json
+import logging
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
+from experiments.command import run
 from experiments.probe.cells import see_cells_once
 from experiments.probe.figures import distance_picture, distance_table, flaw_picture, flaw_table
 from experiments.probe.scores import Pooled, flaw_rows, pool, probe_rows
@@ -25,13 +26,15 @@ from offpiste.dataset.splits import parse_split
 from offpiste.errors import PerceptionError
 from offpiste.files import write_bytes, write_text
 from offpiste.perception.backbones.backbone import FILTERBANK, open_backbone
-from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
-from offpiste.progress import tell, track
+from offpiste.progress import track
 from offpiste.reproduction.data import simulate_once
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
+
+logger = logging.getLogger("experiments")
 
 MIXED = "mixed"
 """All worlds together."""
@@ -74,7 +77,7 @@ class Probe:
             raise PerceptionError(f"seed {min(both)} both trains and judges", how="give --judged other seeds")
         rows = self.by_distance()
         flaws = self.by_flaw() if self.flaw_worlds else []
-        made = {"numpy": np.__version__, "python": platform.python_version(), "pca": self.looking.identity}
+        made = {"numpy": np.__version__, "python": platform.python_version(), "pca": self.extractor.identity}
         result = {"settings": json.loads(json.dumps(asdict(self), default=str)), "made_with": made}
         write_text(self.out / "probe.json", json.dumps(result | {"probes": rows, "flaws": flaws}, indent=1))
         for worlds in dict.fromkeys(row["worlds"] for row in rows):
@@ -82,7 +85,7 @@ class Probe:
             write_bytes(self.out / f"probe_{worlds}.png", picture)
         if flaws:
             write_bytes(self.out / "probe_flaws.png", flaw_picture(flaws, title=", ".join(self.flaw_worlds)))
-        tell(f"{self.out / 'probe.json'}, and pictures beside it")
+        logger.info(f"{self.out / 'probe.json'}, and pictures beside it")
 
     def by_distance(self) -> list[dict[str, Any]]:
         """Probes of each world, and of all together."""
@@ -93,7 +96,7 @@ class Probe:
         for name, worlds in groups.items():
             train, test = self.pooled(worlds, self.seeds), self.pooled(worlds, self.judged)
             rows += probe_rows(train, test, name)
-            tell(distance_table([row for row in rows if row["worlds"] == name], name))
+            logger.info(distance_table([row for row in rows if row["worlds"] == name], name))
         return rows
 
     def by_flaw(self) -> list[dict[str, Any]]:
@@ -105,7 +108,7 @@ class Probe:
             for seeds in (self.seeds, self.judged)
         )
         rows = flaw_rows(train, test, str(Flaw()), {str(flaw): asdict(flaw) for flaw in flaws})
-        tell(flaw_table(rows))
+        logger.info(flaw_table(rows))
         return rows
 
     def pooled(self, worlds: Sequence[str], seeds: Sequence[int], *, flaw: Flaw | None = None) -> Pooled:
@@ -115,12 +118,12 @@ class Probe:
         for number, world, seed in track(names, f"extract, {flaw or 'as recorded'}"):
             drive = f"{world}-{seed}"
             piece = drive if flaw is None else f"{drive}-{self.flaw_seconds:g}s-{flaw}"
-            path = self.out / "cells" / self.looking.identity / f"{piece}.npz"
+            path = self.out / "cells" / self.extractor.identity / f"{piece}.npz"
             seconds = None if flaw is None else self.flaw_seconds
             new = not path.exists()
-            cells = see_cells_once(path, self.log(world, seed), self.rig, self.looking, flaw=flaw, seconds=seconds)
+            cells = see_cells_once(path, self.log(world, seed), self.rig, self.extractor, flaw=flaw, seconds=seconds)
             if new:
-                tell(f"{piece}: {len(cells.row)} cells, {cells.valid[0].mean():.0%} valid in hindsight")
+                logger.info(f"{piece}: {len(cells.row)} cells, {cells.valid[0].mean():.0%} valid in hindsight")
             seen.append((number, cells))
         return pool(seen)
 
@@ -128,7 +131,7 @@ class Probe:
         """A drive, simulated if it is not there."""
         path = (self.drives or self.out / "drives") / f"{world}-{seed}.mcap"
         settings = DriveSettings(WorldSettings(world, seed), self.seconds, seed=seed, sensors="light")
-        simulate_once(settings, path, tell=tell)
+        logger.info(simulate_once(settings, path))
         return path
 
     @cached_property
@@ -137,7 +140,7 @@ class Probe:
         return load_rig("proving_ground")
 
     @cached_property
-    def looking(self) -> Looking:
+    def extractor(self) -> FeatureExtractor:
         """Backbone and PCA; the PCA is fitted once, on the drives that train.
 
         Raises:
@@ -147,14 +150,14 @@ class Probe:
         if not path.exists():
             logs = [self.log(world, seed) for world in self.worlds for seed in self.seeds]
             backbone = open_backbone(self.backbone)
-            fitted = fit_pca(logs, self.rig, parse_split("blocks:1,0,0"), backbone, images=self.images, tell=tell)
+            fitted = fit_pca(logs, self.rig, parse_split("blocks:1,0,0"), backbone, images=self.images)
             save_pca(path, fitted.pca)
-        looking = load_looking(path)
+        extractor = load_feature_extractor(path)
         judged = {f"{world}-{seed}" for world in self.worlds for seed in self.judged}
-        if both := judged & set(looking.pca.fitted_on.get("logs", ())):
+        if both := judged & set(extractor.pca.fitted_on.get("logs", ())):
             raise PerceptionError(f"fitted on '{min(both)}', which judges", where=path, how="give another --out")
-        return looking
+        return extractor
 
 
 if __name__ == "__main__":
-    tyro.cli(Probe).run()
+    run(Probe)

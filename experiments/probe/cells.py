@@ -22,7 +22,7 @@ from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import ReplaySettings
 from offpiste.mapping.terrain_map import wheel_places
 from offpiste.perception.backbones.backbone import Backbone
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents
 from offpiste.rig.rig import Rig
 from offpiste.simulation.world.surface import read_grid
@@ -74,9 +74,9 @@ class WithColour(Backbone):
         return torch.cat((self._inner(images.permute(0, 2, 3, 1)), colour), dim=3)
 
 
-def with_colour(looking: Looking) -> Looking:
+def with_colour(extractor: FeatureExtractor) -> FeatureExtractor:
     """The same look, with the mean red, green and blue of each patch as the last three features."""
-    backbone, pca = WithColour(looking.backbone), looking.pca
+    backbone, pca = WithColour(extractor.backbone), extractor.pca
     basis = np.zeros((backbone.channels, pca.components + 3), np.float32)
     basis[: pca.basis.shape[0], : pca.components] = pca.basis
     basis[-3:, -3:] = np.eye(3)
@@ -88,11 +88,11 @@ def with_colour(looking: Looking) -> Looking:
         backbone=backbone.name,
         fingerprint=backbone.fingerprint,
     )
-    return Looking(backbone, extended)
+    return FeatureExtractor(backbone, extended)
 
 
 def see_cells(
-    log: Path, rig: Rig, looking: Looking, *, flaw: Flaw | None = None, seconds: float | None = None
+    log: Path, rig: Rig, extractor: FeatureExtractor, *, flaw: Flaw | None = None, seconds: float | None = None
 ) -> SeenCells:
     """Play a simulated drive back, and read the truth at the cells that its wheels touched.
 
@@ -109,7 +109,7 @@ def see_cells(
         rows, sensors = _first(rows, seconds), stretch(sensors, rows.time[0], rows.time[0] + seconds)
     sensors = perturbed(sensors, flaw or Flaw())
     settings = ReplaySettings()
-    seen = with_visual_features(rows, sensors, rig, with_colour(looking), settings).cells
+    seen = with_visual_features(rows, sensors, rig, with_colour(extractor), settings).cells
     assert seen is not None
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions()).reshape(-1, 2)
@@ -130,11 +130,17 @@ def see_cells(
 
 
 def see_cells_once(
-    piece: Path, log: Path, rig: Rig, looking: Looking, *, flaw: Flaw | None = None, seconds: float | None = None
+    piece: Path,
+    log: Path,
+    rig: Rig,
+    extractor: FeatureExtractor,
+    *,
+    flaw: Flaw | None = None,
+    seconds: float | None = None,
 ) -> SeenCells:
     """`see_cells`, kept in a file: written whole, and read where it is there already."""
     if not piece.exists():
-        cells = see_cells(log, rig, looking, flaw=flaw, seconds=seconds)
+        cells = see_cells(log, rig, extractor, flaw=flaw, seconds=seconds)
         save_cells(piece, cells)
     return load_cells(piece)
 

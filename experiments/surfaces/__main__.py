@@ -6,6 +6,7 @@ what helps may be knowing the day. A label is the same all over a recording: rea
 `python -m experiments.surfaces.__main__ ../shared/data/dart --out surfaces`
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import torch
 import tyro
 
+from experiments.command import run
 from experiments.surfaces.labels import (
     FLOORS,
     Labels,
@@ -25,7 +27,7 @@ from experiments.surfaces.labels import (
     shuffled,
 )
 from experiments.surfaces.tables import Results, tables
-from offpiste.conventions import JUDGED_STRIDE
+from offpiste.conventions import EVALUATION_STRIDE
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
@@ -33,11 +35,13 @@ from offpiste.evaluation.errors import Errors, predict
 from offpiste.evaluation.tables import pool
 from offpiste.files import write_text
 from offpiste.parallel import Report, run_all
-from offpiste.progress import tell, track
+from offpiste.progress import show, track
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
+
+logger = logging.getLogger("experiments")
 
 HALVES = (0, 1)
 
@@ -68,7 +72,7 @@ class Trial:
         dataset = self.data() if labels is None else relabelled(self.data(), labels)
         windows = Windows(dataset, "test")
         weights = torch.tensor(run.weights.in_order())
-        index = windows.judged(JUDGED_STRIDE)
+        index = windows.judged(EVALUATION_STRIDE)
         return predict(run.dynamics, windows, index, lookup="recorded", scale=run.scale, weights=weights)
 
 
@@ -116,7 +120,7 @@ class Surfaces:
         for number, labels in enumerate(shuffled(floors, half, self.permutations, self.seed)):
             reading += self._trials(f"shuffled{number}", labels, half, self.models, [number % self.seeds])
         for trials in (blind, reading):  # the blind ones fit the bicycles of all
-            failed = run_all(train_once, trials, self.processes, "train", tell)
+            failed = run_all(train_once, trials, self.processes, "train")
             if failed:
                 raise DatasetError(f"{len(failed)} trainings failed; the first: {failed[0]}", where=self.out)
         said = tables(self._judge(blind + reading, floors), [drive.name for drive in dataset.drives], floors, FLOORS)
@@ -156,8 +160,8 @@ class Surfaces:
 def main(settings: Surfaces) -> None:
     """Run and print the tables."""
     torch.set_num_threads(1)
-    tell(settings.run())
+    show(settings.run())
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Surfaces))
+    run(main)

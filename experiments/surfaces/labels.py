@@ -10,7 +10,7 @@ from offpiste.dataset.cells import Cells
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import PARTS, Split
 from offpiste.dataset.store import Dataset, add_drive, create, drive_names, open_dataset
-from offpiste.dataset.window_starts import judged_starts
+from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import LogError
 from offpiste.logs.drive import drive_name, read_drive
 from offpiste.rig.rig import load_rig
@@ -69,7 +69,7 @@ def extract_floors(found: Sequence[Recording], out: Path) -> tuple[Dataset, Labe
             continue
         drive = read_drive(recording.path, load_rig(_RIGS[recording.floor]))
         rows = labelled(extract_rows(drive), recording.floor)
-        if len(judged_starts(rows, rows.valid)):
+        if len(evaluation_starts(rows, rows.valid)):
             add_drive(out, recording.name, rows, split, drive.notes)
     dataset = open_dataset(out)
     return dataset, {r.name: r.floor for r in found if r.name in {drive.name for drive in dataset.drives}}

@@ -32,10 +32,10 @@ angles [1/rad], resistance over load [1], further resistance over load at full w
 GROUND_KINDS: Final = ("packed_sand", "loose_sand", "dirt_trail", "gravel", "mud", "dry_grass", "wet_grass")
 """What simulated ground is of."""
 
-MIN_JUDGED_SPEED: Final = 1.5
+MIN_EVALUATION_SPEED: Final = 1.5
 """Judged windows start above this speed [m/s]."""
 
-JUDGED_STRIDE: Final = 5
+EVALUATION_STRIDE: Final = 5
 """Rows between the starts of judged windows: one every 0.1 s."""
 
 GRAVITY: Final = 9.80665

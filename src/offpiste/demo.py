@@ -4,6 +4,7 @@ The whole path on the proving ground: simulate, inspect, look, extract, train, j
 """
 
 import json
+import logging
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -22,7 +23,7 @@ from offpiste.dataset.splits import PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.evaluate_runs import judge_runs
+from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.figures import grouped_boxes
 from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, relative, summary
 from offpiste.evaluation.report import png
@@ -43,6 +44,8 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
 from offpiste.visualization.coverage import TextTable
 
+logger = logging.getLogger(__name__)
+
 BASELINE, MODEL = "b", "dc"
 MAP = "map, predicted places"
 
@@ -50,30 +53,32 @@ Read = dict[str, dict[str, Errors]]
 """Errors by where the ground is read, and by model."""
 
 
-def tell_result(evaluation: Evaluation, dataset: Dataset, folder: Path, *, tell: Callable[[object], None]) -> None:
+def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> None:
     """Say and draw how far `b` and `dc` are off after 5 s; the picture goes to `folder/distance.png`."""
     read = by_reading(evaluation)
     table, picture = compared(read), folder / "distance.png"
     boxes = {place: {name: errors.distance() for name, errors in models.items()} for place, models in read.items()}
     title = f"Demo: {BASELINE} and {MODEL}, trained on {_seconds(dataset, 'train'):.0f} s"
     write_bytes(picture, png(grouped_boxes(boxes, title=title, axis="ground read from a view at [m]")))
-    tell(table.rich())
-    tell(table.about)
-    tell(conclusion(gain_of(read[MAP]) if MAP in read else gain_of(next(iter(read.values()))), dataset))
+    logger.info(table.rich())
+    logger.info(table.about)
+    logger.info(conclusion(gain_of(read[MAP]) if MAP in read else gain_of(next(iter(read.values()))), dataset))
     reference = next(errors for case, errors in evaluation.errors.items() if case.label == REFERENCE)
-    tell(f"For scale: '{REFERENCE}', a bicycle at constant speed, is off by {reference.distance().mean():.2f} m.")
-    tell(
+    logger.info(
+        f"For scale: '{REFERENCE}', a bicycle at constant speed, is off by {reference.distance().mean():.2f} m."
+    )
+    logger.info(
         "More driving: `offpiste reproduce fig4 --size laptop` (two hours); measured results stand in docs/results.md."
     )
-    tell(f"picture: {picture}")
-    tell(f"report: {folder / 'report.html'}")
+    logger.info(f"picture: {picture}")
+    logger.info(f"report: {folder / 'report.html'}")
 
 
 def by_reading(evaluation: Evaluation) -> Read:
     """Errors of both models on the same windows, by the view that the ground is read from, and on the map."""
     found: Read = {}
-    for place, way in {**{name: ("recorded", name) for name in FEATURE_SETS}, MAP: ("map", None)}.items():
-        models = {c.label: e for c, e in evaluation.errors.items() if (c.lookup, c.feature_set) == way}
+    for place, reading in {**{name: ("recorded", name) for name in FEATURE_SETS}, MAP: ("map", None)}.items():
+        models = {c.label: e for c, e in evaluation.errors.items() if (c.lookup, c.feature_set) == reading}
         if {BASELINE, MODEL} <= models.keys():
             found[place] = {name: models[name] for name in (BASELINE, MODEL)}
     return found
@@ -171,7 +176,7 @@ class DemoSettings:
     course_speed: float = 6.0
 
 
-def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tell) -> None:
+def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
     """Make everything in `out`; what is there already from an earlier demo with the same settings is used again.
 
     Args:
@@ -184,21 +189,21 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0, tell: Tel
     rig, processes = load_rig("proving_ground"), processes or usable_cores()
     recordings = _recordings(out, settings)
     logs = [recording.log for recording in recordings]
-    tell(
+    logger.info(
         f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s (no real vehicle),"
         " each in a world of its own, with one camera and one LiDAR"
     )
-    simulate_all(recordings, processes, tell=tell)
-    tell(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
-    tell(render(inspect_log(open_log(logs[0]), rig)))
-    dataset = _extracted(logs, rig, out, settings, processes, tell)
-    runs = [_trained(name, dataset, out, settings, tell) for name in MODELS]
+    simulate_all(recordings, processes)
+    logger.info(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
+    logger.info(render(inspect_log(open_log(logs[0]), rig)))
+    dataset = _extracted(logs, rig, out, settings, processes)
+    runs = [_trained(name, dataset, out, settings) for name in MODELS]
     report, named = out / "report", " ".join(map(str, runs))
-    tell(f"6/{STEPS}  offpiste evaluate {named} --dataset {dataset.path} --feature-set all --out {report}")
-    evaluation = judge_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
-    tell(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
-    tell_result(evaluation, dataset, report, tell=tell)
-    _drive(runs[-1], out, settings, tell)
+    logger.info(f"6/{STEPS}  offpiste evaluate {named} --dataset {dataset.path} --feature-set all --out {report}")
+    evaluation = evaluate_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
+    logger.info(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
+    report_result(evaluation, dataset, report)
+    _drive(runs[-1], out, settings)
 
 
 def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
@@ -211,26 +216,30 @@ def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
     return found
 
 
-def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int, tell: Tell) -> Dataset:
+def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int) -> Dataset:
     """The dataset; the PCA looks at drives that train only."""
     parts, pca, path = out / "parts.txt", out / "pca.safetensors", out / "dataset.zarr"
     split = write_drives(parts, ((log.stem, part) for log, part in zip(logs, settings.parts, strict=True)))
     looked_at = [log for log, part in zip(logs, settings.parts, strict=True) if part == "train"][:PCA_DRIVES]
     names = " ".join(map(str, looked_at))
-    tell(f"3/{STEPS}  offpiste fit-pca {names} --rig proving_ground --backbone {BACKBONE} --split {split} --out {pca}")
+    logger.info(
+        f"3/{STEPS}  offpiste fit-pca {names} --rig proving_ground --backbone {BACKBONE} --split {split} --out {pca}"
+    )
     if not pca.exists():
-        fitted = fit_pca(looked_at, rig, parse_split(split), open_backbone(BACKBONE), images=settings.images, tell=tell)
+        fitted = fit_pca(looked_at, rig, parse_split(split), open_backbone(BACKBONE), images=settings.images)
         write_image_list(pca.with_suffix(".images.txt"), fitted.images)
         save_pca(pca, fitted.pca)
-    tell(f"4/{STEPS}  offpiste extract {out}/logs/*.mcap --rig proving_ground --pca {pca} --split {split} --out {path}")
+    logger.info(
+        f"4/{STEPS}  offpiste extract {out}/logs/*.mcap --rig proving_ground --pca {pca} --split {split} --out {path}"
+    )
     kept = SnapshotSettings(settings.snapshot_seconds)
-    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes, tell=tell)
+    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes)
 
 
-def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings, tell: Tell) -> Path:
+def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) -> Path:
     """The folder of a run. What is the same for all models is fitted with the first."""
     folder = out / "runs" / f"{model}-{settings.seed}"
-    tell(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
+    logger.info(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
     reuse_stages(folder.parent, folder, settings.seed)
     config = TrainConfig(
         model=model,
@@ -241,15 +250,15 @@ def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings, te
         seed=settings.seed,
     )
     if not (folder / "model.json").exists():
-        train(dataset, config, folder, resume=(folder / "config.json").exists(), tell=tell)
+        train(dataset, config, folder, resume=(folder / "config.json").exists())
     return folder
 
 
-def _drive(run: Path, out: Path, settings: DemoSettings, tell: Tell) -> None:
+def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
     """A course in a world that no drive has been in, planned with the model."""
     folder, pca = out / "course", out / "pca.safetensors"
     seed = settings.seed + len(settings.parts)
-    tell(
+    logger.info(
         f"8/{STEPS}  offpiste drive {run} --pca {pca} --world {WORLD} --seed {seed}"
         f" --seconds {settings.course_seconds:g} --speed {settings.course_speed:g} --out {folder}"
     )
@@ -259,5 +268,5 @@ def _drive(run: Path, out: Path, settings: DemoSettings, tell: Tell) -> None:
         course = CourseSettings(speed=settings.course_speed)
         asked = CourseDrive(world, settings.course_seconds, course=course)
         drive_course(load_planner(run, pca), asked, folder)
-    tell(described(json.loads((folder / "result.json").read_text("utf-8"))))
-    tell(f"picture: {folder / 'drive.png'}")
+    logger.info(described(json.loads((folder / "result.json").read_text("utf-8"))))
+    logger.info(f"picture: {folder / 'drive.png'}")

@@ -1,5 +1,6 @@
 """Independent jobs in processes of their own, with one bar over all of them."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -14,6 +15,8 @@ from typing import Any, TypeVar
 
 from offpiste.errors import OffpisteError
 from offpiste.progress import shares
+
+logger = logging.getLogger(__name__)
 
 Job = TypeVar("Job")
 Report = Callable[[float], None]
@@ -32,14 +35,19 @@ def usable_cores() -> int:
 
 
 def run_all(
-    work: Work[Job], jobs: Sequence[Job], processes: int, description: str, tell: Callable[[str], None]
+    work: Work[Job],
+    jobs: Sequence[Job],
+    processes: int,
+    description: str,
+    *,
+    finished: Callable[[str], None] = logger.info,
 ) -> list[OffpisteError]:
     """Do all jobs, the rest of them even if one fails.
 
     Args:
         work: a function of a module, so that processes can import it.
         processes: at most so many at a time; 1 works in this one.
-        tell: gets what each job says, and why one failed where several jobs are done.
+        finished: is given the result of each job.
 
     Returns:
         Why jobs failed.
@@ -52,11 +60,11 @@ def run_all(
     )
     for said in done:
         if isinstance(said, str):
-            tell(said)
+            finished(said)
             continue
         failed.append(said)
         if len(jobs) > 1:
-            tell(f"failed: {said}")
+            logger.warning(f"failed: {said}")
     return failed
 
 

@@ -1,5 +1,6 @@
 """What a person sees while they wait: bars with the time left on a terminal, lines and tables everywhere."""
 
+import logging
 from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import TypeVar
@@ -49,11 +50,28 @@ def shares(total: int, description: str) -> Iterator[Callable[[int, float], None
         yield show
 
 
-def tell(said: object) -> None:
-    """Print a line, or anything that rich can draw."""
-    if isinstance(said, str):
-        print(said, flush=True)  # noqa: T201
+def show(result: object) -> None:
+    """Print a result on standard output: a line, or anything that rich can draw."""
+    if isinstance(result, str):
+        print(result, flush=True)  # noqa: T201
         return
     console = Console(highlight=False)
     # A pipe has no width of its own, and 80 columns would break tables.
-    (console if console.is_terminal else Console(highlight=False, width=120)).print(said)
+    (console if console.is_terminal else Console(highlight=False, width=120)).print(result)
+
+
+def log_to_terminal() -> None:
+    """Show what offpiste logs to the person at the terminal; without this a library stays silent."""
+    logger = logging.getLogger("offpiste")
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    logger.handlers = [_Terminal()]
+
+
+class _Terminal(logging.Handler):
+    """Shows messages as results are shown, so that tables that were logged are drawn as tables."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        drawn = hasattr(record.msg, "__rich_console__")
+        prefix = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        show(record.msg if drawn else prefix + record.getMessage())

@@ -38,7 +38,7 @@ class History:
 
 
 @dataclass(frozen=True)
-class Carry:
+class ModelState:
     """All that a model remembers from one step to the next.
 
     Attributes:
@@ -57,11 +57,11 @@ class Carry:
         return torch.cat((self.state, self.actuators, self.hidden, self.cell), dim=-1)
 
     @staticmethod
-    def unpack(packed: Float[Tensor, "B P"]) -> "Carry":
+    def unpack(packed: Float[Tensor, "B P"]) -> "ModelState":
         """The inverse of `pack`."""
         size = (packed.shape[-1] - 10) // 2
         state, actuators, hidden, cell = packed.split((6, 4, size, size), dim=-1)
-        return Carry(state, actuators, hidden, cell)
+        return ModelState(state, actuators, hidden, cell)
 
 
 @dataclass(frozen=True)

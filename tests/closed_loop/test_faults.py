@@ -53,7 +53,7 @@ def test_late_images_come_with_their_own_stamps():
 
 def test_features_break_from_then_on():
     fault = Fault("nan-features", 1.0)
-    look = fault.looking(lambda pixels: np.ones((2, 2, 3), np.float32))
+    look = fault.extractor(lambda pixels: np.ones((2, 2, 3), np.float32))
     fault.passed(None, 0.9)
     assert np.isfinite(look(PIXELS)).all()
     fault.passed(None, 1.0)

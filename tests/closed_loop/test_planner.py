@@ -67,7 +67,7 @@ def test_a_run_of_visual_features_wants_its_own_pca(tmp_path):
         load_planner(run, others)
     planner = load_planner(run, mine)
     assert (planner.name, planner.told) == ("dc", False)
-    assert planner.looking.channels == 4
+    assert planner.extractor.channels == 4
     (run / "dataset.zarr" / "zarr.json").unlink()
     with pytest.raises(RunError, match="cannot be read"):
         load_planner(run, mine)
@@ -77,7 +77,7 @@ def test_a_run_that_names_its_pca_needs_no_dataset(tmp_path):
     identity = pca_file(tmp_path / "mine.safetensors", 0)
     run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], "of another dataset", pca=identity)
     (run / "dataset.zarr" / "zarr.json").unlink()
-    assert load_planner(run, tmp_path / "mine.safetensors").looking.identity == identity
+    assert load_planner(run, tmp_path / "mine.safetensors").extractor.identity == identity
 
 
 def test_an_oracle_is_known_by_its_features(tmp_path):
@@ -89,7 +89,7 @@ def test_an_oracle_is_known_by_its_features(tmp_path):
 
 def test_models_without_features_need_nothing(tmp_path):
     planner = load_planner(run_folder(tmp_path / "b", "b", [f"pca_{i}" for i in range(4)], "abc"))
-    assert (planner.name, planner.told, planner.looking) == ("b", False, None)
+    assert (planner.name, planner.told, planner.extractor) == ("b", False, None)
 
 
 def test_a_planner_tells_its_weights_from_others(tmp_path):

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.dataset.cells import Cells, CellTable, Normals, Slabs
-from offpiste.dataset.feature_sets import Views, same_view, set_number
+from offpiste.dataset.cells import ArrayPieces, Cells, CellTable, Normals
+from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2
@@ -23,19 +23,21 @@ def drive(rng: np.random.Generator, rows: int, count: int) -> Cells:
     return Cells(index, features, valid, far, far)
 
 
-def plainly(cells: list[Cells], rows: np.ndarray, views: Views) -> tuple[np.ndarray, np.ndarray]:
+def plainly(
+    cells: list[Cells], rows: np.ndarray, feature_set_choice: FeatureSetChoice
+) -> tuple[np.ndarray, np.ndarray]:
     """Features and validity at each row and wheel; NaN and false where there is no cell."""
     first = np.cumsum([0, *(len(c.index) for c in cells)])
     features = np.full((*rows.shape, 4, FEATURES), np.nan)
     valid = np.zeros((*rows.shape, 4), bool)
-    sets = np.broadcast_to(views.sets, rows.shape)
+    sets = np.broadcast_to(feature_set_choice.sets, rows.shape)
     for place in np.ndindex(*rows.shape, 4):
         number = int(np.searchsorted(first, rows[place[:2]], side="right")) - 1
         mine, chosen = cells[number], int(sets[place[:2]])
         cell = mine.index[rows[place[:2]] - first[number], place[2]]
         if cell >= 0:
-            features[place] = mine.features[0 if views.flags_only else chosen, cell]
-            valid[place] = mine.valid[chosen, cell] and (not views.flags_only or mine.valid[0, cell])
+            features[place] = mine.features[0 if feature_set_choice.flags_only else chosen, cell]
+            valid[place] = mine.valid[chosen, cell] and (not feature_set_choice.flags_only or mine.valid[0, cell])
     return features, valid
 
 
@@ -46,9 +48,13 @@ def test_windows_find_what_plain_indexing_finds(seed, kind):
     start = np.array([n for n in (0, 3, 3, 34, 41, 58, 65, 80, 89) if rng.random() < 0.8] or [0])
     rows = start[:, None] + np.arange(6)
     shape = (len(rows), 6 if kind == "steps" else 1)
-    views = same_view(len(rows), 1) if kind == "one" else Views(rng.integers(0, SETS, shape), kind == "flags")
-    under = CellTable(cells, torch.device("cpu")).under(rows, views, history=2)
-    wanted, valid = plainly(cells, rows, views)
+    feature_set_choice = (
+        same_feature_set(len(rows), 1)
+        if kind == "one"
+        else FeatureSetChoice(rng.integers(0, SETS, shape), kind == "flags")
+    )
+    under = CellTable(cells, torch.device("cpu")).under(rows, feature_set_choice, history=2)
+    wanted, valid = plainly(cells, rows, feature_set_choice)
     number = torch.cat((under.past, under.ahead), dim=1)
     assert under.past.shape[1] == 2
     np.testing.assert_array_equal(under.features[number].numpy(), wanted.astype(np.float32))
@@ -63,7 +69,7 @@ def on_disk(array: np.ndarray, path) -> np.memmap:
 
 def test_pieces_on_disk_are_those_in_memory(tmp_path):
     array = np.random.default_rng(0).normal(size=(3, 11, 2, 5)).astype(np.float32)
-    mapped = Slabs(on_disk(array, tmp_path / "a"))
+    mapped = ArrayPieces(on_disk(array, tmp_path / "a"))
     for lead, first, count in ((0, 0, 11), (2, 3, 8), (1, 5, 0), (2, 10, 1)):
         out = np.empty((count, 2, 5), np.float32)
         mapped.read(lead, first, out)
@@ -72,7 +78,7 @@ def test_pieces_on_disk_are_those_in_memory(tmp_path):
 
 def test_a_file_that_is_cut_short_is_told(tmp_path):
     array = np.ones((2, 4), np.float32)
-    slabs = Slabs(on_disk(array, tmp_path / "a"))
+    slabs = ArrayPieces(on_disk(array, tmp_path / "a"))
     with (tmp_path / "a").open("r+b") as file:
         file.truncate(20)
     with pytest.raises(EOFError, match="cut short"):
@@ -86,15 +92,19 @@ def test_normals_of_a_window_are_of_its_set(tmp_path, disk):
     given_ = [on_disk(a, tmp_path / str(n)) for n, a in enumerate(arrays)] if disk else arrays
     normals, start = Normals(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
     whole = np.concatenate(arrays, axis=1)
-    for views in (
-        Views(rng.integers(0, SETS, (4, 1))),
-        Views(rng.integers(0, SETS, (4, 6))),
-        Views(np.ones((4, 1), int), True),
+    for feature_set_choice in (
+        FeatureSetChoice(rng.integers(0, SETS, (4, 1))),
+        FeatureSetChoice(rng.integers(0, SETS, (4, 6))),
+        FeatureSetChoice(np.ones((4, 1), int), True),
     ):
-        found = normals.at(start, 6, views).numpy()
+        found = normals.at(start, 6, feature_set_choice).numpy()
         for window, first in enumerate(start):
             for step in range(6):
-                chosen = 0 if views.flags_only else np.broadcast_to(views.sets, (4, 6))[window, step]
+                chosen = (
+                    0
+                    if feature_set_choice.flags_only
+                    else np.broadcast_to(feature_set_choice.sets, (4, 6))[window, step]
+                )
                 np.testing.assert_array_equal(found[window, step], whole[chosen, first + step])
 
 

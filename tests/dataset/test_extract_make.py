@@ -5,16 +5,16 @@ from pathlib import Path
 import pytest
 
 from factories import small_rig
+from log_messages import logged
 from offpiste.dataset import extract
 from offpiste.dataset.extract import make_dataset
 from offpiste.errors import DatasetError
 
 
 def made(out: Path, split: str, patch: pytest.MonkeyPatch) -> list[str]:
-    said: list[str] = []
     patch.setattr(extract, "run_all", lambda *arguments: [])
-    with pytest.raises(DatasetError, match="holds no drive"):
-        make_dataset(["one.csv"], small_rig(), out, split=split, tell=said.append)
+    with logged() as said, pytest.raises(DatasetError, match="holds no drive"):
+        make_dataset(["one.csv"], small_rig(), out, split=split)
     return said
 
 

@@ -11,18 +11,18 @@ STORED = len(FEATURE_SETS)
 
 
 def test_dc_keeps_a_set_for_the_trajectory_and_draws_all_alike():
-    views = per_trajectory(np.random.default_rng(0), 8000, 250, STORED)
-    assert views.sets.shape == (8000, 1)
-    assert not views.flags_only
-    counts = np.bincount(views.sets[:, 0], minlength=STORED)
+    feature_set_choice = per_trajectory(np.random.default_rng(0), 8000, 250, STORED)
+    assert feature_set_choice.sets.shape == (8000, 1)
+    assert not feature_set_choice.flags_only
+    counts = np.bincount(feature_set_choice.sets[:, 0], minlength=STORED)
     assert len(counts) == STORED
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
 def test_dc_step_draws_at_every_row():
-    views = per_step(np.random.default_rng(0), 50, 30, STORED)
-    assert views.sets.shape == (50, HISTORY_STEPS + 30)
-    assert (np.diff(views.sets, axis=1) == 0).mean() == pytest.approx(1 / STORED, abs=0.03)
+    feature_set_choice = per_step(np.random.default_rng(0), 50, 30, STORED)
+    assert feature_set_choice.sets.shape == (50, HISTORY_STEPS + 30)
+    assert (np.diff(feature_set_choice.sets, axis=1) == 0).mean() == pytest.approx(1 / STORED, abs=0.03)
 
 
 def test_masked_takes_flags_alone():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.feature_sets import TOLERANCE, CellViews, Viewing
+from offpiste.dataset.feature_sets import TOLERANCE, CellFeatureSets, FeatureSetRecorder
 from offpiste.dataset.passes import PAUSE, find_passes
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
@@ -29,13 +29,13 @@ class ChangingMap:
         self.seed = seed
 
     def at(self, step: int):
-        def read(cells: np.ndarray) -> CellViews:
+        def read(cells: np.ndarray) -> CellFeatureSets:
             column, row = cells.T
             mixed = (column * 7919 + row * 104729 + step * 31 + self.seed) % 97
             valid = mixed % 3 > 0
             value = np.where(valid, mixed.astype(float), np.nan)
             up = np.tile([0.0, 0.6, 0.8], (len(cells), 1))
-            return CellViews(value[:, None], valid, mixed / 2.0, mixed / 4.0, up)
+            return CellFeatureSets(value[:, None], valid, mixed / 2.0, mixed / 4.0, up)
 
         return read
 
@@ -67,21 +67,23 @@ def brute_force(time, xy, passes, changing: ChangingMap):
 def test_every_set_holds_what_brute_force_finds():
     time, xy = there_and_back()
     passes, changing = passes_of(time, xy), ChangingMap(0)
-    viewing = Viewing(passes, resolution=RESOLUTION, reach=REACH, features=1)
+    feature_sets_recorder = FeatureSetRecorder(passes, resolution=RESOLUTION, reach=REACH, features=1)
     for step in range(len(time)):
-        viewing.update(time[step], xy[step], changing.at(step))
+        feature_sets_recorder.update(time[step], xy[step], changing.at(step))
     wanted = brute_force(time, xy, passes, changing)
     assert any(step is None for step in wanted.values())
     for (p, number), step in wanted.items():
         if step is None:
-            assert not viewing.valid[number, p]
+            assert not feature_sets_recorder.valid[number, p]
             continue
-        views = changing.at(step)(passes.cell[p : p + 1])
-        assert viewing.valid[number, p] == views.valid[0]
-        np.testing.assert_equal(viewing.features[number, p], views.features[0].astype(np.float16))
-        assert viewing.distance[number, p] == pytest.approx(views.distance[0])
-        assert viewing.elevation[number, p] == pytest.approx(views.elevation[0])
-        np.testing.assert_allclose(viewing.normal[number, p], views.normal[0])
+        feature_set_choice = changing.at(step)(passes.cell[p : p + 1])
+        assert feature_sets_recorder.valid[number, p] == feature_set_choice.valid[0]
+        np.testing.assert_equal(
+            feature_sets_recorder.features[number, p], feature_set_choice.features[0].astype(np.float16)
+        )
+        assert feature_sets_recorder.distance[number, p] == pytest.approx(feature_set_choice.distance[0])
+        assert feature_sets_recorder.elevation[number, p] == pytest.approx(feature_set_choice.elevation[0])
+        np.testing.assert_allclose(feature_sets_recorder.normal[number, p], feature_set_choice.normal[0])
 
 
 def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():

@@ -13,7 +13,7 @@ from offpiste.dataset import store
 from offpiste.dataset.ground_truth import with_ground_truth
 from offpiste.dataset.snapshots import CHUNK, Due, SnapshotSettings, SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.dataset.window_starts import judged_starts
+from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_lookup import MapTerrain
@@ -120,9 +120,9 @@ def made(path: Path) -> store.Dataset:
     for number in range(2):
         rows = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), tilted(), small_rig()).rows
         part = SPLIT.label("", rows.state[:, :2] + rows.origin)
-        with store.scratch(path, "snapshots") as folder:
+        with store.buffers(path, "snapshots") as folder:
             writer = SnapshotWriter(folder / "s", 0.25, 2)
-            for row in judged_starts(rows, part == PARTS.index("test"))[::20]:
+            for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
                 state = rows.state_causal[row].astype(np.float64)
                 state[:2] += rows.origin
                 writer.add(int(row), crop(tilted(), state, 18.0))

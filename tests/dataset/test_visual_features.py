@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from log_messages import logged
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
@@ -19,7 +20,7 @@ from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.terrain_lookup import MapTerrain
 from offpiste.mapping.terrain_map import wheel_places
-from offpiste.perception.feature_extractor import load_looking
+from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.perception.pca import load_pca
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
@@ -42,16 +43,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def dataset(folder: Path) -> Dataset:
-    said: list[str] = []
     (folder / "parts.txt").write_text("drive test\n")
-    made = make_dataset(
-        [folder / "drive.mcap"],
-        load_rig("proving_ground"),
-        folder / "data.zarr",
-        split=f"drives:{folder / 'parts.txt'}",
-        pca=folder / "pca.safetensors",
-        tell=said.append,
-    )
+    with logged() as said:
+        made = make_dataset(
+            [folder / "drive.mcap"],
+            load_rig("proving_ground"),
+            folder / "data.zarr",
+            split=f"drives:{folder / 'parts.txt'}",
+            pca=folder / "pca.safetensors",
+        )
     assert "leaves nothing for train and validation" in said[0]
     assert "valid by distance: hindsight" in said[1]
     assert "snapshots of the map" in said[1]
@@ -124,9 +124,9 @@ def test_windows_give_the_features_to_models(dataset: Dataset) -> None:
 def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Dataset, folder: Path) -> None:
     rows, snapshots = dataset.drives[0].rows, dataset.drives[0].snapshots
     assert (np.diff(snapshots.row) >= 25).all()
-    log, looking = open_log(folder / "drive.mcap"), load_looking(folder / "pca.safetensors")
+    log, extractor = open_log(folder / "drive.mcap"), load_feature_extractor(folder / "pca.safetensors")
     sensors = open_sensors(log, dataset.rig)
-    moments = replay(sensors, pinhole_cameras(sensors, looking.patch), looking.look, looking.channels)
+    moments = replay(sensors, pinhole_cameras(sensors, extractor.patch), extractor.look, extractor.channels)
     compared, before, after = 0, -np.inf, rows.time[snapshots.row]
     held = None
     for moment in moments:
@@ -177,15 +177,15 @@ def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path)
     for name in ("one", "two"):
         simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / f"{name}.mcap")
     (tmp_path / "bad.mcap").write_bytes(b"nonsense")
-    rig, said = load_rig("proving_ground"), []
+    rig = load_rig("proving_ground")
     logs = [tmp_path / f"{name}.mcap" for name in ("one", "bad", "two")]
     with pytest.raises(LogError, match=r"bad\.mcap"):
-        make_dataset(logs, rig, tmp_path / "d.zarr", processes=2, tell=said.append)
+        make_dataset(logs, rig, tmp_path / "d.zarr", processes=2)
     assert drive_names(tmp_path / "d.zarr") == ["one", "two"]
     # A killed run leaves half a drive; the next one clears it away and does only what is missing.
     (tmp_path / "d.zarr" / ".one.x").mkdir()
-    said.clear()
-    again = make_dataset(logs[::2], rig, tmp_path / "d.zarr", tell=said.append)
+    with logged() as said:
+        again = make_dataset(logs[::2], rig, tmp_path / "d.zarr")
     assert said == ["one: already there", "two: already there"]
     assert len(again.drives) == 2
     assert not (tmp_path / "d.zarr" / ".one.x").exists()

@@ -10,7 +10,7 @@ import torch
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
-from offpiste.state import Carry, RecordedTerrain, Terrain, TerrainSource, Trajectory
+from offpiste.state import ModelState, RecordedTerrain, Terrain, TerrainSource, Trajectory
 
 CODES = {"df": 3, "hold": 3, "cf": 4, "dc": 4, "dc-step": 4, "cf-masked": 4, "dc-hold": 4}
 """Two features and a flag, or their compression."""
@@ -46,8 +46,8 @@ def test_gradients_by_start_and_controls_equal_finite_differences(name):
     model, at = built(name), situation(name, batch=2, steps=4)
 
     def final(state, controls):
-        carry = model.start(at.history, state, at.actuators)
-        return rollout(model, carry, controls, at.source).state[:, -1]
+        model_state = model.start(at.history, state, at.actuators)
+        return rollout(model, model_state, controls, at.source).state[:, -1]
 
     inputs = (at.state.requires_grad_(), at.controls.requires_grad_())
     assert torch.autograd.gradcheck(final, inputs, fast_mode=True)
@@ -119,9 +119,9 @@ def test_slots_of_absent_channels_are_never_read(name):
 @models
 def test_the_callable_for_other_planners_equals_the_rollout(name):
     model, at = built(name), situation(name)
-    carry = model.start(at.history, at.state, at.actuators)
-    wanted = rollout(model, carry, at.controls, at.source)
-    call, packed = as_callable(model, at.source), carry.pack()
+    model_state = model.start(at.history, at.state, at.actuators)
+    wanted = rollout(model, model_state, at.controls, at.source)
+    call, packed = as_callable(model, at.source), model_state.pack()
     for t, control in enumerate(at.controls.unbind(1)):
         packed = call(packed, control, t)
         assert torch.equal(packed[:, :6], wanted.state[:, t])
@@ -131,19 +131,19 @@ def test_the_callable_for_other_planners_equals_the_rollout(name):
 @models
 def test_a_step_of_the_interface_is_the_rollouts_first(name):
     model, at = built(name), situation(name)
-    carry = model.start(at.history, at.state, at.actuators)
-    after = model.step(carry, at.controls[:, 0], at.source.at(0, carry.state))
+    model_state = model.start(at.history, at.state, at.actuators)
+    after = model.step(model_state, at.controls[:, 0], at.source.at(0, model_state.state))
     assert torch.equal(after.state, predict(model, at).state[:, 0])
 
 
 @pytest.mark.parametrize("size", [0, 1, 4, 12])
 def test_packing_a_carry_and_unpacking_it_changes_nothing(size):
-    carry = Carry(torch.rand(5, 6), torch.rand(5, 4), torch.rand(5, size), torch.rand(5, size))
-    packed = carry.pack()
+    model_state = ModelState(torch.rand(5, 6), torch.rand(5, 4), torch.rand(5, size), torch.rand(5, size))
+    packed = model_state.pack()
     assert packed.shape == (5, 10 + 2 * size)
-    back = Carry.unpack(packed)
+    back = ModelState.unpack(packed)
     for name in ("state", "actuators", "hidden", "cell"):
-        assert torch.equal(getattr(back, name), getattr(carry, name))
+        assert torch.equal(getattr(back, name), getattr(model_state, name))
 
 
 @models

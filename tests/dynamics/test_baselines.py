@@ -9,15 +9,15 @@ import torch
 from factories import COMMANDED, Situation, flat, unsettled
 from offpiste.conventions import DT
 from offpiste.dynamics import ConstantMotion, Kinematic, Recurrent, rollout
-from offpiste.state import Carry, RecordedTerrain
+from offpiste.state import ModelState, RecordedTerrain
 
 
 def drive(model, state: list[float], control: list[float], steps: int = 100) -> torch.Tensor:
     """States of one vehicle under a constant command, on flat ground."""
     nothing = torch.zeros(1, 0).double()
-    carry = Carry(torch.tensor([state]).double(), torch.full((1, 4), math.nan).double(), nothing, nothing)
+    model_state = ModelState(torch.tensor([state]).double(), torch.full((1, 4), math.nan).double(), nothing, nothing)
     controls = torch.tensor(control).double().expand(1, steps, 3)
-    return rollout(model, carry, controls, RecordedTerrain(flat(1, steps))).state[0]
+    return rollout(model, model_state, controls, RecordedTerrain(flat(1, steps))).state[0]
 
 
 def test_constant_motion_drives_a_circle():
@@ -57,11 +57,11 @@ def test_lateral_velocity_moves_to_the_left_of_the_heading():
 def test_the_network_without_physics_integrates_its_accelerations():
     model = Recurrent(COMMANDED).double()
     at = Situation(batch=2, steps=3)
-    carry = model.start(at.history, at.state, at.actuators)
-    untrained = rollout(model, carry, at.controls, at.source).state
+    model_state = model.start(at.history, at.state, at.actuators)
+    untrained = rollout(model, model_state, at.controls, at.source).state
     torch.testing.assert_close(untrained[:, -1, 3:], at.state[:, 3:])
     model.network.output[-1].bias.data = torch.tensor([1.0, -2.0, 0.5]).double()
-    moved = rollout(model, carry, at.controls, at.source).state
+    moved = rollout(model, model_state, at.controls, at.source).state
     gained = torch.tensor([1.0, -2.0, 0.5]).double() * 3 * DT
     torch.testing.assert_close(moved[:, -1, 3:], at.state[:, 3:] + gained)
 

@@ -10,14 +10,14 @@ from factories import COMMANDED, VEHICLE, Situation, coded, flat, ground, unsett
 from offpiste.conventions import DT, GRAVITY
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.bicycle import _RANGES, Constants
-from offpiste.state import Carry, RecordedTerrain, Terrain
+from offpiste.state import ModelState, RecordedTerrain, Terrain
 
 
 def run(model, state: Tensor, controls: Tensor, terrain: Terrain) -> Tensor:
     """States of vehicles whose log has commands only."""
     nothing = state.new_zeros(len(state), 0)
-    carry = Carry(state, state.new_full((len(state), 4), math.nan), nothing, nothing)
-    return rollout(model, carry, controls, RecordedTerrain(terrain)).state
+    model_state = ModelState(state, state.new_full((len(state), 4), math.nan), nothing, nothing)
+    return rollout(model, model_state, controls, RecordedTerrain(terrain)).state
 
 
 def constant(steps: int, *control: float) -> Tensor:
@@ -50,12 +50,12 @@ def test_one_unit_of_compensation_is_one_unit_of_acceleration():
     at = Situation(batch=1, steps=1)
     at.controls[..., 2] = 0
     state = at_rest(vx=5.0)
-    carry = model.start(at.history, state, at.actuators)
-    before = rollout(model, carry, at.controls, RecordedTerrain(flat(1, 1))).state[0, 0]
+    model_state = model.start(at.history, state, at.actuators)
+    before = rollout(model, model_state, at.controls, RecordedTerrain(flat(1, 1))).state[0, 0]
     wanted = {0: (1, 0, 0), 1: (0, 1, 0), 2: (0, 1, 0), 3: (0, 0, 1)}
     for force, gain in wanted.items():
         model.compensator.output[-1].bias.data = torch.eye(4).double()[force]
-        after = rollout(model, carry, at.controls, RecordedTerrain(flat(1, 1))).state[0, 0]
+        after = rollout(model, model_state, at.controls, RecordedTerrain(flat(1, 1))).state[0, 0]
         torch.testing.assert_close((after - before)[3:] / DT, torch.tensor(gain).double(), atol=1e-6, rtol=0)
 
 
@@ -64,8 +64,8 @@ def test_codes_history_and_hidden_state_change_the_compensation():
     at, other = Situation(batch=1, codes=3, seed=1), Situation(batch=1, codes=3, seed=2)
 
     def predict(history, terrain):
-        carry = model.start(history, at.state, at.actuators)
-        return rollout(model, carry, at.controls, RecordedTerrain(terrain)).state
+        model_state = model.start(history, at.state, at.actuators)
+        return rollout(model, model_state, at.controls, RecordedTerrain(terrain)).state
 
     mine, others = at.source.terrain, other.source.terrain
     reference = predict(at.history, mine)

@@ -13,7 +13,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion
 from offpiste.evaluation.errors import predict, trajectories
 from offpiste.rig.rig import parse_rig
-from offpiste.state import Carry
+from offpiste.state import ModelState
 
 SCALE, WEIGHTS = torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), torch.ones(5)
 
@@ -34,9 +34,9 @@ class Off(ConstantMotion):
     def stepper(self):
         move = super().stepper()
 
-        def step(carry, control, terrain):
-            moved = move(carry, control, terrain)
-            return Carry(moved.state + self.by, moved.actuators, moved.hidden, moved.cell)
+        def step(model_state, control, terrain):
+            moved = move(model_state, control, terrain)
+            return ModelState(moved.state + self.by, moved.actuators, moved.hidden, moved.cell)
 
         return step
 
@@ -70,7 +70,7 @@ def test_distance_and_loss_of_a_standing_prediction() -> None:
 
     class Parked(ConstantMotion):
         def stepper(self):
-            return lambda carry, control, terrain: carry
+            return lambda model_state, control, terrain: model_state
 
     found = predict(Parked(COMMANDED), windows, index, lookup=None, scale=SCALE, weights=WEIGHTS)
     seconds = np.arange(1, 6)
@@ -137,13 +137,13 @@ def test_a_prediction_that_diverges_is_infinitely_wrong_from_then_on(value: floa
         def stepper(self):
             move, self.steps = super().stepper(), 0
 
-            def step(carry, control, terrain):
+            def step(model_state, control, terrain):
                 self.steps += 1
-                moved = move(carry, control, terrain)
+                moved = move(model_state, control, terrain)
                 broken = moved.state.clone()
                 if self.steps > 120:
                     broken[0, 5] = value
-                return Carry(broken, moved.actuators, moved.hidden, moved.cell)
+                return ModelState(broken, moved.actuators, moved.hidden, moved.cell)
 
             return step
 

@@ -24,7 +24,7 @@ from offpiste.evaluation.results import Headline, ResultRow, pooled_rows, read_m
 from offpiste.evaluation.tables import Sampling, render_table
 from offpiste.evaluation.worst_windows import worst_windows
 from offpiste.rig.rig import parse_rig
-from offpiste.state import Carry
+from offpiste.state import ModelState
 
 SCALE = torch.ones(5)
 QUICK = {"scale": SCALE, "stride": 50, "sampling": Sampling(block_seconds=6.0)}
@@ -79,11 +79,11 @@ class Slipping(Kinematic):
     def stepper(self):
         move = super().stepper()
 
-        def step(carry, control, terrain):
-            moved = move(carry, control, terrain)
-            lost = (moved.state[:, :2] - carry.state[:, :2]) * self.share
+        def step(model_state, control, terrain):
+            moved = move(model_state, control, terrain)
+            lost = (moved.state[:, :2] - model_state.state[:, :2]) * self.share
             state = torch.cat((moved.state[:, :2] - lost, moved.state[:, 2:]), dim=-1)
-            return Carry(state, moved.actuators, moved.hidden, moved.cell)
+            return ModelState(state, moved.actuators, moved.hidden, moved.cell)
 
         return step
 
@@ -106,8 +106,8 @@ def row(rows: list[ResultRow], model: str, start: str = "smoothed", lookup: str 
 
 def test_every_model_start_lookup_and_horizon_has_a_row(evaluation: Evaluation) -> None:
     rows = pooled_rows(evaluation.metrics.results)
-    ways = {(r.model, r.start, r.lookup) for r in rows}
-    assert ways == {
+    readings = {(r.model, r.start, r.lookup) for r in rows}
+    assert readings == {
         (model, start, lookup)
         for start in ("causal", "smoothed")
         for model, lookups in {
@@ -118,7 +118,7 @@ def test_every_model_start_lookup_and_horizon_has_a_row(evaluation: Evaluation) 
         }.items()
         for lookup in lookups
     }
-    assert len(rows) == 5 * len(ways)
+    assert len(rows) == 5 * len(readings)
     assert {r.horizon_s for r in rows} == {1.0, 2.0, 3.0, 4.0, 5.0}
     assert len({r.n for r in rows}) == 1, "the same windows for every model"
     assert {r.seed for r in run_rows(evaluation.metrics.results)} == {0, 1}
@@ -274,9 +274,9 @@ class Broken(ConstantMotion):
     def stepper(self):
         move = super().stepper()
 
-        def step(carry, control, terrain):
-            moved = move(carry, control, terrain)
-            return Carry(moved.state * 1e3, moved.actuators, moved.hidden, moved.cell)
+        def step(model_state, control, terrain):
+            moved = move(model_state, control, terrain)
+            return ModelState(moved.state * 1e3, moved.actuators, moved.hidden, moved.cell)
 
         return step
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.map_picture import map_picture
-from experiments.marv import CAMERAS, Frame, edge_scores, fit_looking, overlays, read_frame, terrain
+from experiments.marv import CAMERAS, Frame, edge_scores, fit_extractor, overlays, read_frame, terrain
 from offpiste.errors import LogError
 from offpiste.perception.backbones.backbone import open_backbone
 from offpiste.perception.projection import project
@@ -23,18 +23,18 @@ def frame(data_folder) -> Frame:
 
 @pytest.fixture(scope="module")
 def layers(frame):
-    return terrain(frame, fit_looking(frame, open_backbone("filterbank")))
+    return terrain(frame, fit_extractor(frame, open_backbone("filterbank")))
 
 
 def test_every_camera_shows_points_and_they_are_drawn(frame):
-    for view, image, drawn in zip(frame.views, frame.images, overlays(frame), strict=True):
+    for view, image, drawn in zip(frame.feature_set_choice, frame.images, overlays(frame), strict=True):
         assert project(frame.points_body, [view]).seen.sum() > 5000
         assert 0.01 < (drawn != image).any(axis=2).mean() < 0.2
 
 
 def test_trunks_are_where_the_points_say(frame):
     """By eye, in the rectified images: the middle of the big trunk and what is left of it."""
-    found = project(frame.points_body, [frame.views[FRONT]])
+    found = project(frame.points_body, [frame.feature_set_choice[FRONT]])
     x, y = found.pixel.T
     trunk = found.distance[found.seen & (x > 800) & (x < 850) & (y > 20) & (y < 120)]
     beside = found.distance[found.seen & (x > 650) & (x < 770) & (y > 60) & (y < 120)]

@@ -7,7 +7,7 @@ from scipy.stats import mannwhitneyu
 from experiments.photographs import fit_on_photographs, main, read_photographs
 from offpiste.errors import PerceptionError
 from offpiste.perception.backbones.backbone import open_backbone
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 
 TRAIL = {
     "run0": [(440, 300, 900, 470)],
@@ -30,9 +30,9 @@ VEGETATION = {
 }
 
 
-def patches(look: np.ndarray, looking: Looking, shape: tuple[int, ...], boxes) -> np.ndarray:
+def patches(look: np.ndarray, extractor: FeatureExtractor, shape: tuple[int, ...], boxes) -> np.ndarray:
     """Features of the patches whose middle lies in one of the boxes."""
-    grid = looking.backbone.grid(shape[1], shape[0])
+    grid = extractor.backbone.grid(shape[1], shape[0])
     row, column = np.mgrid[: grid.rows, : grid.columns]
     x, y = (grid.offset[axis] + (index + 0.5) * grid.size for axis, index in enumerate((column, row)))
     inside = np.zeros(x.shape, bool)
@@ -57,14 +57,14 @@ def held_out_accuracy(photographs, components: int) -> tuple[dict[str, float], d
     backbone = open_backbone("filterbank")
     trail_right, vegetation_right = {}, {}
     for held_out in photographs:
-        looking = fit_on_photographs(
+        extractor = fit_on_photographs(
             [p for n, p in photographs.items() if n != held_out], backbone, components=components
         )
         found = {}
         for name, photograph in photographs.items():
-            look = looking.look(photograph).astype(np.float64)
+            look = extractor.look(photograph).astype(np.float64)
             shape = photograph.shape
-            found[name] = [patches(look, looking, shape, boxes.get(name, ())) for boxes in (TRAIL, VEGETATION)]
+            found[name] = [patches(look, extractor, shape, boxes.get(name, ())) for boxes in (TRAIL, VEGETATION)]
         known = [found[name] for name in photographs if name != held_out]
         direction, threshold = linear_discriminant(
             [trail for trail, _ in known if len(trail)], [vegetation for _, vegetation in known if len(vegetation)]
@@ -96,11 +96,11 @@ def test_trail_and_vegetation_separate_in_an_image_never_seen(folder):
 
 def test_one_of_the_colours_drawn_tells_trail_from_vegetation(folder):
     photographs = read_photographs(folder)
-    looking = fit_on_photographs(list(photographs.values()), open_backbone("filterbank"), components=3)
+    extractor = fit_on_photographs(list(photographs.values()), open_backbone("filterbank"), components=3)
     areas = {}
     for name in TRAIL:
-        look, shape = looking.look(photographs[name]), photographs[name].shape
-        trail, vegetation = (patches(look, looking, shape, boxes[name]) for boxes in (TRAIL, VEGETATION))
+        look, shape = extractor.look(photographs[name]), photographs[name].shape
+        trail, vegetation = (patches(look, extractor, shape, boxes[name]) for boxes in (TRAIL, VEGETATION))
         # Area under the ROC curve: how often a trail patch lies above one of vegetation.
         above = [mannwhitneyu(t, v).statistic / len(t) / len(v) for t, v in zip(trail.T, vegetation.T, strict=True)]
         areas[name] = max(max(a, 1 - a) for a in above)

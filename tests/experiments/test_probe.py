@@ -16,7 +16,7 @@ from offpiste.conventions import FEATURE_SETS, GROUND_PROPERTIES
 from offpiste.errors import PerceptionError
 from offpiste.logs.ground_truth import read_truth
 from offpiste.perception.backbones.backbone import open_backbone
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit, save_pca
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
@@ -128,16 +128,16 @@ def test_parts_and_blocks_are_stretches_of_one_drive() -> None:
     assert not set(drawn.block[:1500]) & set(drawn.block[1500:])
 
 
-def filterbank_looking() -> Looking:
+def filterbank_looking() -> FeatureExtractor:
     backbone = open_backbone("filterbank")
     vectors = np.random.default_rng(0).normal(size=(500, backbone.channels))
-    return Looking(backbone, fit(Moments.of(vectors), backbone, components=5))
+    return FeatureExtractor(backbone, fit(Moments.of(vectors), backbone, components=5))
 
 
 def test_colour_is_added_to_a_look_and_leaves_it_as_it_was() -> None:
-    looking = filterbank_looking()
+    extractor = filterbank_looking()
     pixels = np.random.default_rng(1).integers(0, 256, (42, 56, 3), dtype=np.uint8)
-    both, alone = with_colour(looking).look(pixels), looking.look(pixels)
+    both, alone = with_colour(extractor).look(pixels), extractor.look(pixels)
     np.testing.assert_allclose(both[..., :-3], alone, atol=1e-5)
     patch = pixels[14:28, 28:42].reshape(-1, 3).mean(axis=0) / 255
     np.testing.assert_allclose(both[1, 2, -3:], patch, atol=1e-5)
@@ -152,8 +152,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_cells_of_a_stretch_carry_the_truth_and_a_flaw_changes_their_looks_only(drive: Path) -> None:
-    rig, looking, truth = load_rig("proving_ground"), filterbank_looking(), read_truth(drive)
-    seen, late = (see_cells(drive, rig, looking, flaw=Flaw(late=x), seconds=4.0) for x in (0.0, 0.1))
+    rig, extractor, truth = load_rig("proving_ground"), filterbank_looking(), read_truth(drive)
+    seen, late = (see_cells(drive, rig, extractor, flaw=Flaw(late=x), seconds=4.0) for x in (0.0, 0.1))
     assert seen.features.shape == (8, len(seen.row), 5)
     assert 0 < seen.row.max() <= 200
     assert seen.valid[0].mean() > 0.5
@@ -172,12 +172,12 @@ def test_cells_of_a_stretch_carry_the_truth_and_a_flaw_changes_their_looks_only(
 
 def test_the_experiment_goes_on_from_what_is_there(tmp_path: Path) -> None:
     """Cells that lie there are not extracted again: the drives themselves are empty files."""
-    looking = filterbank_looking()
-    save_pca(tmp_path / "pca.safetensors", looking.pca)
+    extractor = filterbank_looking()
+    save_pca(tmp_path / "pca.safetensors", extractor.pca)
     small = {"degrees": (1.0,), "directions": 1, "late": (100.0,)}
     experiment = Probe(out=tmp_path, worlds=("a",), seeds=(1,), judged=(2,), flaw_worlds=("a",), **small)
     (tmp_path / "drives").mkdir()
-    cells = tmp_path / "cells" / looking.identity
+    cells = tmp_path / "cells" / extractor.identity
     flaws = [Flaw(), Flaw(degrees=1.0), Flaw(late=0.1)]
     for number, name in enumerate(("a-1", "a-2")):
         (tmp_path / "drives" / f"{name}.mcap").touch()
@@ -208,8 +208,8 @@ def test_cells_come_back_from_their_file(tmp_path: Path) -> None:
 def test_no_drive_both_trains_and_judges(tmp_path: Path) -> None:
     with pytest.raises(PerceptionError, match="both trains and judges"):
         Probe(out=tmp_path, seeds=(1, 2), judged=(2,)).run()
-    looking = filterbank_looking()
-    fitted = fit(Moments.of(torch.randn(90, looking.backbone.channels)), looking.backbone, logs=["dunes-2"])
+    extractor = filterbank_looking()
+    fitted = fit(Moments.of(torch.randn(90, extractor.backbone.channels)), extractor.backbone, logs=["dunes-2"])
     save_pca(tmp_path / "pca.safetensors", fitted)
     with pytest.raises(PerceptionError, match="dunes-2"):
         Probe(out=tmp_path, seeds=(1,), judged=(2,)).run()

@@ -6,7 +6,7 @@ import pytest
 from experiments.sensor_faults import planted
 from offpiste.inspection.sensor_samples import gather, small_camera
 from offpiste.inspection.sensor_stamps import check_own_body, check_sensor_stamps
-from offpiste.inspection.sensors import findings_of, judge_cameras, judge_lidars
+from offpiste.inspection.sensors import camera_misfits, findings_of, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.rig import load_rig
@@ -20,15 +20,15 @@ def test_kitti(data_folder):
     sensors = open_sensors(log, rig)
     cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
     gathered = gather(sensors, cameras)
-    lidars = judge_lidars(sensors.lidars, gathered, sensors.poses)
-    findings = findings_of(lidars + judge_cameras(cameras, lidars, gathered, sensors.poses))
+    lidars = lidar_misfits(sensors.lidars, gathered, sensors.poses)
+    findings = findings_of(lidars + camera_misfits(cameras, lidars, gathered, sensors.poses))
     findings += check_sensor_stamps(log, sensors)
     findings += check_own_body(sensors.lidars["velodyne"], gathered.scans["velodyne"], rig.vehicle.wheel_positions)
     assert [f for f in findings if f.severity != "note"] == []
 
     turn = np.deg2rad([0.0, 2.0, 0.0])
     _, turned, same = planted(sensors.lidars, cameras, gathered, "image_02", turn, 0.0)
-    (camera,) = judge_cameras(turned, lidars, same, sensors.poses)
+    (camera,) = camera_misfits(turned, lidars, same, sensors.poses)
     assert camera.is_turned
     assert camera.misfit is not None
     np.testing.assert_allclose(np.rad2deg(camera.misfit.parameters[1]), -2.0, atol=0.4)

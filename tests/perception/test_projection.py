@@ -137,16 +137,16 @@ def test_a_wall_hides_what_is_behind_it_though_its_points_are_sparse():
 def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():
     turned = np.eye(4)
     turned[:3, :3] = Rotation.from_euler("z", 40, degrees=True).as_matrix()
-    views = [view(), view(mounting=turned @ AHEAD, name="left", time=-0.1)]
+    feature_set_choice = [view(), view(mounting=turned @ AHEAD, name="left", time=-0.1)]
     angles = np.deg2rad([-10, 15, 25, 60])
     points = 10 * np.column_stack((np.cos(angles), np.sin(angles), np.zeros(4)))
-    assert project(points, views).view.tolist() == [0, 0, 1, 1]  # the middle lies at 20 degrees
+    assert project(points, feature_set_choice).view.tolist() == [0, 0, 1, 1]  # the middle lies at 20 degrees
     newest = ProjectionSettings(rule="newest")
-    assert project(points, views, newest).view.tolist() == [0, 0, 0, 1]
-    assert project(points, views[::-1], newest).view.tolist() == [1, 1, 1, 0]
+    assert project(points, feature_set_choice, newest).view.tolist() == [0, 0, 0, 1]
+    assert project(points, feature_set_choice[::-1], newest).view.tolist() == [1, 1, 1, 0]
     # What the better camera cannot see, the other one shows.
     wall = points[2] * 0.3
-    assert project(np.stack((points[2], wall)), views).view.tolist() == [-1, 1]
+    assert project(np.stack((points[2], wall)), feature_set_choice).view.tolist() == [-1, 1]
 
 
 def test_patches_of_the_vehicle_itself_show_nothing():

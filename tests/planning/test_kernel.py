@@ -17,11 +17,11 @@ from offpiste.dynamics.encoder import Compressor, Identity
 from offpiste.mapping.terrain_lookup import MapTerrain, as_codes
 from offpiste.planning.cost_map import Hazards
 from offpiste.planning.costs import Weights, driving_terms
-from offpiste.planning.kernel import coded_map, encode_map, fused_carry, fused_costs, fused_rollout
+from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
-from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_carry
-from offpiste.state import Carry
+from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_model_state
+from offpiste.state import ModelState
 from planning_grounds import layers, situation
 
 STEPS = 60
@@ -66,7 +66,7 @@ def start(dynamics, at):
     actuators = torch.tensor([[0.1, 0.05, 0.0, 1.5]])
     present = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
     actuators = torch.where(present, actuators, torch.nan)
-    return Carry(at.state[None], actuators, torch.zeros(1, units), torch.zeros(1, units))
+    return ModelState(at.state[None], actuators, torch.zeros(1, units), torch.zeros(1, units))
 
 
 def commands(samples, seed=0):
@@ -77,11 +77,11 @@ def commands(samples, seed=0):
 def both(dynamics, at, controls, weights):
     """Costs, states: eager, fused; and the eager terms."""
     encoder = getattr(dynamics, "encoder", None)
-    carry = start(dynamics, at)
+    model_state = start(dynamics, at)
     source = ground_ahead(dynamics, at, len(controls), encoder)
-    trajectory = rollout(dynamics, spread_carry(carry, len(controls)), controls, source)
-    eager = driving_costs(dynamics, carry, at, weights, encoder)(controls), trajectory.state
-    fused = fused_rollout(dynamics, carry, controls, at, weights, encode_map(at.ground, encoder))
+    trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source)
+    eager = driving_costs(dynamics, model_state, at, weights, encoder)(controls), trajectory.state
+    fused = fused_rollout(dynamics, model_state, controls, at, weights, encode_map(at.ground, encoder))
     return eager, fused, driving_terms(trajectory, controls, at, weights)
 
 
@@ -132,35 +132,37 @@ def test_backwards_most_samples_agree(kind):
 def test_what_is_carried_after_controls_equals_eager_steps(kind, vehicle):
     at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model(kind, vehicle)
     controls = commands(1)[0]
-    encoder, carry = getattr(dynamics, "encoder", None), start(dynamics, at)
-    found = fused_carry(dynamics, carry, controls[:8], at, encode_map(at.ground, encoder))
+    encoder, model_state = getattr(dynamics, "encoder", None), start(dynamics, at)
+    found = kernel_model_state(dynamics, model_state, controls[:8], at, encode_map(at.ground, encoder))
     source = MapTerrain(at.ground, torch.zeros(1, dtype=torch.long), at.offset[None], at.wheels, encoder)
     for t, control in enumerate(controls[:8]):
-        carry = dynamics.step(carry, control[None], source.at(t, carry.state))
+        model_state = dynamics.step(model_state, control[None], source.at(t, model_state.state))
     for part in ("state", "actuators", "hidden", "cell"):
-        torch.testing.assert_close(getattr(found, part), getattr(carry, part), atol=1e-4, rtol=1e-4, equal_nan=True)
+        torch.testing.assert_close(
+            getattr(found, part), getattr(model_state, part), atol=1e-4, rtol=1e-4, equal_nan=True
+        )
 
 
 def test_a_model_that_holds_is_another_than_one_that_looks_ahead():
-    at, controls, holding, looking = situation(ground()), commands(8), model("hold"), model("dc")
-    looking.load_state_dict(holding.state_dict())
+    at, controls, holding, extractor = situation(ground()), commands(8), model("hold"), model("dc")
+    extractor.load_state_dict(holding.state_dict())
     codes = encode_map(at.ground, holding.encoder)
-    held, seen = (fused_rollout(m, start(m, at), controls, at, Weights(), codes)[1] for m in (holding, looking))
+    held, seen = (fused_rollout(m, start(m, at), controls, at, Weights(), codes)[1] for m in (holding, extractor))
     torch.testing.assert_close(held[:, 0], seen[:, 0])
     assert (held[:, -1] - seen[:, -1]).abs().max() > 1e-3
 
 
 def test_a_map_that_holds_codes_needs_no_encoder():
     at, dynamics, controls = situation(ground()), model("dc"), commands(8)
-    encoder, carry = dynamics.encoder, start(dynamics, at)
+    encoder, model_state = dynamics.encoder, start(dynamics, at)
     codes, missing = encode_map(at.ground, encoder)
     # As a map gives them: NaN where nothing was seen.
     seen = at.ground.features[0].isfinite().all(-1, keepdim=True)
     coded_at = replace(at, ground=replace(at.ground, features=codes.where(seen, torch.nan)[None]))
     again = coded_map(coded_at.ground, encoder)
     torch.testing.assert_close(again, (codes, missing), rtol=0, atol=0)
-    eager = driving_costs(dynamics, carry, coded_at, Weights(), as_codes(missing))(controls)
-    torch.testing.assert_close(eager, driving_costs(dynamics, carry, at, Weights(), encoder)(controls))
+    eager = driving_costs(dynamics, model_state, coded_at, Weights(), as_codes(missing))(controls)
+    torch.testing.assert_close(eager, driving_costs(dynamics, model_state, at, Weights(), encoder)(controls))
     with pytest.raises(ValueError, match="holds 2 numbers a cell; codes are 3"):
         coded_map(at.ground, encoder)
 
@@ -230,15 +232,17 @@ def test_a_sample_with_nan_costs_nan_and_others_do_not():
 
 def test_what_the_kernel_cannot_take_is_refused():
     at, dynamics = situation(ground()), model("dc")
-    carry, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
+    model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
     with pytest.raises(ValueError, match="codes of 0"):
-        fused_costs(dynamics, carry, at, Weights(), encode_map(at.ground, None))
+        fused_costs(dynamics, model_state, at, Weights(), encode_map(at.ground, None))
     with pytest.raises(ValueError, match="the start is"):
-        fused_costs(dynamics, spread_carry(carry, 2), at, Weights(), codes)
+        fused_costs(dynamics, spread_model_state(model_state, 2), at, Weights(), codes)
     with pytest.raises(ValueError, match="float64"):
-        fused_costs(dynamics, carry, at, Weights(), codes)(commands(3).double())
+        fused_costs(dynamics, model_state, at, Weights(), codes)(commands(3).double())
     with pytest.raises(ValueError, match="no kernel"):
-        fused_costs(dynamics.double(), Carry(*(p.double() for p in vars(carry).values())), at, Weights(), codes)
+        fused_costs(
+            dynamics.double(), ModelState(*(p.double() for p in vars(model_state).values())), at, Weights(), codes
+        )
 
 
 def test_a_plan_with_it_is_better_than_doing_nothing():

@@ -5,8 +5,9 @@ from functools import partial
 
 import pytest
 
+from log_messages import logged
 from offpiste.errors import RunError
-from offpiste.reproduction.pieces import Piece, append_time, carry_out, said, times_by_kind
+from offpiste.reproduction.pieces import Piece, append_time, run_pieces, said, times_by_kind
 from offpiste.training.checkpoint import load_json, save_json
 
 
@@ -31,7 +32,11 @@ class Bench:
         return Piece(name, cost, lambda: name in self.made, do)
 
     def run(self, pieces: list[Piece], **options: object) -> None:
-        carry_out([pieces], tell=self.told.append, clock=lambda: self.now, **options)
+        with logged() as messages:
+            try:
+                run_pieces([pieces], clock=lambda: self.now, **options)
+            finally:
+                self.told += messages
 
 
 def test_pieces_are_done_in_order_and_a_killed_plan_goes_on():
@@ -79,15 +84,16 @@ def test_side_by_side_a_failure_stops_no_other_piece_and_no_later_stage_begins(t
 
     failing = partial(load_json, tmp_path / "missing")
     stages = [[piece("a"), piece("b", failing), piece("c")], [piece("d")]]
-    record, told = partial(append_time, tmp_path / "pieces.jsonl"), []
-    with pytest.raises(RunError, match="missing"):
-        carry_out(stages, processes=2, tell=told.append, record=record)
+    record = partial(append_time, tmp_path / "pieces.jsonl")
+    with logged() as told, pytest.raises(RunError, match="missing"):
+        run_pieces(stages, processes=2, record=record)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "c", "pieces.jsonl", "source"]
     assert set(times_by_kind(tmp_path / "pieces.jsonl")) == {"make"}
     assert any("[3/4] make c: done" in line for line in told)
     assert any("missing" in line for line in told)
     stages[0][1] = piece("b")
-    carry_out(stages, processes=2, tell=told.append)
+    with logged() as told:
+        run_pieces(stages, processes=2)
     assert (tmp_path / "b").exists()
     assert (tmp_path / "d").exists()
     assert "[1/4] make a: there" in told

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
+from log_messages import logged
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.splits import parse_split
@@ -63,14 +64,15 @@ def reproduced(folder: Path, dataset: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work_module, "train", killed_later)
         with pytest.raises(Killed):
-            reproduce(asked, tell=lambda line: None)
+            reproduce(asked)
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
     assert len(kept) == 2
-    reproduce(asked, tell=lambda line: None)
+    reproduce(asked)
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
-    said: list[str] = []
-    reproduce(replace(asked, figure="fig4", processes=2), tell=lambda line: said.append(str(line)))
+    with logged() as messages:
+        reproduce(replace(asked, figure="fig4", processes=2))
+    said = [str(message) for message in messages]
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     assert "[1/13] train b, seed 0: there" in said
     assert sum(bool(re.fullmatch(r"\[\d+/13\] train dc, seed [01]: done; about .* left", line)) for line in said) == 2
@@ -105,8 +107,8 @@ def test_relative_differences_are_those_of_the_means(out: Path) -> None:
             if row["horizon_s"] == 5.0 and (row["seed"] is None or (row["model"], row["variant"]) not in several)
         }
         for against in (a for a in found["against_b"] if a["seed"] is None):
-            way = against["lookup"], against["feature_set"]
-            mine, other = at_end[against["model"] + against["variant"], *way], at_end["b", *way]
+            reading = against["lookup"], against["feature_set"]
+            mine, other = at_end[against["model"] + against["variant"], *reading], at_end["b", *reading]
             for key, value in against["relative"].items():
                 assert value["mean"] == pytest.approx(mine[key]["mean"] / other[key]["mean"] - 1, abs=1e-9)
             assert against["n"] == mine["n"] == other["n"]
@@ -114,8 +116,8 @@ def test_relative_differences_are_those_of_the_means(out: Path) -> None:
 
 def test_fig4_judges_every_distance_and_the_map(out: Path) -> None:
     found = metrics(out, "fig4")
-    ways = {(row["lookup"], row["feature_set"]) for row in found["results"] if row["model"] == "dc"}
-    assert ways == {("map", None)} | {("recorded", name) for name in FEATURE_SETS}
+    readings = {(row["lookup"], row["feature_set"]) for row in found["results"] if row["model"] == "dc"}
+    assert readings == {("map", None)} | {("recorded", name) for name in FEATURE_SETS}
     rates = found["coverage"]["valid"]
     assert rates[0] == pytest.approx(1.0)
     assert rates[-1] == pytest.approx(0.2, abs=0.05)
@@ -153,7 +155,7 @@ def test_other_settings_in_the_same_folder_are_refused(out: Path, dataset: Path)
         (replace(asked, dataset=None), "dataset"),
     ):
         with pytest.raises(RunError, match=named):
-            reproduce(other, tell=lambda line: None)
+            reproduce(other)
 
 
 def command(*words: object, capsys: pytest.CaptureFixture) -> str:
@@ -205,11 +207,10 @@ def test_every_size_can_be_started(tmp_path: Path) -> None:
         raise Begun
 
     for name, size in SIZES.items():
-        told: list[object] = []
-        with pytest.MonkeyPatch.context() as patch:
+        with pytest.MonkeyPatch.context() as patch, logged() as told:
             patch.setattr(data, "run_all", begin)
             with pytest.raises(Begun):
-                reproduce(Reproduction("fig3", size, tmp_path / name), tell=told.append)
+                reproduce(Reproduction("fig3", size, tmp_path / name))
         assert re.match(r"\[1/\d+\] simulate \d+ drives", str(told[0]))
 
 
@@ -222,7 +223,7 @@ def test_a_damaged_judgement_names_its_file(
     file = copy / "runs" / "b-0" / "judged" / "map.safetensors"
     file.write_bytes(file.read_bytes()[:50])
     with pytest.raises(RunError, match=r"map\.safetensors"):
-        reproduce(Reproduction("fig4", TINY, copy, dataset=dataset), tell=lambda line: None)
+        reproduce(Reproduction("fig4", TINY, copy, dataset=dataset))
 
 
 def test_open_dataset_is_not_changed(dataset: Path, out: Path) -> None:

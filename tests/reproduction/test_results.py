@@ -23,12 +23,14 @@ def errors(distance: float | np.ndarray, loss: float = 1.0, vx: float = 1.0) -> 
     return Errors(np.repeat([0, 1], N // 2), row, values, np.full(N, loss))
 
 
-def found(figure: str, given: dict[str, list[Errors]], ways: list) -> Findings:
+def found(figure: str, given: dict[str, list[Errors]], readings: list) -> Findings:
     """Every model is as `given` by its label, or else as the first `cf`; every way is alike."""
     runs = {
-        (member, way): [RunErrors(seed, None, run) for seed, run in enumerate(given.get(member.label, given["cf"][:1]))]
+        (member, reading): [
+            RunErrors(seed, None, run) for seed, run in enumerate(given.get(member.label, given["cf"][:1]))
+        ]
         for member in members(figure, STORED)
-        for way in ways
+        for reading in readings
     }
     return Findings(runs, Sampling())
 
@@ -50,12 +52,12 @@ def test_only_seen_windows_count_where_asked():
     distance = np.where(np.arange(N) % 2, 1.0, 3.0)
     findings = found("fig3", {"b": [errors(2.0)], "cf": [errors(distance)]}, [("recorded", "hindsight")])
     member = next(m for m in findings.members if m.label == "cf")
-    way = ("recorded", "hindsight")
-    assert findings.against(member, way).relative["distance_error_m"].mean == pytest.approx(0.0)
-    seen = findings.against(member, way, np.arange(N) % 2 == 1)
+    reading = ("recorded", "hindsight")
+    assert findings.against(member, reading).relative["distance_error_m"].mean == pytest.approx(0.0)
+    seen = findings.against(member, reading, np.arange(N) % 2 == 1)
     assert seen.relative["distance_error_m"].mean == pytest.approx(-0.5)
     assert (seen.n, seen.seen) == (N // 2, True)
-    nothing = findings.against(member, way, np.zeros(N, bool))
+    nothing = findings.against(member, reading, np.zeros(N, bool))
     assert nothing.n == 0
     assert np.isnan(nothing.relative["loss"].mean)
 

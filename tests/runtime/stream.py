@@ -22,7 +22,7 @@ from offpiste.rig.sensors import CameraSource, LidarSource
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.perception import Sight
 from offpiste.runtime.runtime import Runtime, RuntimeSettings
-from offpiste.state import Carry, Terrain
+from offpiste.state import ModelState, Terrain
 
 WHEELS = np.array([[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]])
 FLAT = Terrain(torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 3), torch.zeros(1, 4, 0))
@@ -82,7 +82,7 @@ class Stream:
         """Drive on; returns the controls since the beginning."""
         empty = torch.zeros(1, 0)
         if not self.states:
-            self.carry = Carry(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty, empty)
+            self.model_state = ModelState(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty, empty)
         with torch.no_grad():
             for row in range(len(self.controls), len(self.controls) + round(seconds / DT)):
                 self._step(row)
@@ -90,7 +90,7 @@ class Stream:
 
     def _step(self, row):
         t = row * DT
-        x, y, yaw, vx, vy, rate = self.carry.state[0].double().tolist()
+        x, y, yaw, vx, vy, rate = self.model_state.state[0].double().tolist()
         self.states.append((x, y, yaw, vx, vy, rate))
         if self.reads(t):
             self.runtime.vehicle(reading(t, x, y, yaw, vx, vy, rate))
@@ -100,7 +100,7 @@ class Stream:
             self.runtime.scan(scan(t, self.height))
         self.controls.append(self.runtime.command(t))
         command = torch.as_tensor(self.controls[-1].command, dtype=torch.float32)
-        self.carry = self.truth.step(self.carry, command[None], FLAT)
+        self.model_state = self.truth.step(self.model_state, command[None], FLAT)
 
     def modes(self):
         """Changes of mode, in words."""
@@ -110,8 +110,8 @@ class Stream:
 class Held:
     """A vehicle that nothing moves."""
 
-    def step(self, carry, command, terrain):
-        return carry
+    def step(self, model_state, command, terrain):
+        return model_state
 
 
 def reading(t, x, y, yaw, vx, vy, rate):
@@ -128,11 +128,11 @@ def scan(t, height=0.0):
     return Cloud(t, "lidar", ground, None, np.ones(len(ground)))
 
 
-def sight(*, eyes=False, looking=look):
+def sight(*, eyes=False, extractor=look):
     mounting = np.eye(4)
     mounting[2, 3] = 2.0
     lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
-    return Sight(lidars, {"eye": camera()}, looking) if eyes else Sight(lidars)
+    return Sight(lidars, {"eye": camera()}, extractor) if eyes else Sight(lidars)
 
 
 def course(length=60.0, speed=5.0):
@@ -140,9 +140,11 @@ def course(length=60.0, speed=5.0):
     return Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), speed))
 
 
-def straight_drive(*, eyes=False, dynamics=None, looking=look, length=60.0, wanted=5.0, seed=0, stream=None, **changed):
+def straight_drive(
+    *, eyes=False, dynamics=None, extractor=look, length=60.0, wanted=5.0, seed=0, stream=None, **changed
+):
     """A stream for a run time on a straight course."""
     model = dynamics or (seeing_model() if eyes else parametric())
-    seen, there = sight(eyes=eyes, looking=looking), course(length, wanted)
+    seen, there = sight(eyes=eyes, extractor=extractor), course(length, wanted)
     runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed)
     return Stream(runtime, **(stream or {}))

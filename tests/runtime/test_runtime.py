@@ -280,10 +280,10 @@ def test_without_images_it_goes_on_and_says_so():
 def test_features_that_are_not_finite_count_as_no_image():
     broken = []
 
-    def looking(pixels):
+    def extractor(pixels):
         return np.full_like(look(pixels), np.nan) if broken else look(pixels)
 
-    stream = straight_drive(eyes=True, looking=looking)
+    stream = straight_drive(eyes=True, extractor=extractor)
     stream.run(1.0)
     broken.append(True)
     stream.run(2.2)
@@ -328,7 +328,9 @@ def test_a_pose_that_jumps_begins_the_map_anew():
     stream.run(1.5)
     assert stream.runtime._seeing.layers().known.any()
     stream.scans = lambda t: False
-    stream.carry = replace(stream.carry, state=stream.carry.state + torch.tensor([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
+    stream.model_state = replace(
+        stream.model_state, state=stream.model_state.state + torch.tensor([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
+    )
     stream.run(DT)
     assert not stream.runtime._seeing.layers().known.any()
     assert stream.modes()[-1] == ("stopping", "no scan")

@@ -19,14 +19,14 @@ class Always:
     """One command, and giving up after some samples."""
 
     wanted: tuple[float, float, float]
-    patience: int = 10**6
+    timeouts: int = 10**6
 
     @property
     def stuck(self):
-        return self.patience <= 0
+        return self.timeouts <= 0
 
     def command(self, sample):
-        self.patience -= 1
+        self.timeouts -= 1
         return np.array(self.wanted)
 
 

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from log_messages import logged
 from offpiste.logs.open import open_log
-from offpiste.perception.feature_extractor import load_looking
+from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.rig.rig import load_rig
 from offpiste.visualization import view_log as module
 from offpiste.visualization.view_log import view_log
@@ -116,9 +117,9 @@ def test_what_cannot_be_viewed_ends_in_one_line(
 def test_the_real_drive(data_folder: Path, tmp_path: Path, drive: Path) -> None:
     """A second of KITTI."""
     log = open_log(data_folder / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0013_sync")
-    looking = load_looking(drive / "pca.safetensors")
-    said: list[object] = []
-    view_log(log, load_rig("kitti"), tmp_path, looking=looking, stretch=(4.0, 4.8), rrd=False, tell=said.append)
+    extractor = load_feature_extractor(drive / "pca.safetensors")
+    with logged() as said:
+        view_log(log, load_rig("kitti"), tmp_path, extractor=extractor, stretch=(4.0, 4.8), rrd=False)
     assert names(tmp_path) == PICTURES
     picture = cv2.imread(str(tmp_path / "features.png"))
     # Right of the image its features: patches of one colour each, not black.

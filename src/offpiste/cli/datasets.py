@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from offpiste.progress import tell
+from offpiste.progress import show
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,11 @@ class FitPca:
             images=images,
             components=self.components,
             seed=self.seed,
-            tell=tell,
         )
         pca = fitted.pca
         save_pca(self.out, pca)
         write_image_list(self.out.with_suffix(".images.txt"), fitted.images)
-        tell(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
+        show(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
         return 0
 
 
@@ -76,7 +75,7 @@ class Extract:
     """Visual features: a file that `fit-pca` wrote. The log needs cameras and LiDARs, and the rig must name them."""
     device: str = "cpu"
     """Where the backbone runs."""
-    frame_metres: float = 0.5
+    keyframe_metres: float = 0.5
     """An image is looked at when its camera has come so far since the last one [m]; 0 looks at all."""
     min_hindsight: float = 0.5
     """Windows of which a smaller share of the ground was ever seen are left out; 0 keeps all."""
@@ -105,8 +104,7 @@ class Extract:
             device=self.device,
             min_hindsight=self.min_hindsight,
             snapshots=SnapshotSettings(self.snapshot_seconds),
-            replay=ReplaySettings(self.frame_metres),
+            replay=ReplaySettings(self.keyframe_metres),
             processes=self.processes,
-            tell=tell,
         )
         return 0

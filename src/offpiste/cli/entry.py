@@ -12,6 +12,7 @@ from offpiste.cli.experiments import Demo, Drive, Reproduce
 from offpiste.cli.logs import Inspect, Simulate, View
 from offpiste.cli.models import Evaluate, Train
 from offpiste.errors import OffpisteError
+from offpiste.progress import log_to_terminal
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": Demo,
@@ -40,6 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
             args=arguments,
             config=(tyro.conf.FlagCreatePairsOff,),
         )
+        log_to_terminal()
         sys.exit(command.run())
     except OffpisteError as error:
         if debug:

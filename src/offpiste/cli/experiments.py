@@ -6,8 +6,6 @@ from typing import Annotated, Literal
 
 import tyro
 
-from offpiste.progress import tell
-
 
 @dataclass(frozen=True)
 class Demo:
@@ -25,7 +23,7 @@ class Demo:
         """Simulate, inspect, look, extract, train, judge, drive."""
         from offpiste.demo import DemoSettings, run_demo
 
-        run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed), tell=tell)
+        run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed))
         return 0
 
 
@@ -71,7 +69,7 @@ class Reproduce:
             device=self.device,
             processes=self.processes,
         )
-        reproduce(asked, tell=tell)
+        reproduce(asked)
         return 0
 
 
@@ -118,6 +116,5 @@ class Drive:
             fault=self.fault,
             fault_start=self.fault_start,
             recording=self.recording,
-            tell=tell,
         )
         return 0

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.errors import RigError
-from offpiste.progress import tell
+from offpiste.progress import show
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Simulate:
         flaws = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
         seed = self.seed if self.drive_seed is None else self.drive_seed
         settings = DriveSettings(world, self.seconds, seed, self.sensors, imperfections=flaws)
-        simulate(settings, self.out, twins=self.twins, tell=tell)
+        simulate(settings, self.out, twins=self.twins)
         return 0
 
 
@@ -95,7 +95,7 @@ class Inspect:
             from offpiste.inspection.sensors import check_sensors
 
             inspection = inspection.with_findings(check_sensors(log, rig))
-        tell(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
+        show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         return 0 if inspection.usable else 1
 
 
@@ -130,7 +130,6 @@ class View:
             seconds=self.seconds,
             rrd=self.rrd,
             device=self.device,
-            tell=tell,
         )
-        tell(f"wrote {', '.join(map(str, written))}")
+        show(f"wrote {', '.join(map(str, written))}")
         return 0

@@ -9,7 +9,6 @@ import tyro
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import RunError
-from offpiste.progress import tell
 from offpiste.training.config import TrainConfig
 
 
@@ -41,7 +40,7 @@ class Train:
         if self.folds:
             if self.ddp:
                 raise RunError("--folds and --ddp do not go together", how="train the folds one after the other")
-            train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume, tell=tell)
+            train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume)
             return 0
         with joined(self.train.device) if self.ddp else nullcontext(ALONE) as group:
             train(
@@ -51,7 +50,6 @@ class Train:
                 resume=self.resume,
                 tensorboard=self.tensorboard,
                 group=group,
-                tell=tell,
             )
         return 0
 
@@ -74,16 +72,15 @@ class Evaluate:
 
     def run(self) -> int:
         """Load, judge, report."""
-        from offpiste.evaluation.evaluate_runs import judge_runs
+        from offpiste.evaluation.evaluate_runs import evaluate_runs
 
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
-        judge_runs(
+        evaluate_runs(
             self.runs,
             self.dataset,
             self.out,
             lookups=lookups if self.lookup == "both" else (self.lookup,),
             feature_sets=FEATURE_SETS if self.feature_set == "all" else (self.feature_set,),
             device=self.device,
-            tell=tell,
         )
         return 0

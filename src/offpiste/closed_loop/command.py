@@ -1,6 +1,6 @@
 """`offpiste drive`: from its arguments to a driven course, and a Rerun recording of it."""
 
-from collections.abc import Callable
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.runtime.runtime import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
+
+logger = logging.getLogger(__name__)
 
 
 def drive_and_show(
@@ -27,7 +29,6 @@ def drive_and_show(
     fault: Kind,
     fault_start: float,
     recording: bool,
-    tell: Callable[[object], None],
 ) -> Driven:
     """Drive a course with a run (see `cli.Drive`), and tell how it went.
 
@@ -47,16 +48,16 @@ def drive_and_show(
         fault=fault,
         fault_start=fault_start,
     )
-    driven = drive_course(planner, asked, out, tell=tell)
-    tell(modes_table(driven.result))
-    tell(stages_table(driven.result))
+    driven = drive_course(planner, asked, out)
+    logger.info(modes_table(driven.result))
+    logger.info(stages_table(driven.result))
     written = ["drive.mcap", "drive.png", "result.json"]
     if recording:
         from offpiste.closed_loop.recording import record_drive
 
         record_drive(driven, out / "drive.rrd")
         written.append("drive.rrd")
-    tell(f"wrote {', '.join(str(out / name) for name in written)}")
+    logger.info(f"wrote {', '.join(str(out / name) for name in written)}")
     return driven
 
 

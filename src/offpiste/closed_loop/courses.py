@@ -55,7 +55,7 @@ class CourseSettings:
 
 
 @dataclass(frozen=True)
-class Laid:
+class LaidCourse:
     """A course and where it begins.
 
     Attributes:
@@ -67,14 +67,14 @@ class Laid:
     surprise: float
 
 
-def lay_course(world: World, seed: int, settings: CourseSettings | None = None) -> Laid:
+def lay_course(world: World, seed: int, settings: CourseSettings | None = None) -> LaidCourse:
     """The best of some stretches of the world's trails; the same seed lays the same course.
 
     Raises:
         OffpisteError: none of them can be driven.
     """
     settings, country = settings or CourseSettings(), Country.of(world)
-    found: list[Laid] = []
+    found: list[LaidCourse] = []
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
         length = (len(path) - 1) * STEP  # a closed trail may be shorter than what was asked for
@@ -84,7 +84,7 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
         if holds and _drivable(world, country, path, settings):
             heading = np.arctan2(*(path[2] - path[0])[::-1])
             start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
-            found.append(Laid(course, start, surprise_along(world, course.driven, settings.speed)))
+            found.append(LaidCourse(course, start, surprise_along(world, course.driven, settings.speed)))
     if not found:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
         raise OffpisteError("no course can be laid along its trails", where=place, how="take another seed")
@@ -122,8 +122,8 @@ def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.nda
 
 def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
     """From each piece of a path to the next [rad]."""
-    way = np.diff(path, axis=0)
-    return np.diff(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
+    reading = np.diff(path, axis=0)
+    return np.diff(np.unwrap(np.arctan2(reading[:, 1], reading[:, 0])))
 
 
 def _stretch(

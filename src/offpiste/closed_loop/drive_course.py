@@ -1,15 +1,15 @@
 """One course, one planner: driven, judged, drawn and kept."""
 
 import json
+import logging
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from offpiste.closed_loop.courses import CourseSettings, Laid, lay_course
+from offpiste.closed_loop.courses import CourseSettings, LaidCourse, lay_course
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
@@ -28,6 +28,8 @@ from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World, WorldSettings
+
+logger = logging.getLogger(__name__)
 
 FASTEST = 30.0
 """Speed that may be wanted [m/s]."""
@@ -64,7 +66,7 @@ class Driven:
     """
 
     world: World
-    laid: Laid
+    laid: LaidCourse
     driving: Driving
     trace: Trace
     runtime: Runtime
@@ -78,7 +80,6 @@ def drive_course(
     *,
     world: World | None = None,
     scene: Scene | None = None,
-    tell: Callable[[object], None] = lambda said: None,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
 
@@ -96,7 +97,7 @@ def drive_course(
     remember = max(asked.seconds, asked.runtime.remember)
     rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(asked.world)
     laid, suite = lay_course(world, asked.world.seed, asked.course), sensor_suite(asked.sensors)
-    if planner.looking is None and not asked.keep_log:
+    if planner.extractor is None and not asked.keep_log:
         suite = SensorSuite((), suite.lidars)
     fault = Fault(asked.fault, asked.fault_start)
     runtime = Runtime(
@@ -121,7 +122,7 @@ def drive_course(
     if not asked.keep_log:
         (out / "drive.mcap").unlink()
     write_text(out / "result.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
-    tell(described(result))
+    logger.info(described(result))
     return Driven(world, laid, driving, trace, runtime, result)
 
 
@@ -172,11 +173,11 @@ def check_folder(out: Path) -> None:
 
 def _sight(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> Sight:
     lidars = lidars_of(suite, rig)
-    if planner.looking is None:
+    if planner.extractor is None:
         return Sight(lidars)
-    patch = planner.looking.patch
+    patch = planner.extractor.patch
     cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
-    return Sight(lidars, cameras, fault.looking(planner.looking.look))
+    return Sight(lidars, cameras, fault.extractor(planner.extractor.look))
 
 
 def _truth(world: World) -> KnownGround:
@@ -187,7 +188,7 @@ def _truth(world: World) -> KnownGround:
 
 
 def _result(
-    planner: Planner, asked: CourseDrive, laid: Laid, runtime: Runtime, driving: Driving, trace: Trace
+    planner: Planner, asked: CourseDrive, laid: LaidCourse, runtime: Runtime, driving: Driving, trace: Trace
 ) -> dict[str, Any]:
     errors = prediction_errors(runtime.predictions, trace.place)
     began = runtime.events[0].time if runtime.events else 0.0

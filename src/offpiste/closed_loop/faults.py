@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.mapping.replay import Look
+from offpiste.mapping.replay import ExtractFeatures
 from offpiste.runtime.runtime import Runtime
 
 Kind = Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"]
@@ -59,7 +59,7 @@ class Fault:
             self._struck = True
             runtime.forget_map()
 
-    def looking(self, look: Look) -> Look:
+    def extractor(self, look: ExtractFeatures) -> ExtractFeatures:
         """What the backbone gives."""
 
         def faulty(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:

@@ -45,7 +45,7 @@ class PlannerCommander:
 
     runtime: Runtime
     rng: np.random.Generator
-    patience: float = 8.0
+    timeouts: float = 8.0
     controls: list[Controls] = field(default_factory=list)
     _best: float = 0.0
     _since: float = 0.0
@@ -59,7 +59,7 @@ class PlannerCommander:
     @property
     def stuck(self) -> bool:
         """Whether it makes no way any more."""
-        return bool(self.controls) and self.controls[-1].time - self._since > self.patience
+        return bool(self.controls) and self.controls[-1].time - self._since > self.timeouts
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
         """Throttle, brake and steering for the next `conventions.DT`."""

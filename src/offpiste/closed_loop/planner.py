@@ -9,7 +9,7 @@ from typing import Any
 from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
-from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import load_run
 from offpiste.training.terrain_sources import encoder_of
@@ -29,13 +29,13 @@ class Planner:
     name: str
     folder: Path
     dynamics: Dynamics
-    looking: Looking | None = None
+    extractor: FeatureExtractor | None = None
     weights: str = ""
 
     @property
     def told(self) -> bool:
         """Whether it knows the ground's true properties."""
-        return self.looking is None and encoder_of(self.dynamics) is not None
+        return self.extractor is None and encoder_of(self.dynamics) is not None
 
 
 def load_planner(folder: Path, pca: Path | None = None) -> Planner:
@@ -64,14 +64,14 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
         return Planner("ceiling", folder, run.dynamics, weights=weights)
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
-    looking = load_looking(pca)
-    if looking.identity != identity:
+    extractor = load_feature_extractor(pca)
+    if extractor.identity != identity:
         raise RunError(
-            f"was trained with another PCA ({identity}) than {pca} ({looking.identity})",
+            f"was trained with another PCA ({identity}) than {pca} ({extractor.identity})",
             where=folder,
             how="give the file that its dataset was extracted with",
         )
-    return Planner(run.model, folder, run.dynamics, looking, weights)
+    return Planner(run.model, folder, run.dynamics, extractor, weights)
 
 
 def _pca_of_dataset(folder: Path) -> str | None:

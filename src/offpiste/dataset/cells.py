@@ -14,10 +14,10 @@ import torch
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from torch import Tensor
 
-from offpiste.dataset.feature_sets import Views
+from offpiste.dataset.feature_sets import FeatureSetChoice
 
 
-class Slabs:
+class ArrayPieces:
     """Reads pieces [d, first:end] of an array [D, M, ...].
 
     Pieces of a memory-mapped array are read from its file with `preadv`, past the mapping: pages of a mapping that were
@@ -105,7 +105,7 @@ class CellTable:
             [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, self._first[:-1], strict=True)]
         )
         self._valid = np.concatenate([c.valid for c in cells], axis=1)
-        self._slabs = [Slabs(c.features) for c in cells]
+        self._slabs = [ArrayPieces(c.features) for c in cells]
         self._channels, self._device = cells[0].features.shape[2], device
 
     @property
@@ -113,7 +113,9 @@ class CellTable:
         """How many feature sets there are."""
         return len(self._valid)
 
-    def under(self, rows: Int[np.ndarray, "B R"], views: Views, history: int = 0) -> UnderWheels:
+    def under(
+        self, rows: Int[np.ndarray, "B R"], feature_set_choice: FeatureSetChoice, history: int = 0
+    ) -> UnderWheels:
         """What lies under the wheels at rows.
 
         Args:
@@ -121,9 +123,9 @@ class CellTable:
             history: how many of them are past.
         """
         cell = self._index[rows]
-        sets = np.broadcast_to(views.sets[..., None], cell.shape)
+        sets = np.broadcast_to(feature_set_choice.sets[..., None], cell.shape)
         known = cell >= 0
-        place, ranges, total = _merged(cell, views.sets, self.sets, int(self._first[-1]))
+        place, ranges, total = _merged(cell, feature_set_choice.sets, self.sets, int(self._first[-1]))
         number = np.where(known, cell + place[np.arange(len(rows))[:, None, None], sets], total)
         touched = np.zeros(total + 1, bool)
         touched[number] = True
@@ -131,7 +133,13 @@ class CellTable:
         features = np.full((total + 1, self._channels), np.nan, np.float16)
         valid = np.zeros(total + 1, bool)
         for chosen, first, low, count in ranges:
-            self._read(features[first : first + count], valid[first : first + count], chosen, low, views.flags_only)
+            self._read(
+                features[first : first + count],
+                valid[first : first + count],
+                chosen,
+                low,
+                feature_set_choice.flags_only,
+            )
         number = (np.cumsum(touched) - 1)[number]
         under = torch.from_numpy(number).to(self._device)
         return UnderWheels(
@@ -195,7 +203,7 @@ class Normals:
     def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
         self._device = device
         self._first = np.cumsum([0, *(n.shape[1] for n in normals)])
-        self._slabs = [Slabs(n) for n in normals]
+        self._slabs = [ArrayPieces(n) for n in normals]
         self._arrays = normals
         self._sets = normals[0].shape[0]
         self._whole = self.whole() if self._sets == 1 else None
@@ -204,7 +212,9 @@ class Normals:
         """Of the first set at every row."""
         return torch.as_tensor(np.concatenate([n[0] for n in self._arrays]), device=self._device)
 
-    def at(self, start: Int[np.ndarray, " B"], count: int, views: Views) -> Float[Tensor, "B R 4 3"]:
+    def at(
+        self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice
+    ) -> Float[Tensor, "B R 4 3"]:
         """At R = `count` rows from `start` on, each window's in one drive."""
         if self._whole is not None:
             rows = torch.as_tensor(start[:, None] + np.arange(count), device=self._device)
@@ -213,14 +223,14 @@ class Normals:
         every = np.empty((self._sets, count, 4, 3), np.float32)
         drive = np.searchsorted(self._first, start, side="right") - 1
         first = (start - self._first[drive]).tolist()
-        one = views.flags_only or views.sets.shape[1] == 1
+        one = feature_set_choice.flags_only or feature_set_choice.sets.shape[1] == 1
         for window, number in enumerate(drive.tolist()):
             slabs = self._slabs[number]
             if one:
-                chosen = 0 if views.flags_only else int(views.sets[window, 0])
+                chosen = 0 if feature_set_choice.flags_only else int(feature_set_choice.sets[window, 0])
                 slabs.read(chosen, first[window], found[window])
                 continue
-            for chosen in np.unique(views.sets[window]).tolist():
+            for chosen in np.unique(feature_set_choice.sets[window]).tolist():
                 slabs.read(chosen, first[window], every[chosen])
-            found[window] = every[views.sets[window], np.arange(count)]
+            found[window] = every[feature_set_choice.sets[window], np.arange(count)]
         return torch.from_numpy(found).to(self._device)

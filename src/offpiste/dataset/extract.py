@@ -3,29 +3,32 @@
 Logs in, dataset out: split once, every drive extracted by itself, several at a time.
 """
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.conventions import DT, FEATURE_SETS, MIN_JUDGED_SPEED
+from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED
 from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, scratch
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, buffers, create, drive_names, open_dataset
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
-from offpiste.dataset.window_starts import MIN_HINDSIGHT, judged_starts
+from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import ReplaySettings
 from offpiste.parallel import Report, run_all, usable_cores
-from offpiste.perception.feature_extractor import Looking, load_looking
+from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -57,14 +60,14 @@ def extract_drive(job: Job, report: Report) -> str:
     if job.pca is not None:
         sensors = open_sensors(log, job.rig)
         notes += sensors.coverage()
-        looking = load_looking(job.pca, job.device)
-        notes += _seen_by_pca(looking, rows, job)
+        extractor = load_feature_extractor(job.pca, job.device)
+        notes += _seen_by_pca(extractor, rows, job)
         replay = job.replay or ReplaySettings()
-        with scratch(job.out, job.name) as folder:
-            writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, looking.channels)
+        with buffers(job.out, job.name) as folder:
+            writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, extractor.channels)
             settings = job.snapshots or SnapshotSettings()
             keeper = SnapshotKeeper(writer, Due(_starts(rows, job, settings.parts), settings), settings.margin)
-            rows = with_visual_features(rows, sensors, job.rig, looking, replay, snapshots=keeper, report=report)
+            rows = with_visual_features(rows, sensors, job.rig, extractor, replay, snapshots=keeper, report=report)
             writer.close()
             stored = add_drive(
                 job.out, job.name, rows, job.split, notes + sensors.notes, snapshots=folder / "snapshots"
@@ -76,9 +79,9 @@ def extract_drive(job: Job, report: Report) -> str:
     return described(add_drive(job.out, job.name, rows, job.split, notes, terrain), job.split)
 
 
-def _seen_by_pca(looking: Looking, rows: Rows, job: Job) -> tuple[str, ...]:
+def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str, ...]:
     """A warning if the PCA was fitted on what shall validate or test."""
-    about = looking.pca.fitted_on
+    about = extractor.pca.fitted_on
     if job.name not in about.get("logs", ()) or about.get("split") == job.split.text:
         return ()
     position = rows.state[:, :2] + rows.origin
@@ -98,7 +101,7 @@ def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray,
     found = []
     for number in (PARTS.index(name) for name in parts):
         starts = np.zeros(len(part), bool)
-        starts[judged_starts(rows, part == number)] = True
+        starts[evaluation_starts(rows, part == number)] = True
         found.append(starts)
     return found
 
@@ -107,11 +110,11 @@ def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> s
     """A drive as stored, in a few lines."""
     rows = drive.rows
     mine = [drive.part == number for number in range(len(PARTS))]
-    windows = [len(judged_starts(rows, part, min_hindsight)) for part in mine]
+    windows = [len(evaluation_starts(rows, part, min_hindsight)) for part in mine]
     share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
     lines = [
         f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
-        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_JUDGED_SPEED} m/s: {share}"
+        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_EVALUATION_SPEED} m/s: {share}"
     ]
     wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
     if split.kind in ("blocks", "fold") and min(wanted) == 0:
@@ -122,7 +125,7 @@ def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> s
     if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
         rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)
         lines.append("  valid by distance: " + ", ".join(f"{name} {rate:.2f}" for name, rate in rates))
-        unseen = sum(len(judged_starts(rows, part)) for part in mine) - sum(windows)
+        unseen = sum(len(evaluation_starts(rows, part)) for part in mine) - sum(windows)
         if unseen:
             lines.append(f"  {unseen} windows left out: less than {min_hindsight:.0%} of their ground was ever seen")
     if drive.snapshots is not None and len(drive.snapshots.row):
@@ -143,7 +146,6 @@ def make_dataset(
     snapshots: SnapshotSettings | None = None,
     replay: ReplaySettings | None = None,
     processes: int = 1,
-    tell: Callable[[str], None] = lambda line: None,
 ) -> Dataset:
     """Extract drives into a dataset; drives that are in it already are left as they are.
 
@@ -167,26 +169,26 @@ def make_dataset(
             raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
     parts = parse_split(split)
     if empty := empty_parts(parts):
-        tell(f"warning: the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
+        logger.warning(f"the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
     if pca is not None and features != "none":
         raise DatasetError(f"both a PCA and '{features}' features are asked for", how="leave out one of them")
     if not 0 <= min_hindsight <= 1:
         raise DatasetError(f"min-hindsight is {min_hindsight:g}", how="give a share from 0 to 1")
-    looking = load_looking(pca, device) if pca is not None else None
-    if looking is None:
+    extractor = load_feature_extractor(pca, device) if pca is not None else None
+    if extractor is None:
         create(out, rig, parts, LAYERS[features])
     else:
-        create(out, rig, parts, looking.names, looking.identity, min_hindsight)
+        create(out, rig, parts, extractor.names, extractor.identity, min_hindsight)
     done = set(drive_names(out))
     for name in (name for name in names if name in done):
-        tell(f"{name}: already there")
+        logger.info(f"{name}: already there")
     jobs = [
         Job(Path(log), name, rig, out, parts, features, pca, device, min_hindsight, snapshots, replay)
         for log, name in zip(logs, names, strict=True)
         if name not in done
     ]
     processes = processes or (usable_cores() if device == "cpu" else 1)
-    _refuse_failed(run_all(extract_drive, jobs, processes, "extract", tell), out)
+    _refuse_failed(run_all(extract_drive, jobs, processes, "extract"), out)
     return open_dataset(out)
 
 

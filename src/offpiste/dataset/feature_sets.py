@@ -17,7 +17,7 @@ from offpiste.errors import DatasetError
 
 
 @dataclass(frozen=True)
-class Views:
+class FeatureSetChoice:
     """Feature sets of a batch of windows.
 
     Attributes:
@@ -29,9 +29,9 @@ class Views:
     flags_only: bool = False
 
 
-def same_view(count: int, number: int) -> Views:
+def same_feature_set(count: int, number: int) -> FeatureSetChoice:
     """All windows read one set."""
-    return Views(np.full((count, 1), number))
+    return FeatureSetChoice(np.full((count, 1), number))
 
 
 def set_number(name: str, stored: int) -> int:
@@ -58,7 +58,7 @@ DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
 
 
 @dataclass(frozen=True)
-class CellViews:
+class CellFeatureSets:
     """What a map holds of some cells at one moment.
 
     Attributes:
@@ -76,11 +76,11 @@ class CellViews:
     normal: Float[np.ndarray, "K 3"]
 
 
-Read = Callable[[Int[np.ndarray, "K 2"]], CellViews]
+Read = Callable[[Int[np.ndarray, "K 2"]], CellFeatureSets]
 """Reads cells (column, row on the world-aligned grid) of the map as it is now."""
 
 
-class Viewing:
+class FeatureSetRecorder:
     """Watches a growing map and keeps, for every pass, what each feature set asks for.
 
     The set of distance d holds the map's value at the update when the horizontal distance from the pose point to the
@@ -128,41 +128,45 @@ class Viewing:
         signed = np.where(time > p.contact[active], -away, away)
         miss = np.abs(signed - DISTANCES[:, None])
         better = (miss <= TOLERANCE) & (miss < self._nearest[1:, active])
-        views = read(p.cell[active])
+        feature_set_choice = read(p.cell[active])
         for number in range(1, len(FEATURE_SETS)):
             chosen = better[number - 1]
             self._nearest[number, active[chosen]] = miss[number - 1, chosen]
-            self._keep(number, active, views, chosen)
-        self._keep(0, active, views, views.valid)
+            self._keep(number, active, feature_set_choice, chosen)
+        self._keep(0, active, feature_set_choice, feature_set_choice.valid)
 
     def _keep(
-        self, number: int, active: Int[np.ndarray, " K"], views: CellViews, chosen: Bool[np.ndarray, " K"]
+        self,
+        number: int,
+        active: Int[np.ndarray, " K"],
+        feature_set_choice: CellFeatureSets,
+        chosen: Bool[np.ndarray, " K"],
     ) -> None:
         where = active[chosen]
-        self.features[number, where] = views.features[chosen]
-        self.valid[number, where] = views.valid[chosen]
-        self.distance[number, where] = views.distance[chosen]
-        self.elevation[number, where] = views.elevation[chosen]
-        self.normal[number, where] = views.normal[chosen]
+        self.features[number, where] = feature_set_choice.features[chosen]
+        self.valid[number, where] = feature_set_choice.valid[chosen]
+        self.distance[number, where] = feature_set_choice.distance[chosen]
+        self.elevation[number, where] = feature_set_choice.elevation[chosen]
+        self.normal[number, where] = feature_set_choice.normal[chosen]
 
 
-Draw = Callable[[np.random.Generator, int, int, int], Views]
+Draw = Callable[[np.random.Generator, int, int, int], FeatureSetChoice]
 """From a generator, the number of windows, of their predicted steps and of the stored sets to what the windows read."""
 
 
-def per_trajectory(rng: np.random.Generator, count: int, horizon: int, stored: int) -> Views:
+def per_trajectory(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
     """`dc`: one of the seven distances or hindsight for each window, kept for the whole of it."""
-    return Views(rng.integers(0, stored, (count, 1)))
+    return FeatureSetChoice(rng.integers(0, stored, (count, 1)))
 
 
-def per_step(rng: np.random.Generator, count: int, horizon: int, stored: int) -> Views:
+def per_step(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
     """`dc-step`: drawn anew at every step; the paper found it poor."""
-    return Views(rng.integers(0, stored, (count, HISTORY_STEPS + horizon)))
+    return FeatureSetChoice(rng.integers(0, stored, (count, HISTORY_STEPS + horizon)))
 
 
-def masked(rng: np.random.Generator, count: int, horizon: int, stored: int) -> Views:
+def masked(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
     """`cf-masked`: what would be missing from a drawn distance is, but the rest is as in hindsight."""
-    return Views(rng.integers(0, stored, (count, 1)), flags_only=True)
+    return FeatureSetChoice(rng.integers(0, stored, (count, 1)), flags_only=True)
 
 
 DRAWS: dict[str, Draw] = {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}

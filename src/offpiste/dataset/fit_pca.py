@@ -3,7 +3,8 @@
 The PCA of patch features, from the training stretches of logs only (paper, "Dimensionality Reduction").
 """
 
-from collections.abc import Callable, Iterable, Sequence
+import logging
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -23,10 +24,12 @@ from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
 from offpiste.parallel import Report
 from offpiste.perception.backbones.backbone import Backbone
-from offpiste.perception.keyframes import frames_by_travel, image_statistics, most_diverse
+from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
 from offpiste.progress import shares
 from offpiste.rig.rig import Rig
+
+logger = logging.getLogger(__name__)
 
 
 class ListedImage(NamedTuple):
@@ -110,7 +113,6 @@ def fit_pca(
     images: int | Sequence[ListedImage] = IMAGES,
     components: int = COMPONENTS,
     seed: int = 0,
-    tell: Callable[[str], None] = lambda line: None,
 ) -> FittedPca:
     """Choose images of varied ground and light, and fit on their patches that ground points of the LiDAR hit.
 
@@ -142,7 +144,7 @@ def fit_pca(
                 moments = _add_log(moments, _sensors(log, rig), backbone, times, partial(show, number))
             show(number, 1.0)
     pca = fit(moments, backbone, components=components, logs=names, split=split.text)
-    tell(f"{len(chosen)} of {len(found)} images, {moments.count:.0f} patches of ground")
+    logger.info(f"{len(chosen)} of {len(found)} images, {moments.count:.0f} patches of ground")
     return FittedPca(pca, [ListedImage(names[found[i].log], found[i].camera, found[i].time) for i in chosen])
 
 
@@ -173,7 +175,7 @@ def _candidates(
     for done, camera in enumerate(sensors.cameras):
         stamps = np.sort(sensors.stamps(camera))
         stamps = stamps[_in_training(stamps, rows, part == 0)]
-        kept = frames_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
+        kept = keyframes_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
         times = set(np.round(stamps[kept], 6))
         for image in sensors.stream([camera]):
             report((done + _share(image.time, sensors)) / len(sensors.cameras))
@@ -228,7 +230,7 @@ def _ground_hits(moment: Moment) -> dict[tuple[str, float], tuple[torch.Tensor, 
     if moment.projection is None:
         return {}
     ground, found = ground_points(moment), {}
-    for number, (view, features) in enumerate(zip(moment.views, moment.looks, strict=True)):
+    for number, (view, features) in enumerate(zip(moment.feature_set_choice, moment.looks, strict=True)):
         mine = ground & (moment.projection.view == number)
         mask = np.zeros(features.shape[:2], bool)
         mask[moment.projection.row[mine], moment.projection.column[mine]] = True

@@ -19,7 +19,7 @@ from offpiste.dataset.cells import Cells
 from offpiste.dataset.resample import Rows, present_actuators, present_control
 from offpiste.dataset.snapshots import Snapshots, open_snapshots
 from offpiste.dataset.splits import Split, parse_split
-from offpiste.dataset.validation import refuse_unlike, refuse_unsound
+from offpiste.dataset.validation import refuse_invalid, refuse_unlike
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
@@ -162,7 +162,7 @@ def add_drive(
 
 
 @contextmanager
-def scratch(path: Path, name: str) -> Iterator[Path]:
+def buffers(path: Path, name: str) -> Iterator[Path]:
     """A folder beside the drives of a dataset for what one of them needs while it is made; removed afterwards."""
     folder = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=path))
     try:
@@ -207,7 +207,7 @@ def open_dataset(path: str | Path) -> Dataset:
     features = tuple(attributes.get("features", ()))
     drives = tuple(_read_drive(path, name) for name in names)
     for drive in drives:
-        refuse_unsound(path, drive.name, drive.rows, rig, needs_cells=bool(features))
+        refuse_invalid(path, drive.name, drive.rows, rig, needs_cells=bool(features))
     return Dataset(path, rig, split, drives, features, attributes.get("min_hindsight", 0.0), attributes.get("pca"))
 
 

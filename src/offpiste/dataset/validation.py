@@ -37,7 +37,7 @@ def refuse_unlike(path: Path, found: dict[str, Any], asked: dict[str, Any]) -> N
             )
 
 
-def refuse_unsound(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: bool) -> None:
+def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: bool) -> None:
     """Raise if a drive would put what is not finite into a model, or has no cells where the dataset names features.
 
     Args:

@@ -7,14 +7,14 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.feature_sets import CellViews, Viewing
+from offpiste.dataset.feature_sets import CellFeatureSets, FeatureSetRecorder
 from offpiste.dataset.passes import find_passes
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import TerrainLayers, wheel_places
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
 UP = np.array([0, 0, 1], np.float32)
@@ -47,7 +47,7 @@ def with_visual_features(
     rows: Rows,
     log: SensorLog,
     rig: Rig,
-    looking: Looking,
+    extractor: FeatureExtractor,
     settings: ReplaySettings | None = None,
     *,
     snapshots: SnapshotKeeper | None = None,
@@ -67,31 +67,39 @@ def with_visual_features(
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=grid.size, jumps=log.poses.jumps)
-    viewing = Viewing(passes, resolution=grid.size, reach=grid.reach, features=looking.channels)
-    cameras = pinhole_cameras(log, looking.patch)
-    for moment in replay(log, cameras, looking.look, looking.channels, settings):
-        viewing.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
+    feature_sets_recorder = FeatureSetRecorder(
+        passes, resolution=grid.size, reach=grid.reach, features=extractor.channels
+    )
+    cameras = pinhole_cameras(log, extractor.patch)
+    for moment in replay(log, cameras, extractor.look, extractor.channels, settings):
+        feature_sets_recorder.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
         if snapshots is not None:
             snapshots.look(moment, rows)
         report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
     under = passes.index
-    normal = np.where((under >= 0)[None, :, :, None], viewing.normal[:, under], UP)
-    cells = Cells(under, viewing.features, viewing.valid, viewing.distance, viewing.elevation)
+    normal = np.where((under >= 0)[None, :, :, None], feature_sets_recorder.normal[:, under], UP)
+    cells = Cells(
+        under,
+        feature_sets_recorder.features,
+        feature_sets_recorder.valid,
+        feature_sets_recorder.distance,
+        feature_sets_recorder.elevation,
+    )
     return replace(rows, normal=normal.astype(np.float32), cells=cells)
 
 
-def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], CellViews]:
+def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], CellFeatureSets]:
     first = np.floor(layers.origin / layers.resolution).astype(np.int64)  # the origin is a centre: cell i starts at i
     ny, nx = layers.elevation.shape
 
-    def read(cells: np.ndarray) -> CellViews:
+    def read(cells: np.ndarray) -> CellFeatureSets:
         at = cells - first
         inside = np.asarray(((at >= 0) & (at < [nx, ny])).all(axis=1))
         column, row = np.where(inside[:, None], at, 0).T
         valid, ground = inside & layers.valid[row, column], inside & layers.known[row, column]
         normal = layers.normal[row, column].astype(np.float32)
         known = inside & np.isfinite(normal).all(axis=1)
-        return CellViews(
+        return CellFeatureSets(
             features=np.where(valid[:, None], layers.features[row, column], np.nan).astype(np.float32),
             valid=valid,
             distance=np.where(valid, layers.distance[row, column], np.nan).astype(np.float32),

@@ -6,7 +6,7 @@ Where windows start: complete, in one part, fast enough, and on ground that was 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.conventions import FEATURE_SETS, HORIZON_STEPS, MIN_JUDGED_SPEED
+from offpiste.conventions import FEATURE_SETS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import window_starts
@@ -40,11 +40,11 @@ def enough_hindsight(
     return np.asarray((run[end] - run[:-1]) / (end - np.arange(len(cells.index))) >= least - 1e-9)
 
 
-def judged_starts(
+def evaluation_starts(
     rows: Rows,
     mine: Bool[np.ndarray, " N"],
     min_hindsight: float = 0.0,
-    min_speed: float = MIN_JUDGED_SPEED,
+    min_speed: float = MIN_EVALUATION_SPEED,
     horizon: int = HORIZON_STEPS,
 ) -> Int[np.ndarray, " n"]:
     """Rows t of a drive at which windows start.

@@ -9,14 +9,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_JUDGED_SPEED
+from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.cells import CellTable, Normals, UnderWheels
-from offpiste.dataset.feature_sets import Views, same_view, set_number
+from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.resample import present_actuators, present_control
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
-from offpiste.dataset.window_starts import judged_starts
+from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import DatasetError
 from offpiste.geometry import wrap_angle
 from offpiste.state import History, Terrain
@@ -68,7 +68,7 @@ class Windows:
         part: str,
         *,
         start: str = "causal",
-        min_speed: float = MIN_JUDGED_SPEED,
+        min_speed: float = MIN_EVALUATION_SPEED,
         horizon: int = HORIZON_STEPS,
         feature_set: str = "hindsight",
         device: torch.device | str = "cpu",
@@ -91,7 +91,7 @@ class Windows:
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
         starts, drives = [], []
         for number, drive in enumerate(dataset.drives):
-            found = judged_starts(
+            found = evaluation_starts(
                 drive.rows, drive.part == PARTS.index(part), dataset.min_hindsight, min_speed, horizon
             )
             starts.append(offset[number] + found)
@@ -130,13 +130,13 @@ class Windows:
         """Row t of windows, counted in their own drive."""
         return np.asarray(self.rows[index] - self._offset[self.drive[index]])
 
-    def gather(self, index: Int[np.ndarray, " B"], views: Views | None = None) -> Batch:
+    def gather(self, index: Int[np.ndarray, " B"], feature_set_choice: FeatureSetChoice | None = None) -> Batch:
         """A batch of windows by their indices.
 
         Args:
             views: which feature sets they read.
         """
-        views = views or same_view(len(index), self._set)
+        feature_set_choice = feature_set_choice or same_feature_set(len(index), self._set)
         t = torch.as_tensor(self.rows[index], device=self.device)
         past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
         now = t[:, None] + torch.arange(self.horizon, device=self.device)
@@ -146,13 +146,13 @@ class Windows:
         place[:, :2] = start[:, :2]
         place[:, 2] = start[:, 2] - wrap_angle(start[:, 2])
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
-        normal = self._normals.at(first, count, views)
+        normal = self._normals.at(first, count, feature_set_choice)
         before, after = (
             Terrain(part, part[..., :0]) for part in (normal[:, :HISTORY_STEPS], normal[:, HISTORY_STEPS:])
         )
         ground = None
         if self._cells is not None:
-            ground = self._cells.under(first[:, None] + np.arange(count), views, HISTORY_STEPS)
+            ground = self._cells.under(first[:, None] + np.arange(count), feature_set_choice, HISTORY_STEPS)
         return Batch(
             history=History(self._start[past] - place[:, None], self._actuators[past], self._control[past], before),
             state=start - place,
@@ -169,7 +169,7 @@ class Windows:
         if self._cells is None:
             raise DatasetError("no terrain features", how="extract them with `--features ground-truth`")
         chosen = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
-        under = self._cells.under(self.rows[chosen, None], same_view(len(chosen), self._set))
+        under = self._cells.under(self.rows[chosen, None], same_feature_set(len(chosen), self._set))
         cells = under.ahead.flatten()
         return under.features[cells], under.valid[cells]
 

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from offpiste.state import Carry, History, Terrain, TerrainSource, Trajectory
+from offpiste.state import History, ModelState, Terrain, TerrainSource, Trajectory
 
-Step = Callable[[Carry, Tensor, Terrain], Carry]
+Step = Callable[[ModelState, Tensor, Terrain], ModelState]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Dynamics(nn.Module, ABC):
     vehicle: Vehicle
 
     @abstractmethod
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """What the model remembers at the start of a prediction.
 
         Args:
@@ -67,17 +67,19 @@ class Dynamics(nn.Module, ABC):
     def stepper(self) -> Step:
         """A step with everything that does not change along a rollout computed once."""
 
-    def step(self, carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
+    def step(self, model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
         """One step of `conventions.DT`.
 
         Args:
             control: throttle, brake, steer as commanded during the step.
             terrain: under each wheel now; fields are [B, 4, ...].
         """
-        return self.stepper()(carry, control, terrain)
+        return self.stepper()(model_state, control, terrain)
 
 
-def rollout(dynamics: Dynamics, carry: Carry, controls: Float[Tensor, "B T 3"], source: TerrainSource) -> Trajectory:
+def rollout(
+    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T 3"], source: TerrainSource
+) -> Trajectory:
     """Predict T steps.
 
     Args:
@@ -88,9 +90,9 @@ def rollout(dynamics: Dynamics, carry: Carry, controls: Float[Tensor, "B T 3"], 
     step = dynamics.stepper()
     states, actuators = [], []
     for t, control in enumerate(controls.unbind(dim=1)):
-        carry = step(carry, control, source.at(t, carry.state))
-        states.append(carry.state)
-        actuators.append(carry.actuators)
+        model_state = step(model_state, control, source.at(t, model_state.state))
+        states.append(model_state.state)
+        actuators.append(model_state.actuators)
     return Trajectory(torch.stack(states, dim=1), torch.stack(actuators, dim=1))
 
 
@@ -101,7 +103,7 @@ def as_callable(
     step = dynamics.stepper()
 
     def call(packed: Float[Tensor, "B P"], control: Float[Tensor, "B 3"], t: int = 0) -> Float[Tensor, "B P"]:
-        carry = Carry.unpack(packed)
-        return step(carry, control, source.at(t, carry.state)).pack()
+        model_state = ModelState.unpack(packed)
+        return step(model_state, control, source.at(t, model_state.state)).pack()
 
     return call

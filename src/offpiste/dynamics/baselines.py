@@ -9,7 +9,7 @@ from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, Step, Vehicle
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.dynamics.lstm import Compensator
-from offpiste.state import Carry, History, Terrain
+from offpiste.state import History, ModelState, Terrain
 
 
 class ConstantMotion(Dynamics):
@@ -19,16 +19,21 @@ class ConstantMotion(Dynamics):
         super().__init__()
         self.vehicle = vehicle
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """Nothing but the state."""
         nothing = state.new_zeros(len(state), 0)
-        return Carry(state, actuators, nothing, nothing)
+        return ModelState(state, actuators, nothing, nothing)
 
     def stepper(self) -> Step:
         """Integrate the pose."""
 
-        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
-            return Carry(_moved(carry.state, carry.state[:, 3:]), carry.actuators, carry.hidden, carry.cell)
+        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+            return ModelState(
+                _moved(model_state.state, model_state.state[:, 3:]),
+                model_state.actuators,
+                model_state.hidden,
+                model_state.cell,
+            )
 
         return step
 
@@ -45,22 +50,25 @@ class Kinematic(Dynamics):
         self.vehicle = vehicle
         self.actuators = Actuators(vehicle)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """Only the actuators' residuals remember anything."""
-        return Carry(state, actuators, *self.actuators.start(history))
+        return ModelState(state, actuators, *self.actuators.start(history))
 
     def stepper(self) -> Step:
         """Integrate the pose along the steered arc."""
         lags = self.actuators.constants()
 
-        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
-            steer = drive_train(self.vehicle, carry.state, carry.actuators, control).steer
-            vx = carry.state[:, 3]
+        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+            steer = drive_train(self.vehicle, model_state.state, model_state.actuators, control).steer
+            vx = model_state.state[:, 3]
             yaw_rate = vx * torch.tan(steer) / self.vehicle.wheelbase
             # The rear axle does not slip; the start's lateral velocity, held for 5 s, would be a straw man.
             velocity = torch.stack((vx, self.vehicle.rear_axle * yaw_rate, yaw_rate), dim=-1)
-            state = _moved(torch.cat((carry.state[:, :3], velocity), dim=-1), velocity)
-            return Carry(state, *self.actuators.step(lags, carry.actuators, control, vx, carry.hidden, carry.cell))
+            state = _moved(torch.cat((model_state.state[:, :3], velocity), dim=-1), velocity)
+            return ModelState(
+                state,
+                *self.actuators.step(lags, model_state.actuators, control, vx, model_state.hidden, model_state.cell),
+            )
 
         return step
 
@@ -74,27 +82,27 @@ class Recurrent(Dynamics):
         self.actuators = Actuators(vehicle)
         self.network = Compensator(3 + len(vehicle.actuators) + len(vehicle.control) + 3, 3)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """The LSTM's state comes from the last 0.2 s."""
         hidden, cell = self.network.start(self.recorded_inputs(history))
         others = self.actuators.start(history)
-        return Carry(state, actuators, torch.cat((hidden, others[0]), -1), torch.cat((cell, others[1]), -1))
+        return ModelState(state, actuators, torch.cat((hidden, others[0]), -1), torch.cat((cell, others[1]), -1))
 
     def stepper(self) -> Step:
         """Accelerations from the network, pose by integration."""
         lags = self.actuators.constants()
         sizes = [self.network.hidden, self.actuators.hidden]
 
-        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
-            hidden, hidden_lags = carry.hidden.split(sizes, dim=-1)
-            cell, cell_lags = carry.cell.split(sizes, dim=-1)
-            seen = self._inputs(carry.state, carry.actuators, control, terrain)
+        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+            hidden, hidden_lags = model_state.hidden.split(sizes, dim=-1)
+            cell, cell_lags = model_state.cell.split(sizes, dim=-1)
+            seen = self._inputs(model_state.state, model_state.actuators, control, terrain)
             acceleration, hidden, cell = self.network(seen, hidden, cell)
-            state = _moved(carry.state, carry.state[:, 3:] + DT * acceleration)
+            state = _moved(model_state.state, model_state.state[:, 3:] + DT * acceleration)
             actuators, hidden_lags, cell_lags = self.actuators.step(
-                lags, carry.actuators, control, carry.state[:, 3], hidden_lags, cell_lags
+                lags, model_state.actuators, control, model_state.state[:, 3], hidden_lags, cell_lags
             )
-            return Carry(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
+            return ModelState(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
 
         return step
 

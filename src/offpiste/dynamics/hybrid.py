@@ -11,7 +11,7 @@ from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates,
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.dynamics.lstm import Compensator
-from offpiste.state import Carry, History, Terrain
+from offpiste.state import History, ModelState, Terrain
 
 
 class Parametric(Dynamics):
@@ -23,20 +23,24 @@ class Parametric(Dynamics):
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """Only the actuators' residuals remember anything."""
-        return Carry(state, actuators, *self.actuators.start(history))
+        return ModelState(state, actuators, *self.actuators.start(history))
 
     def stepper(self) -> Step:
         """Forces, then rates, then forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
 
-        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
-            normal = body_normal(terrain, carry.state[:, 2])
-            force = parametric_forces(self.vehicle, constants, carry.state, carry.actuators, control, normal)
-            state = advance(self.vehicle, constants, carry.state, carry.actuators, control, normal, force)
-            moved = self.actuators.step(lags, carry.actuators, control, carry.state[:, 3], carry.hidden, carry.cell)
-            return Carry(state, *moved)
+        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+            normal = body_normal(terrain, model_state.state[:, 2])
+            force = parametric_forces(
+                self.vehicle, constants, model_state.state, model_state.actuators, control, normal
+            )
+            state = advance(self.vehicle, constants, model_state.state, model_state.actuators, control, normal, force)
+            moved = self.actuators.step(
+                lags, model_state.actuators, control, model_state.state[:, 3], model_state.hidden, model_state.cell
+            )
+            return ModelState(state, *moved)
 
         return step
 
@@ -74,30 +78,32 @@ class Hybrid(Dynamics):
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
         self.register_buffer("force_scale", torch.tensor([vehicle.mass / 2, vehicle.mass, vehicle.mass, 1.0]))
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> Carry:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """The LSTM's state comes from the last 0.2 s."""
         hidden, cell = self.compensator.start(self.recorded_inputs(history))
         others = self.actuators.start(history)
-        return Carry(state, actuators, torch.cat((hidden, others[0]), -1), torch.cat((cell, others[1]), -1))
+        return ModelState(state, actuators, torch.cat((hidden, others[0]), -1), torch.cat((cell, others[1]), -1))
 
     def stepper(self) -> Step:
         """Parametric forces, their compensation, then rates and forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
         sizes = [self.compensator.hidden, self.actuators.hidden]
 
-        def step(carry: Carry, control: Float[Tensor, "B 3"], terrain: Terrain) -> Carry:
-            hidden, hidden_lags = carry.hidden.split(sizes, dim=-1)
-            cell, cell_lags = carry.cell.split(sizes, dim=-1)
-            normal = body_normal(terrain, carry.state[:, 2])
-            force = parametric_forces(self.vehicle, constants, carry.state, carry.actuators, control, normal)
-            seen = self._inputs(carry.state, carry.actuators, control, normal, force, terrain.latent)
+        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+            hidden, hidden_lags = model_state.hidden.split(sizes, dim=-1)
+            cell, cell_lags = model_state.cell.split(sizes, dim=-1)
+            normal = body_normal(terrain, model_state.state[:, 2])
+            force = parametric_forces(
+                self.vehicle, constants, model_state.state, model_state.actuators, control, normal
+            )
+            seen = self._inputs(model_state.state, model_state.actuators, control, normal, force, terrain.latent)
             correction, hidden, cell = self.compensator(seen, hidden, cell)
             force = force + correction * self.force_scale
-            state = advance(self.vehicle, constants, carry.state, carry.actuators, control, normal, force)
+            state = advance(self.vehicle, constants, model_state.state, model_state.actuators, control, normal, force)
             actuators, hidden_lags, cell_lags = self.actuators.step(
-                lags, carry.actuators, control, carry.state[:, 3], hidden_lags, cell_lags
+                lags, model_state.actuators, control, model_state.state[:, 3], hidden_lags, cell_lags
             )
-            return Carry(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
+            return ModelState(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
 
         return step
 

@@ -154,8 +154,8 @@ def _rolled_out(
         return batch, predict_recorded(dynamics, batch).state
     batch = encoded(dynamics, batch)
     batch, source = ground(dynamics, windows, index, batch)
-    carry = dynamics.start(batch.history, batch.state, batch.actuators)
-    return batch, rollout(dynamics, carry, batch.control, source).state
+    model_state = dynamics.start(batch.history, batch.state, batch.actuators)
+    return batch, rollout(dynamics, model_state, batch.control, source).state
 
 
 def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B 5 6"]) -> Float[Tensor, "B 5 5"]:

@@ -14,12 +14,12 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from offpiste.conventions import DT, HORIZON_STEPS, JUDGED_STRIDE
+from offpiste.conventions import DT, EVALUATION_STRIDE, HORIZON_STEPS
 from offpiste.dataset.splits import PARTS, Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, Track, predict, untracked
-from offpiste.evaluation.models import GROUND_BLIND, NO_WAY, Judged, Way, splits_of, ways_of, with_baselines
+from offpiste.evaluation.models import GROUND_BLIND, NO_READING, Judged, Reading, readings_of, splits_of, with_baselines
 from offpiste.evaluation.results import LossUnits, Metrics, WindowNumbers, provenance
 from offpiste.evaluation.tables import Case, Cases, Lookup, RunErrors, Sampling, Start, headlines, pooled, result_rows
 from offpiste.evaluation.worst_windows import WorstWindow, draw_worst, worst_windows
@@ -112,7 +112,7 @@ def evaluate_models(
     starts: Sequence[Start] = ("causal", "smoothed"),
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
-    stride: int = JUDGED_STRIDE,
+    stride: int = EVALUATION_STRIDE,
     sampling: Sampling | None = None,
     device: torch.device | str = "cpu",
     command: str = "",
@@ -138,7 +138,7 @@ def evaluate_models(
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = with_baselines(models, dataset, device)
-    ways = ways_of(dataset, part, lookups, feature_sets)
+    readings = readings_of(dataset, part, lookups, feature_sets)
     judge = partial(predict, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
     predictions = [
         _Prediction(
@@ -147,7 +147,7 @@ def evaluate_models(
             windows,
             judge(model.dynamics, windows, windows.judged(stride), lookup=case.lookup, description=_described(case)),
         )
-        for case, model, windows in _every_way(models, dataset, part, starts, ways, device)
+        for case, model, windows in _every_reading(models, dataset, part, starts, readings, device)
     ]
     cases = _by_case(predictions)
     errors = pooled(cases)
@@ -168,7 +168,7 @@ def evaluate_models(
         ),
         errors=errors,
         speed=speed,
-        shown=shown.way,
+        shown=shown.reading,
         worst=draw_worst(
             worst_windows(errors[shown]),
             [(p.case, p.model.dynamics, p.windows) for p in predictions],
@@ -182,12 +182,12 @@ def _described(case: Case) -> str:
     return " ".join(filter(None, ("judging", case.label, case.start, case.lookup, case.feature_set)))
 
 
-def _every_way(
+def _every_reading(
     models: Sequence[Judged],
     dataset: Dataset,
     part: str,
     starts: Sequence[Start],
-    ways: Sequence[Way],
+    readings: Sequence[Reading],
     device: torch.device | str,
 ) -> Iterator[tuple[Case, Judged, Windows]]:
     """Each model from each start, reading the ground in each way, on the windows of its split."""
@@ -197,7 +197,7 @@ def _every_way(
             windows = Windows(parted, part, start=start, device=device)
             for model in models:
                 if (model.split or dataset.split) == split:
-                    for lookup, chosen in (NO_WAY,) if model.name in GROUND_BLIND else ways:
+                    for lookup, chosen in (NO_READING,) if model.name in GROUND_BLIND else readings:
                         read = windows.reading(chosen) if chosen else windows
                         yield Case(model.name, model.variant, start, lookup, chosen), model, read
 

@@ -1,6 +1,7 @@
 """Judge trained runs on a dataset and write the report."""
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 from offpiste.dataset.splits import parse_split
@@ -16,8 +17,10 @@ from offpiste.training.cross_validation import fold_folders
 from offpiste.training.run import Run, load_run, refuse_seen, vehicle_of
 from offpiste.training.terrain_sources import encoder_of
 
+logger = logging.getLogger(__name__)
 
-def judge_runs(
+
+def evaluate_runs(
     folders: Sequence[Path],
     dataset_path: Path,
     out: Path,
@@ -26,7 +29,6 @@ def judge_runs(
     starts: Sequence[Start] = ("causal", "smoothed"),
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
-    tell: Callable[[object], None] = lambda said: None,
 ) -> Evaluation:
     """Judge runs on the test part of a dataset; write metrics.json, pictures and report.html to `out`.
 
@@ -60,10 +62,10 @@ def judge_runs(
         track=track,
     )
     write_report(evaluation, out)
-    tell(render_table(evaluation.metrics.results))
+    logger.info(render_table(evaluation.metrics.results))
     if (found := evaluation.metrics.windows.blocks) < MIN_BLOCKS:
-        tell(f"–: no interval, since the windows lie in {found} blocks of 10 s, and {MIN_BLOCKS} are the least")
-    tell(f"report: {out / 'report.html'}")
+        logger.info(f"–: no interval, since the windows lie in {found} blocks of 10 s, and {MIN_BLOCKS} are the least")
+    logger.info(f"report: {out / 'report.html'}")
     return evaluation
 
 

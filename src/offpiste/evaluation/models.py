@@ -22,13 +22,15 @@ from offpiste.training.run import vehicle_of
 GROUND_BLIND = ("ctrv", REFERENCE)
 """Models that do not read the ground: there is nothing to look up."""
 
-Way = tuple[Lookup | None, str | None]
+Reading = tuple[Lookup | None, str | None]
 """Where a model reads the ground, and from which distance it was seen."""
 
-NO_WAY: Way = (None, None)
+NO_READING: Reading = (None, None)
 
 
-def ways_of(dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]) -> Sequence[Way]:
+def readings_of(
+    dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]
+) -> Sequence[Reading]:
     """Where models can read the ground: features without a map only where they were recorded.
 
     Args:
@@ -36,12 +38,12 @@ def ways_of(dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets
         lookups, feature_sets: that are asked for.
     """
     if not _has_ground(dataset):
-        return (NO_WAY,)
+        return (NO_READING,)
     windows = Windows(dataset, part)
     mapped = not dataset.features or windows.maps.any
     sets = tuple(feature_sets) if windows.sets > 1 else (None,)
-    recorded: list[Way] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or not mapped else []
-    on_map: list[Way] = [("map", None)] if "map" in lookups and mapped else []
+    recorded: list[Reading] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or not mapped else []
+    on_map: list[Reading] = [("map", None)] if "map" in lookups and mapped else []
     return recorded + on_map
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.results import Headline, Metrics, Minus, ResultRow, pooled_rows, run_rows
-from offpiste.evaluation.tables import REFERENCE, by_way, interval, number
+from offpiste.evaluation.tables import REFERENCE, by_reading, interval, number
 
 _NAMES = {
     "distance_error_m": "distance [m]",
@@ -58,16 +58,16 @@ def render_html(metrics: Metrics, pictures: Mapping[str, bytes]) -> str:
 
 def headline_text(headline: Headline) -> str:
     """One sentence with the main number."""
-    ways = [f"{headline.start} start"]
-    ways += [f"{headline.lookup} lookup"] if headline.lookup else []
-    ways += [f"mean of {headline.runs} runs"] if headline.runs > 1 else []
+    readings = [f"{headline.start} start"]
+    readings += [f"{headline.lookup} lookup"] if headline.lookup else []
+    readings += [f"mean of {headline.runs} runs"] if headline.runs > 1 else []
     text = f"{headline.model}: {number(headline.distance_error_m)} m mean distance error after 5 s"
     if np.isfinite(headline.relative):
         sign, side = (-1, "below") if headline.relative <= 0 else (1, "above")
         low, high = sorted(100 * sign * bound for bound in headline.ci95)
         bounds = f" {interval((low, high), 0)}" if np.isfinite(low) else ""
         text += f", {100 * abs(headline.relative):.0f} %{bounds} {side} {headline.other}"
-    return f"{text} ({', '.join(ways)})"
+    return f"{text} ({', '.join(readings)})"
 
 
 def _leading(headlines: Sequence[Headline]) -> list[Headline]:
@@ -101,7 +101,7 @@ def _facts(metrics: Metrics) -> str:
 def _horizon_table(rows: Sequence[ResultRow]) -> str:
     """Ways as lines, starts side by side."""
     starts = list(dict.fromkeys(row.start for row in rows))
-    mean = {(row.way, row.start, row.horizon_s): number(row.distance_error_m.mean) for row in rows}
+    mean = {(row.reading, row.start, row.horizon_s): number(row.distance_error_m.mean) for row in rows}
     groups = "".join(f'<th class="group" colspan="{len(HORIZONS)}">{_safe(start)} start [m]</th>' for start in starts)
     seconds = "".join(f"<th>{horizon} s</th>" for _ in starts for horizon in HORIZONS)
     lines = []
@@ -119,7 +119,7 @@ def _horizon_table(rows: Sequence[ResultRow]) -> str:
 def _component_table(rows: Sequence[ResultRow]) -> str:
     lines = [
         [
-            _safe(row.way),
+            _safe(row.reading),
             _safe(row.start),
             *(_with_interval(getattr(row, name).mean, getattr(row, name).ci95, 3) for name in _NAMES),
         ]
@@ -135,7 +135,7 @@ def _distribution_table(rows: Sequence[ResultRow]) -> str:
         error = row.distance_error_m
         numbers = (error.mean, error.q1, error.median, error.q3, error.p90)
         windows = f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else "")
-        lines.append([_safe(row.way), _safe(row.start), *map(number, numbers), windows])
+        lines.append([_safe(row.reading), _safe(row.start), *map(number, numbers), windows])
     names = ["model", "start", "mean [m]", "25 % [m]", "median [m]", "75 % [m]", "90 % [m]", "windows"]
     return _table(names, lines, left=2)
 
@@ -148,7 +148,7 @@ def _difference_table(rows: Sequence[ResultRow]) -> str:
     for row in learned:
         for other, minus in row.minus.items():
             if other not in order or order.index(other) > order.index(row.label):
-                found.setdefault((row.way, other), {})[row.start] = minus
+                found.setdefault((row.reading, other), {})[row.start] = minus
     starts = list(dict.fromkeys(row.start for row in rows))
     lines = []
     for (name, other), by_start in found.items():
@@ -171,7 +171,7 @@ def _run_section(rows: Sequence[ResultRow]) -> str:
         against = row.minus.get(REFERENCE)
         lines.append(
             [
-                _safe(row.way),
+                _safe(row.reading),
                 _safe(row.start),
                 "" if row.seed is None else str(row.seed),
                 "" if row.fold is None else str(row.fold),
@@ -229,7 +229,7 @@ def _picture(name: str, content: bytes | None) -> str:
 
 def _at_the_end(rows: Sequence[ResultRow]) -> list[ResultRow]:
     """Those of the last horizon."""
-    return [group[-1] for group in by_way(rows)]
+    return [group[-1] for group in by_reading(rows)]
 
 
 def _table(names: Sequence[str], lines: Iterable[Sequence[str]], *, left: int) -> str:

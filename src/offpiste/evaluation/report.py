@@ -11,7 +11,7 @@ from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.figures import box_plot, distribution_plot, growth_plot, speed_plot
 from offpiste.evaluation.page import render_html
 from offpiste.evaluation.results import pooled_rows, write_metrics
-from offpiste.evaluation.tables import Case, by_way
+from offpiste.evaluation.tables import Case, by_reading
 from offpiste.evaluation.worst_windows import worst_plot
 from offpiste.files import write_text, write_whole
 
@@ -29,12 +29,12 @@ def draw_figures(evaluation: Evaluation) -> dict[str, Figure]:
     """The report's pictures by name, all from the first start; models in the order of their median errors."""
     rows = pooled_rows(evaluation.metrics.results)
     start = rows[0].start
-    groups = {group[0].way: group for group in by_way(rows) if group[0].start == start}
+    groups = {group[0].reading: group for group in by_reading(rows) if group[0].start == start}
     cases = _ordered({case: errors.distance() for case, errors in evaluation.errors.items() if case.start == start})
-    distance = {case.way: errors for case, errors in cases.items()}
+    distance = {case.reading: errors for case, errors in cases.items()}
     # Curves would lie on each other: where a model reads the ground in two ways, the one that decides is drawn.
     mapped = {c.label for c in cases if c.lookup == "map"}
-    decides = [c.way for c in cases if c.lookup != "recorded" or c.label not in mapped]
+    decides = [c.reading for c in cases if c.lookup != "recorded" or c.label not in mapped]
     deciding = {label: distance[label] for label in decides}
     title = f"{evaluation.metrics.part} part, {start} start"
     return {
@@ -51,10 +51,10 @@ def _ordered(errors: dict[Case, np.ndarray]) -> dict[Case, np.ndarray]:
     median = dict.fromkeys((case.label for case in errors), 0.0)
     for case, values in errors.items():
         median[case.label] = max(median[case.label], float(np.median(values)))
-    ways, sets = (None, "recorded", "map"), (None, *FEATURE_SETS)
+    readings, sets = (None, "recorded", "map"), (None, *FEATURE_SETS)
 
     def place(case: Case) -> tuple[float, str, int, int]:
-        return -median[case.label], case.label, ways.index(case.lookup), sets.index(case.feature_set)
+        return -median[case.label], case.label, readings.index(case.lookup), sets.index(case.feature_set)
 
     order = sorted(errors, key=place)
     return {case: errors[case] for case in order}

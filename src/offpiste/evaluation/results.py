@@ -67,9 +67,9 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
         return label(self.model, self.variant)
 
     @property
-    def way(self) -> str:
+    def reading(self) -> str:
         """Model, and where it reads the ground."""
-        return way(self.label, self.lookup, self.feature_set)
+        return reading(self.label, self.lookup, self.feature_set)
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
@@ -139,7 +139,7 @@ def label(model: str, variant: str) -> str:
     return f"{model} ({variant})" if variant else model
 
 
-def way(model: str, lookup: str | None, feature_set: str | None = None) -> str:
+def reading(model: str, lookup: str | None, feature_set: str | None = None) -> str:
     """A model's label and where it reads the ground, from which distance where that is told."""
     distance = "" if feature_set in (None, "hindsight") else f" {feature_set} m"
     return f"{model} · {lookup}{distance}" if lookup else model

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors
 from offpiste.evaluation.intervals import Resampling, blocks, paired, relative, resampling, summary
-from offpiste.evaluation.results import Headline, Minus, ResultRow, label, pooled_rows, way
+from offpiste.evaluation.results import Headline, Minus, ResultRow, label, pooled_rows, reading
 
 
 def pool(runs: Sequence[Errors]) -> Errors:
@@ -63,9 +63,9 @@ class Case(NamedTuple):
         return label(self.model, self.variant)
 
     @property
-    def way(self) -> str:
+    def reading(self) -> str:
         """Model, and where it reads the ground."""
-        return way(self.label, self.lookup, self.feature_set)
+        return reading(self.label, self.lookup, self.feature_set)
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,9 @@ def _rows(
 
 def _counterpart(together: Mapping[Case, Errors], other: str, case: Case) -> Errors | None:
     """Another model judged in the same way, or in the only way it can be."""
-    ways = ((case.lookup, case.feature_set), (None, None))
+    readings = ((case.lookup, case.feature_set), (None, None))
     for key, errors in together.items():
-        if key.label == other and key.start == case.start and (key.lookup, key.feature_set) in ways:
+        if key.label == other and key.start == case.start and (key.lookup, key.feature_set) in readings:
             return errors
     # A baseline that does not read the ground, against one that does: as the latter decides, on the map.
     for lookup in ("map", "recorded"):
@@ -198,7 +198,7 @@ def interval(bounds: tuple[float, float], digits: int = 2) -> str:
     return f"[{number(low, digits)}, {number(high, digits)}]" if np.isfinite(low) and np.isfinite(high) else "–"
 
 
-def by_way(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
+def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
     """Rows that differ only in the horizon, together, in ascending order of it."""
     found: dict[tuple[object, ...], list[ResultRow]] = {}
     for row in rows:
@@ -210,7 +210,7 @@ def by_way(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
 def render_table(rows: Sequence[ResultRow]) -> Table:
     """Mean distance error by horizon, and the difference to `kinematic`; one line a model, start and lookup."""
     pooled = pooled_rows(list(rows))
-    last_of = [group[-1] for group in by_way(pooled)]
+    last_of = [group[-1] for group in by_reading(pooled)]
     windows = ", ".join(str(n) for n in sorted({row.n for row in last_of}))
     table = Table(
         title=rf"Mean distance error \[m] on {windows} windows of the {rows[0].part} part, 95 % intervals by blocks",
@@ -222,7 +222,7 @@ def render_table(rows: Sequence[ResultRow]) -> Table:
         table.add_column(f"{seconds} s", justify="right", no_wrap=True)
     table.add_column("at 5 s", no_wrap=True)
     table.add_column(f"minus {REFERENCE}", justify="right", no_wrap=True)
-    for group in by_way(pooled):
+    for group in by_reading(pooled):
         last = group[-1]
         error = last.distance_error_m
         against = last.minus.get(REFERENCE)

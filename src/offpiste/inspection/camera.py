@@ -20,7 +20,7 @@ from offpiste.inspection.sensor_samples import Grey, Scan, SmallCamera, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.motion_compensation import inverse, transformed
-from offpiste.perception.occlusion import hidden_points
+from offpiste.perception.occlusion import occluded_points
 from offpiste.perception.projection import project_to_pinhole
 
 _HALF: Final = 6
@@ -143,7 +143,7 @@ def _squares(
     points = transformed(world, inverse(world_from_camera))
     found, at = project_to_pinhole(points, camera.rectifier.matrix, size)
     reach = float(camera.rectifier.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
-    kept = ~hidden_points(at, points[found, 2], size, reach=reach) & (points[found, 2] < _FURTHEST)
+    kept = ~occluded_points(at, points[found, 2], size, reach=reach) & (points[found, 2] < _FURTHEST)
     found, at = found[kept], at[kept]
     column, row = np.rint(at).astype(np.int64).T
     inside = (np.minimum(column, size[0] - 1 - column) > _HALF) & (np.minimum(row, size[1] - 1 - row) > _HALF)

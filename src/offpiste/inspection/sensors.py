@@ -110,9 +110,9 @@ def _turned(one: Judged, misfit: Misfit, alike: bool) -> Finding:
     known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
     matrix = turned(given, np.where(known, misfit.parameters, 0.0))
     place = ", ".join(str(round(v, 4)) for v in matrix[:3, 3].tolist())
-    way = ", ".join(str(round(v, 6)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
+    reading = ", ".join(str(round(v, 6)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
     key = "body_from_camera" if isinstance(sensor, Camera) else "body_from_lidar"
-    mend = f"calibrate it again; or {one.key}.{key} = {{ position = [{place}], orientation = [{way}] }}"
+    mend = f"calibrate it again; or {one.key}.{key} = {{ position = [{place}], orientation = [{reading}] }}"
     if alike:
         mend += "; as all sensors say the same, the pose's orientation or [frames] body may be what is turned"
     elif isinstance(sensor, Camera) and sensor.source.rectified:
@@ -220,18 +220,18 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
     untimed = untimed_points(sensor_source(log, rig), sensors.lidars)
     judged = [
         replace(one, untimed=untimed.get(one.sensor.name, ""))
-        for one in judge_lidars(sensors.lidars, gathered, sensors.poses)
+        for one in lidar_misfits(sensors.lidars, gathered, sensors.poses)
     ]
-    return findings + findings_of(judged + judge_cameras(cameras, judged, gathered, sensors.poses))
+    return findings + findings_of(judged + camera_misfits(cameras, judged, gathered, sensors.poses))
 
 
-def judge_lidars(lidars: dict[str, Lidar], gathered: Gathered, poses: Poses) -> list[Judged]:
+def lidar_misfits(lidars: dict[str, Lidar], gathered: Gathered, poses: Poses) -> list[Judged]:
     """LiDARs against the poses."""
     named = track(lidars.items(), "LiDARs", total=len(lidars))
     return [Judged(lidar, check_lidar(lidar, gathered.scans[name], poses)) for name, lidar in named]
 
 
-def judge_cameras(
+def camera_misfits(
     cameras: dict[str, SmallCamera], judged: Sequence[Judged], gathered: Gathered, poses: Poses
 ) -> list[Judged]:
     """Cameras against the poses; the LiDAR of most scans, set right if it needs that, tells how far things are.

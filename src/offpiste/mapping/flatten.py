@@ -72,7 +72,7 @@ def make_surface(cells: int, channels: int) -> Surface:
     )
 
 
-class Scratch(NamedTuple):
+class Buffers(NamedTuple):
     """What is handed from loop to loop.
 
     Attributes:
@@ -109,11 +109,11 @@ class Scratch(NamedTuple):
     which_feature: np.ndarray
 
 
-def make_scratch(cells: int, blocks: int, plane_cells: int) -> Scratch:
+def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
     """Room for maps of [cells, cells], worked on in blocks of rows."""
     whole = {"which", "which_feature"}
-    grids = [name for name in Scratch._fields if name not in ("sums", "moments", "line")]
-    return Scratch(
+    grids = [name for name in Buffers._fields if name not in ("sums", "moments", "line")]
+    return Buffers(
         **{name: np.zeros((cells, cells), np.int32 if name in whole else np.float32) for name in grids},
         sums=np.zeros((blocks, 2 * plane_cells + 2, SUMS, cells), np.float32),
         moments=np.zeros((blocks, SUMS, cells + 2 * plane_cells), np.float32),
@@ -155,7 +155,7 @@ class Flattener:
         self._plane_cells = max(1, round(settings.plane_radius / size))
         self._overhang_cells = round(settings.overhang_radius / size)
         self._offsets = neighbour_offsets(settings.fill_radius / size)
-        self._scratch = make_scratch(n, threads, self._plane_cells)
+        self._scratch = make_buffers(n, threads, self._plane_cells)
         self._surface, self._since = make_surface(n, voxel_map.channels), 0
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
@@ -168,7 +168,7 @@ class Flattener:
         voxel_map, settings = self._map, self.settings
         size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
         out = out or empty_layers(n, voxel_map.channels)
-        scratch, surface, low = self._scratch, self._surface, voxel_map.low
+        buffers, surface, low = self._scratch, self._surface, voxel_map.low
         reference = round(voxel_map.middle / size)
         step, reach = np.float32(size), np.float32(settings.vehicle_height)
         arrays = Layers(*(getattr(out, name) for name in Layers._fields))
@@ -176,10 +176,10 @@ class Flattener:
 
         spread(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
         self._since = voxel_map.changes
-        spread(threads, n, read_columns, low, reference, step, self._overhang_cells, surface, scratch)
-        spread(threads, n, drop_overhangs, self._overhang_cells, reach, limit, scratch)
-        spread(threads, threads, fit_planes, threads, self._plane_cells, step, scratch)
-        spread(threads, threads, smooth_residuals, threads, self._plane_cells, scratch)
-        spread(threads, threads, fill_gaps, threads, self._offsets, limit, scratch)
-        spread(threads, threads, write_layers, threads, floor, low, self._offsets, surface, scratch, arrays)
+        spread(threads, n, read_columns, low, reference, step, self._overhang_cells, surface, buffers)
+        spread(threads, n, drop_overhangs, self._overhang_cells, reach, limit, buffers)
+        spread(threads, threads, fit_planes, threads, self._plane_cells, step, buffers)
+        spread(threads, threads, smooth_residuals, threads, self._plane_cells, buffers)
+        spread(threads, threads, fill_gaps, threads, self._offsets, limit, buffers)
+        spread(threads, threads, write_layers, threads, floor, low, self._offsets, surface, buffers, arrays)
         return replace(out, origin=voxel_map.origin, resolution=size)

@@ -109,34 +109,34 @@ def put(a, out):  # type: ignore[no-untyped-def]
 
 
 @MAPPING.entry
-def read_columns(first, last, low, reference, size, radius, surface, scratch):  # type: ignore[no-untyped-def]
+def read_columns(first, last, low, reference, size, radius, surface, buffers):  # type: ignore[no-untyped-def]
     """What the columns show, in the layers' order, and the lowest ground within `radius` cells along the row."""
-    n = scratch.height.shape[0]
+    n = buffers.height.shape[0]
     start = low[0] % n
     for j in range(first, last):
         row = (low[1] + j) % n
         for to, at in ((slice(0, n - start), slice(start, n)), (slice(n - start, n), slice(0, start))):
-            put_heights(surface.level[row, at], surface.z[row, at], np.int32(reference), size, scratch.height[j, to])
-            put(surface.x[row, at], scratch.x[j, to])
-            put(surface.y[row, at], scratch.y[j, to])
-            put(surface.obstacle[row, at], scratch.obstacle[j, to])
-            put(surface.feature_height[row, at], scratch.feature_height[j, to])
-        put_lowest_beside(scratch.height[j], radius, scratch.lowest[j])
+            put_heights(surface.level[row, at], surface.z[row, at], np.int32(reference), size, buffers.height[j, to])
+            put(surface.x[row, at], buffers.x[j, to])
+            put(surface.y[row, at], buffers.y[j, to])
+            put(surface.obstacle[row, at], buffers.obstacle[j, to])
+            put(surface.feature_height[row, at], buffers.feature_height[j, to])
+        put_lowest_beside(buffers.height[j], radius, buffers.lowest[j])
 
 
 @MAPPING.entry
-def drop_overhangs(first, last, radius, reach, feature_height, scratch):  # type: ignore[no-untyped-def]
+def drop_overhangs(first, last, radius, reach, feature_height, buffers):  # type: ignore[no-untyped-def]
     """Columns whose lowest voxel is a branch have no ground; features too far above their ground do not count.
 
     Heights of features become those over the reference level.
     """
-    n = scratch.height.shape[0]
+    n = buffers.height.shape[0]
     nothing = np.float32(np.nan)
     for j in range(first, last):
-        lowest, height, feature = scratch.centre[j], scratch.height[j], scratch.feature_height[j]
+        lowest, height, feature = buffers.centre[j], buffers.height[j], buffers.feature_height[j]
         lowest[:] = np.float32(np.inf)
         for jj in range(max(j - radius, 0), min(j + radius + 1, n)):
-            put_lower(scratch.lowest[jj], lowest)
+            put_lower(buffers.lowest[jj], lowest)
         for i in range(n):
             good = (feature[i] <= feature_height) & (height[i] <= lowest[i] + reach)
             feature[i] = height[i] + feature[i] if good else nothing

@@ -17,16 +17,16 @@ def add(out, a):  # type: ignore[no-untyped-def]
 
 
 @MAPPING.entry
-def smooth_residuals(first, last, blocks, radius, scratch):  # type: ignore[no-untyped-def]
+def smooth_residuals(first, last, blocks, radius, buffers):  # type: ignore[no-untyped-def]
     """Roughness: root mean square of the residuals in the square around each cell that has a plane."""
-    n = scratch.height.shape[0]
+    n = buffers.height.shape[0]
     for block in range(first, last):
-        room = scratch.sums[block, 0]
+        room = buffers.sums[block, 0]
         count, total, near_count, near_total = room[0], room[1], room[2], room[3]
         for j in range(n * block // blocks, n * (block + 1) // blocks):
             room[:] = np.float32(0)
             for jj in range(max(0, j - radius), min(n, j + radius + 1)):
-                residual = scratch.residual[jj]
+                residual = buffers.residual[jj]
                 for i in range(n):
                     count[i] += np.float32(1) if residual[i] == residual[i] else np.float32(0)
                 for i in range(n):
@@ -35,7 +35,7 @@ def smooth_residuals(first, last, blocks, radius, scratch):  # type: ignore[no-u
                 to, at = slice(max(0, -k), min(n, n - k)), slice(max(0, k), min(n, n + k))
                 add(near_count[to], count[at])
                 add(near_total[to], total[at])
-            rise, roughness = scratch.rise_x[j], scratch.roughness[j]
+            rise, roughness = buffers.rise_x[j], buffers.roughness[j]
             for i in range(n):
                 value = np.sqrt(near_total[i] / near_count[i])
                 roughness[i] = value if rise[i] == rise[i] else np.float32(np.nan)
@@ -74,19 +74,19 @@ def nearest_features(j, offsets, limit, feature_height, ground, which):  # type:
 
 
 @MAPPING.entry
-def fill_gaps(first, last, blocks, offsets, limit, scratch):  # type: ignore[no-untyped-def]
+def fill_gaps(first, last, blocks, offsets, limit, buffers):  # type: ignore[no-untyped-def]
     """Where each cell's ground and features come from.
 
     Args:
         offsets: rows and columns to neighbours, nearest first, the cell itself at [0] [K, 2].
         limit: how far from the ground features may have been seen [m].
     """
-    n = scratch.height.shape[0]
+    n = buffers.height.shape[0]
     for block in range(first, last):
-        ground = scratch.line[block, 0]
+        ground = buffers.line[block, 0]
         for j in range(n * block // blocks, n * (block + 1) // blocks):
-            nearest_grounds(j, offsets, scratch.height, scratch.which[j], ground)
-            nearest_features(j, offsets, limit, scratch.feature_height, ground, scratch.which_feature[j])
+            nearest_grounds(j, offsets, buffers.height, buffers.which[j], ground)
+            nearest_features(j, offsets, limit, buffers.feature_height, ground, buffers.which_feature[j])
 
 
 @MAPPING.loop
@@ -97,12 +97,12 @@ def put_up(rise_x, rise_y, out):  # type: ignore[no-untyped-def]
 
 
 @MAPPING.loop
-def write_own_ground(j, floor, up, scratch, layers):  # type: ignore[no-untyped-def]
+def write_own_ground(j, floor, up, buffers, layers):  # type: ignore[no-untyped-def]
     """The ground of a row, not a number where a cell has none of its own."""
-    rise_x, rise_y, height = scratch.rise_x[j], scratch.rise_y[j], scratch.height[j]
-    elevation, centre, slope, normal = layers.elevation[j], scratch.centre[j], layers.slope[j], layers.normal[j]
-    obstacle, obstacle_here = layers.obstacle_height[j], scratch.obstacle[j]
-    roughness, roughness_here = layers.roughness[j], scratch.roughness[j]
+    rise_x, rise_y, height = buffers.rise_x[j], buffers.rise_y[j], buffers.height[j]
+    elevation, centre, slope, normal = layers.elevation[j], buffers.centre[j], layers.slope[j], layers.normal[j]
+    obstacle, obstacle_here = layers.obstacle_height[j], buffers.obstacle[j]
+    roughness, roughness_here = layers.roughness[j], buffers.roughness[j]
     put_up(rise_x, rise_y, up)
     for i in range(len(up)):
         elevation[i] = floor + centre[i]
@@ -117,20 +117,20 @@ def write_own_ground(j, floor, up, scratch, layers):  # type: ignore[no-untyped-
 
 
 @MAPPING.loop
-def write_filled_ground(j, floor, offsets, scratch, layers):  # type: ignore[no-untyped-def]
+def write_filled_ground(j, floor, offsets, buffers, layers):  # type: ignore[no-untyped-def]
     """The ground of those cells of a row that others fill."""
-    which = scratch.which[j]
+    which = buffers.which[j]
     for i in range(len(which)):
         if which[i] > 0:
             jj, ii = j + offsets[which[i], 0], i + offsets[which[i], 1]
-            rise_x, rise_y = scratch.rise_x[jj, ii], scratch.rise_y[jj, ii]
+            rise_x, rise_y = buffers.rise_x[jj, ii], buffers.rise_y[jj, ii]
             squared = rise_x * rise_x + rise_y * rise_y
             up = np.float32(1) / np.sqrt(np.float32(1) + squared)
-            layers.elevation[j, i] = floor + scratch.centre[jj, ii]
+            layers.elevation[j, i] = floor + buffers.centre[jj, ii]
             layers.normal[j, i, 0], layers.normal[j, i, 1], layers.normal[j, i, 2] = -rise_x * up, -rise_y * up, up
             layers.slope[j, i] = np.sqrt(squared)
-            layers.roughness[j, i] = scratch.roughness[jj, ii]
-            layers.obstacle_height[j, i] = scratch.obstacle[jj, ii]
+            layers.roughness[j, i] = buffers.roughness[jj, ii]
+            layers.obstacle_height[j, i] = buffers.obstacle[jj, ii]
 
 
 @MAPPING.loop
@@ -145,10 +145,10 @@ def write_flags(which, which_feature, observed, known, valid):  # type: ignore[n
 
 
 @MAPPING.loop
-def write_features(j, low, offsets, surface, scratch, layers):  # type: ignore[no-untyped-def]
+def write_features(j, low, offsets, surface, buffers, layers):  # type: ignore[no-untyped-def]
     """The features of a row; cells that had none already stay as they are."""
     n, channels = layers.valid.shape[0], layers.features.shape[2]
-    which, valid = scratch.which_feature[j], layers.valid[j]
+    which, valid = buffers.which_feature[j], layers.valid[j]
     start_x, start_y = low[0] % n, low[1] % n + j
     for i in range(n):
         k = which[i]
@@ -165,22 +165,22 @@ def write_features(j, low, offsets, surface, scratch, layers):  # type: ignore[n
 
 
 @MAPPING.entry
-def write_layers(first, last, blocks, floor, low, offsets, surface, scratch, layers):  # type: ignore[no-untyped-def]
+def write_layers(first, last, blocks, floor, low, offsets, surface, buffers, layers):  # type: ignore[no-untyped-def]
     """Write the layers.
 
     Args:
         floor: height of the reference level in the world [m].
         low: integer coordinates x, y of the lowest cell [2].
         offsets: as `fill_gaps` was given.
-        surface: `scratch.Surface`.
-        layers: `scratch.Layers`.
+        surface: `buffers.Surface`.
+        layers: `buffers.Layers`.
     """
-    n = scratch.height.shape[0]
+    n = buffers.height.shape[0]
     for block in range(first, last):
         for j in range(n * block // blocks, n * (block + 1) // blocks):
-            write_own_ground(j, floor, scratch.line[block, 0], scratch, layers)
-            write_filled_ground(j, floor, offsets, scratch, layers)
-            write_features(j, low, offsets, surface, scratch, layers)
+            write_own_ground(j, floor, buffers.line[block, 0], buffers, layers)
+            write_filled_ground(j, floor, offsets, buffers, layers)
+            write_features(j, low, offsets, surface, buffers, layers)
             write_flags(
-                scratch.which[j], scratch.which_feature[j], layers.observed[j], layers.known[j], layers.valid[j]
+                buffers.which[j], buffers.which_feature[j], layers.observed[j], layers.known[j], layers.valid[j]
             )

@@ -189,22 +189,22 @@ def put_residual(z, mean_z, along_x, along_y, out):  # type: ignore[no-untyped-d
 
 
 @MAPPING.entry
-def fit_planes(first, last, blocks, radius, size, scratch):  # type: ignore[no-untyped-def]
+def fit_planes(first, last, blocks, radius, size, buffers):  # type: ignore[no-untyped-def]
     """Planes around the cells, for blocks `first` to `last` of the `blocks` that the rows are cut into.
 
     Args:
         radius: of the windows [cells].
         size: of a cell [m].
-        scratch: reads x, y, height; writes rise_x, rise_y, centre, residual (`flatten_kernels.Scratch`).
+        scratch: reads x, y, height; writes rise_x, rise_y, centre, residual (`flatten_kernels.Buffers`).
     """
-    n, window = scratch.height.shape[0], 2 * radius + 1
+    n, window = buffers.height.shape[0], 2 * radius + 1
     for block in range(first, last):
-        ring, total, moments = scratch.sums[block, :window], scratch.sums[block, window], scratch.moments[block]
+        ring, total, moments = buffers.sums[block, :window], buffers.sums[block, window], buffers.moments[block]
         begin, end = n * block // blocks, n * (block + 1) // blocks
         for ahead in range(begin - radius, end + radius):
             row = ring[ahead % window]
             if 0 <= ahead < n:
-                x, y, z = scratch.x[ahead], scratch.y[ahead], scratch.height[ahead]
+                x, y, z = buffers.x[ahead], buffers.y[ahead], buffers.height[ahead]
                 put_moments(x, y, z, radius, moments)
                 sum_columns(moments, radius, row)
             else:
@@ -212,19 +212,19 @@ def fit_planes(first, last, blocks, radius, size, scratch):  # type: ignore[no-u
             j = ahead - radius
             if j >= begin:
                 sum_rows(ring, j, radius, total)
-                solve_row(total, scratch.line[block, 0], scratch.line[block, 1], j, size, scratch)
+                solve_row(total, buffers.line[block, 0], buffers.line[block, 1], j, size, buffers)
 
 
 @MAPPING.loop
-def solve_row(total, line, other, j, size, scratch):  # type: ignore[no-untyped-def]
+def solve_row(total, line, other, j, size, buffers):  # type: ignore[no-untyped-def]
     """The planes of a row from its sums, and where its hits lie to them."""
-    x, y, z, scale = scratch.x[j], scratch.y[j], scratch.height[j], np.float32(1) / size
-    rise_x, rise_y = scratch.rise_x[j], scratch.rise_y[j]
+    x, y, z, scale = buffers.x[j], buffers.y[j], buffers.height[j], np.float32(1) / size
+    rise_x, rise_y = buffers.rise_x[j], buffers.rise_y[j]
     to_covariances(total)
     put_determinants(z, total[N], total[SXX], total[SXY], total[SYY], line)
     put_rise(total[SXZ], total[SYZ], total[SYY], total[SXY], line, scale, rise_x)
     put_rise(total[SYZ], total[SXZ], total[SXX], total[SXY], line, scale, rise_y)
-    put_centre(x, y, z, rise_x, rise_y, size, scratch.centre[j])
+    put_centre(x, y, z, rise_x, rise_y, size, buffers.centre[j])
     put_offset(x, total[SX], rise_x, size, line)
     put_offset(y, total[SY], rise_y, size, other)
-    put_residual(z, total[SZ], line, other, scratch.residual[j])
+    put_residual(z, total[SZ], line, other, buffers.residual[j])

@@ -16,7 +16,7 @@ from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import points_in_world
 from offpiste.perception.projection import Projection, ProjectionSettings, View, project
 
-Look = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
+ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
 """From a rectified image to the features of its patches."""
 
 
@@ -30,7 +30,7 @@ class ReplaySettings:
         projection, map: of those stages.
     """
 
-    frame_metres: float = 0.5
+    keyframe_metres: float = 0.5
     memory: float = 1.0
     projection: ProjectionSettings = field(default_factory=ProjectionSettings)
     map: MapSettings = field(default_factory=MapSettings)
@@ -44,7 +44,7 @@ class Moment:
         time: of the scan [s].
         vehicle: place of the pose point then [m].
         layers: of the map; written over by the next scan.
-        points_world, projection: the scan itself, and where the images of `views` show it.
+        points_world, projection: the scan itself, and where the images of `feature_set_choice` show it.
         looks: features of these images.
         images: they themselves, rectified.
     """
@@ -54,7 +54,7 @@ class Moment:
     layers: TerrainLayers
     points_world: Float[np.ndarray, "n 3"]
     projection: Projection | None
-    views: tuple[View, ...]
+    feature_set_choice: tuple[View, ...]
     looks: tuple[Float32[np.ndarray, "_ _ F"], ...]
     images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
 
@@ -89,7 +89,7 @@ class Mapper:
         self,
         cameras: Mapping[str, PinholeCamera],
         lidars: Mapping[str, Lidar],
-        look: Look,
+        look: ExtractFeatures,
         channels: int,
         settings: ReplaySettings | None = None,
     ) -> None:
@@ -109,7 +109,7 @@ class Mapper:
         before = self._latest[image.camera].view
         here = (pose @ before.camera.body_from_camera)[:3, 3]
         moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
-        return bool(moved >= self._settings.frame_metres or image.time - before.time > self._settings.memory)
+        return bool(moved >= self._settings.keyframe_metres or image.time - before.time > self._settings.memory)
 
     def look(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> None:
         """Look at an image; scans that follow get its features."""
@@ -147,7 +147,7 @@ def pinhole_cameras(log: SensorLog, patch: int) -> dict[str, PinholeCamera]:
 def replay(
     log: SensorLog,
     cameras: dict[str, PinholeCamera],
-    look: Look,
+    look: ExtractFeatures,
     channels: int,
     settings: ReplaySettings | None = None,
     *,
@@ -161,7 +161,7 @@ def replay(
         cameras: those that are looked through.
         look: backbone and PCA.
         channels: F of its features; 0 maps the scans alone.
-        wanted: images that are looked at, instead of one every `frame_metres`.
+        wanted: images that are looked at, instead of one every `keyframe_metres`.
         start, end: of the stretch that is played [s].
     """
     mapper, layers, stretch = Mapper(cameras, log.lidars, look, channels, settings), None, 0
@@ -178,9 +178,9 @@ def replay(
             continue
         points, projection, seen = mapper.scan(measured, log.poses, pose)
         layers = mapper.pipeline.layers(layers)
-        views, looks = tuple(s.view for s in seen), tuple(s.features for s in seen)
+        feature_set_choice, looks = tuple(s.view for s in seen), tuple(s.features for s in seen)
         images = tuple(s.pixels for s in seen)
-        yield Moment(measured.time, pose[:3, 3], layers, points, projection, views, looks, images)
+        yield Moment(measured.time, pose[:3, 3], layers, points, projection, feature_set_choice, looks, images)
 
 
 def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " n"]:

@@ -12,7 +12,7 @@ from offpiste.perception.pca import PrincipalComponents, load_pca
 
 
 @dataclass(frozen=True)
-class Looking:
+class FeatureExtractor:
     """What turns rectified images into features."""
 
     backbone: Backbone
@@ -44,7 +44,7 @@ class Looking:
         return np.asarray(self.pca.project(self.backbone(pixels[None])[0]).cpu().numpy(), np.float32)
 
 
-def load_looking(path: Path, device: str = "cpu") -> Looking:
+def load_feature_extractor(path: Path, device: str = "cpu") -> FeatureExtractor:
     """A PCA and the backbone that it names.
 
     Raises:
@@ -53,4 +53,4 @@ def load_looking(path: Path, device: str = "cpu") -> Looking:
     pca = load_pca(path)
     backbone = open_backbone(pca.backbone, device=device)
     pca.check(backbone, where=path)
-    return Looking(backbone, pca)
+    return FeatureExtractor(backbone, pca)

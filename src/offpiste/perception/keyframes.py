@@ -7,7 +7,7 @@ from jaxtyping import Float, Int, UInt8
 from offpiste.errors import PerceptionError
 
 
-def frames_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> Int[np.ndarray, " m"]:
+def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> Int[np.ndarray, " m"]:
     """Indices of frames, each at least `metres` from where the one before it in the choice was taken.
 
     The straight distance decides: noise in the pose of a parked vehicle adds up to a path, but to no distance.

@@ -21,7 +21,7 @@ FREE: Final = 2
 """Widest gap between nearer points, in sectors, through which a point is not yet seen."""
 
 
-def hidden_points(
+def occluded_points(
     pixels: Float[np.ndarray, "n 2"],
     depth: Float[np.ndarray, " n"],
     size: tuple[int, int],

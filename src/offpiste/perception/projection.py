@@ -16,7 +16,7 @@ from offpiste.errors import PerceptionError
 from offpiste.logs.poses import Poses
 from offpiste.perception.camera import PinholeCamera
 from offpiste.perception.motion_compensation import inverse, transformed
-from offpiste.perception.occlusion import hidden_points
+from offpiste.perception.occlusion import occluded_points
 
 NEAREST = 0.2
 """Points nearer to the plane of a pinhole than this are not projected [m]."""
@@ -108,23 +108,25 @@ def view_at(camera: PinholeCamera, time: float, poses: Poses) -> View | None:
 
 
 def project(
-    points_world: Float[np.ndarray, "n 3"], views: Sequence[View], settings: ProjectionSettings | None = None
+    points_world: Float[np.ndarray, "n 3"],
+    feature_set_choice: Sequence[View],
+    settings: ProjectionSettings | None = None,
 ) -> Projection:
     """Find each point in the images.
 
     A point is not seen behind a camera, outside of its patches, on patches of the vehicle itself, behind something
-    nearer (`hidden_points`), or where it is not finite.
+    nearer (`occluded_points`), or where it is not finite.
     """
     settings = settings or ProjectionSettings()
     n = len(points_world)
     view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
     row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
-    for index, this in enumerate(views):
+    for index, this in enumerate(feature_set_choice):
         points = transformed(points_world, inverse(this.world_from_camera))
         found, at = project_to_pinhole(points, this.camera.matrix, this.camera.size)
         if settings.hide:
             focal_length = float(this.camera.matrix[0, 0])
-            hidden = hidden_points(
+            hidden = occluded_points(
                 at,
                 points[found, 2],
                 this.camera.size,

@@ -23,10 +23,10 @@ from offpiste.dynamics.kernels.model_arrays import constants, networks
 from offpiste.dynamics.kernels.network import weights as matrices
 from offpiste.mapping.terrain_lookup import MapStack
 from offpiste.planning.costs import Situation, Weights
-from offpiste.planning.kernel_rollout import Prices, roll_out
-from offpiste.planning.kernel_terrain import Grid, Ground, Raster
+from offpiste.planning.kernel_rollout import KernelWeights, roll_out
+from offpiste.planning.kernel_terrain import CostLayers, Grid, Ground
 from offpiste.planning.mppi import CostOf
-from offpiste.state import Carry
+from offpiste.state import ModelState
 from offpiste.threads import spread_threads
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
@@ -84,7 +84,7 @@ def coded_map(maps: MapStack, encoder: FeatureEncoder) -> Codes:
 
 
 def fused_costs(
-    dynamics: Parametric | Hybrid, carry: Carry, situation: Situation, weights: Weights, codes: Codes
+    dynamics: Parametric | Hybrid, model_state: ModelState, situation: Situation, weights: Weights, codes: Codes
 ) -> CostOf:
     """Costs of driving on the situation's map; the same as `rollouts.driving_costs`, up to rounding.
 
@@ -96,7 +96,7 @@ def fused_costs(
     Raises:
         ValueError: a model, types or shapes that the kernel cannot take.
     """
-    roll = _bind(dynamics, carry, situation, weights, codes)
+    roll = _bind(dynamics, model_state, situation, weights, codes)
 
     def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
         return roll(controls, torch.empty(0, 0, 6))
@@ -106,7 +106,7 @@ def fused_costs(
 
 def fused_rollout(
     dynamics: Parametric | Hybrid,
-    carry: Carry,
+    model_state: ModelState,
     controls: Float[Tensor, "K T 3"],
     situation: Situation,
     weights: Weights,
@@ -114,40 +114,40 @@ def fused_rollout(
 ) -> tuple[Float[Tensor, " K"], Float[Tensor, "K T 6"]]:
     """The same costs, and the states after each step: to look at, and to test."""
     states = torch.empty(*controls.shape[:2], 6)
-    return _bind(dynamics, carry, situation, weights, codes)(controls, states), states
+    return _bind(dynamics, model_state, situation, weights, codes)(controls, states), states
 
 
-def fused_carry(
+def kernel_model_state(
     dynamics: Parametric | Hybrid,
-    carry: Carry,
+    model_state: ModelState,
     controls: Float[Tensor, "T 3"],
     situation: Situation,
     codes: Codes,
-) -> Carry:
+) -> ModelState:
     """What the model carries after controls; every step reads the ground where it is, also of models that hold codes.
 
     Args:
         controls: one step's at least.
     """
-    packed = carry.pack()
+    packed = model_state.pack()
     after = torch.empty(1, len(controls), packed.shape[1])
-    _bind(dynamics, carry, situation, Weights(), codes, holds=False)(controls[None], after)
-    found = Carry.unpack(after[:, -1])
+    _bind(dynamics, model_state, situation, Weights(), codes, holds=False)(controls[None], after)
+    found = ModelState.unpack(after[:, -1])
     recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
-    return replace(found, actuators=found.actuators.where(recorded, carry.actuators))
+    return replace(found, actuators=found.actuators.where(recorded, model_state.actuators))
 
 
 @torch.no_grad()
 def _bind(
     dynamics: Parametric | Hybrid,
-    carry: Carry,
+    model_state: ModelState,
     situation: Situation,
     weights: Weights,
     codes: Codes,
     *,
     holds: bool = True,
 ) -> Callable[[Tensor, Tensor], Tensor]:
-    _check(dynamics, carry, codes)
+    _check(dynamics, model_state, codes)
     vehicle = dynamics.vehicle
     compensator = dynamics.compensator if isinstance(dynamics, Hybrid) else None
     weighted = matrices(compensator, dynamics.force_scale if isinstance(dynamics, Hybrid) else None)
@@ -158,11 +158,11 @@ def _bind(
         constants(dynamics, torch.stack(dynamics.bicycle())),
         networks(dynamics, weighted),
         _ground(situation, codes),
-        _raster(situation),
-        _prices(weights),
+        _cost_layers(situation),
+        _kernel_weights(weights),
         holds and isinstance(dynamics, Hybrid) and dynamics.holds,
     )
-    start = carry.pack()[0].contiguous().numpy()
+    start = model_state.pack()[0].contiguous().numpy()
 
     def roll(controls: Tensor, states: Tensor) -> Tensor:
         if controls.ndim != 3 or controls.shape[2] != 3 or controls.dtype != torch.float32 or controls.is_cuda:
@@ -186,10 +186,10 @@ def _ground(situation: Situation, codes: Codes) -> Ground:
     )
 
 
-def _raster(situation: Situation) -> Raster:
+def _cost_layers(situation: Situation) -> CostLayers:
     costs = situation.costs
     grid = _grid(situation.offset - costs.origin, costs.resolution, costs.layers)
-    return Raster(grid, _numbers(costs.layers), np.float32(costs.outside))
+    return CostLayers(grid, _numbers(costs.layers), np.float32(costs.outside))
 
 
 def _numbers(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
@@ -200,8 +200,8 @@ def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "n
     return Grid(shift.numpy().astype(np.float32), np.float32(1 / resolution), cells.shape[0], cells.shape[1])
 
 
-def _prices(w: Weights) -> Prices:
-    return Prices(
+def _kernel_weights(w: Weights) -> KernelWeights:
+    return KernelWeights(
         path=np.float32(w.path),
         speed=np.float32(w.speed),
         overspeed=np.float32(w.overspeed),
@@ -215,13 +215,13 @@ def _prices(w: Weights) -> Prices:
     )
 
 
-def _check(dynamics: Parametric | Hybrid, carry: Carry, codes: Codes) -> None:
+def _check(dynamics: Parametric | Hybrid, model_state: ModelState, codes: Codes) -> None:
     """Refuse what the kernel would read out of bounds, or wrongly."""
-    if not supports(dynamics, carry.state.device, carry.state.dtype):
+    if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
     wanted = dynamics.codes if isinstance(dynamics, Hybrid) else 0
     units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
-    if carry.pack().shape != (1, 10 + 2 * units):
-        raise ValueError(f"the start is {list(carry.pack().shape)}; the kernel wants {[1, 10 + 2 * units]}")
+    if model_state.pack().shape != (1, 10 + 2 * units):
+        raise ValueError(f"the start is {list(model_state.pack().shape)}; the kernel wants {[1, 10 + 2 * units]}")
     if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:
         raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {wanted}")

@@ -19,7 +19,7 @@ from offpiste.dynamics.kernels.rollout import (
     STATES,
     Networks,
     advance_block,
-    make_scratches,
+    make_buffer_sets,
 )
 from offpiste.planning import costs
 from offpiste.planning.kernel_terrain import (
@@ -31,10 +31,10 @@ from offpiste.planning.kernel_terrain import (
     LIMIT,
     SIN,
     TARGET,
+    CostLayers,
     Ground,
-    Raster,
     make_sight,
-    survey,
+    sample_terrain,
 )
 
 path_term = PLANNING.inlined(costs.path_term)
@@ -46,7 +46,7 @@ effort_term = PLANNING.inlined(costs.effort_term)
 jerk_term = PLANNING.inlined(costs.jerk_term)
 
 
-class Prices(NamedTuple):
+class KernelWeights(NamedTuple):
     """`costs.Weights` in float32, with what else the terms need."""
 
     path: Lane
@@ -63,29 +63,36 @@ class Prices(NamedTuple):
 
 @PLANNING.loop
 def price(
-    w: np.ndarray, before: np.ndarray, after: np.ndarray, seen: np.ndarray, prices: Prices, total: np.ndarray
+    w: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    seen: np.ndarray,
+    kernel_weights: KernelWeights,
+    total: np.ndarray,
 ) -> None:
-    """Add what the states after a step cost; `survey` has seen what lies there."""
+    """Add what the states after a step cost; `sample_terrain` has seen what lies there."""
     for i in range(LANES):
         c, s = seen[COS * LANES + i], seen[SIN * LANES + i]
         vx, vy, yaw_rate = after[3 * LANES + i], after[4 * LANES + i], after[5 * LANES + i]
         direction = seen[ALONG_X * LANES + i], seen[ALONG_Y * LANES + i]
-        acceleration = (vy - before[4 * LANES + i]) / prices.dt + vx * yaw_rate
+        acceleration = (vy - before[4 * LANES + i]) / kernel_weights.dt + vx * yaw_rate
         normal_y = c * w[(NORMAL_ROW + 1) * LANES + i] - s * w[NORMAL_ROW * LANES + i]
         normal_z = w[(NORMAL_ROW + 2) * LANES + i]
-        ratio = lateral_ratio(acceleration, normal_y, normal_z, prices.gravity, prices.least_vertical, maximum)
-        cost = path_term(seen[DISTANCE * LANES + i], prices.path)
-        cost += speed_term((c, s), vx, vy, direction, seen[TARGET * LANES + i], prices.speed)
-        cost += overspeed_term(vx, seen[LIMIT * LANES + i], prices.overspeed, maximum)
+        ratio = lateral_ratio(
+            acceleration, normal_y, normal_z, kernel_weights.gravity, kernel_weights.least_vertical, maximum
+        )
+        cost = path_term(seen[DISTANCE * LANES + i], kernel_weights.path)
+        cost += speed_term((c, s), vx, vy, direction, seen[TARGET * LANES + i], kernel_weights.speed)
+        cost += overspeed_term(vx, seen[LIMIT * LANES + i], kernel_weights.overspeed, maximum)
         cost += seen[HAZARD * LANES + i]
-        cost += rollover_term(ratio, prices.lateral_limit, prices.rollover, maximum)
-        total[i] += prices.dt * cost
+        cost += rollover_term(ratio, kernel_weights.lateral_limit, kernel_weights.rollover, maximum)
+        total[i] += kernel_weights.dt * cost
 
 
 @PLANNING.loop
 def command(
     w: np.ndarray, controls: np.ndarray, recorded: np.ndarray, block: int, t: int, before: np.ndarray,
-    after: np.ndarray, prices: Prices, total: np.ndarray,
+    after: np.ndarray, kernel_weights: KernelWeights, total: np.ndarray,
 ) -> None:  # fmt: skip
     """Controls of step t into `after` and the workspace, and what they cost; `before` has those of the step before.
 
@@ -96,10 +103,10 @@ def command(
         for k in range(3):
             after[k * LANES + i] = controls[sample, np.uint64(t), k]
     for k in range(3):
-        effort, jerk = prices.effort[k], prices.jerk[k]
+        effort, jerk = kernel_weights.effort[k], kernel_weights.jerk[k]
         for i in range(k * LANES, (k + 1) * LANES):
-            cost = effort_term(after[i], effort) + jerk_term(after[i], before[i], prices.dt, jerk)
-            total[i - k * LANES] += prices.dt * cost
+            cost = effort_term(after[i], effort) + jerk_term(after[i], before[i], kernel_weights.dt, jerk)
+            total[i - k * LANES] += kernel_weights.dt * cost
         if recorded[4 + k]:
             for i in range(k * LANES, (k + 1) * LANES):
                 w[CONTROL_ROW * LANES + i] = after[i]
@@ -116,8 +123,8 @@ def roll_out(
     c: np.ndarray,
     networks: Networks,
     ground: Ground,
-    raster: Raster,
-    prices: Prices,
+    cost_layers: CostLayers,
+    kernel_weights: KernelWeights,
     holds: bool,
     costs: np.ndarray,
     states: np.ndarray,
@@ -138,7 +145,7 @@ def roll_out(
     """
     samples, steps, _ = controls.shape
     w = np.zeros((CODES + 4 * len(ground.missing)) * LANES, f4)
-    scratches = make_scratches(networks, f4(1))
+    buffer_sets = make_buffer_sets(networks, f4(1))
     carries = np.zeros((2, len(start) * LANES), f4)
     commands = np.zeros((2, 3 * LANES), f4)
     sight, total = make_sight(), np.zeros(LANES, f4)
@@ -149,14 +156,14 @@ def roll_out(
         for k in range(len(start)):
             absent = STATES <= k < MOVED // LANES and not recorded[k - STATES]
             carries[0, k * LANES : (k + 1) * LANES] = f4(0) if absent else start[k]
-        survey(w, carries[0], sight, ground, raster, True)
+        sample_terrain(w, carries[0], sight, ground, cost_layers, True)
         for t in range(steps):
             now, then = t % 2, (t + 1) % 2
             before, after = carries[now], carries[then]
-            command(w, controls, recorded, block, t, commands[now], commands[then], prices, total)
-            advance_block(w, c, networks, scratches, before, after)
-            survey(w, after, sight, ground, raster, not holds)
-            price(w, before, after, sight.seen, prices, total)
+            command(w, controls, recorded, block, t, commands[now], commands[then], kernel_weights, total)
+            advance_block(w, c, networks, buffer_sets, before, after)
+            sample_terrain(w, after, sight, ground, cost_layers, not holds)
+            price(w, before, after, sight.seen, kernel_weights, total)
             if len(states) > 0:
                 for i in range(min(LANES, samples - block * LANES)):
                     for k in range(states.shape[2]):

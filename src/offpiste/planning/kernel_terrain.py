@@ -52,7 +52,7 @@ class Ground(NamedTuple):
     wheels: np.ndarray
 
 
-class Raster(NamedTuple):
+class CostLayers(NamedTuple):
     """What the cost reads: `course.CostMap`, [ny * nx * 6]."""
 
     grid: Grid
@@ -111,7 +111,7 @@ def number(grid: Grid, x: Lane, y: Lane) -> np.int32:
 
 
 @PLANNING.loop
-def find(carry: np.ndarray, sight: Sight, ground: Ground, raster: Raster, k: int) -> None:
+def find(model_state: np.ndarray, sight: Sight, ground: Ground, cost_layers: CostLayers, k: int) -> None:
     """The cells under wheel k."""
     wx, wy, zero = ground.wheels[k, 0], ground.wheels[k, 1], f4(0)
     grid = ground.grid
@@ -119,15 +119,15 @@ def find(carry: np.ndarray, sight: Sight, ground: Ground, raster: Raster, k: int
     corner_x, corner_y = max(f4(grid.columns - 2), zero), max(f4(grid.rows - 2), zero)
     for i in range(LANES):
         c, s = sight.seen[COS * LANES + i], sight.seen[SIN * LANES + i]
-        px, py = carry[i] + c * wx - s * wy, carry[LANES + i] + s * wx + c * wy
+        px, py = model_state[i] + c * wx - s * wy, model_state[LANES + i] + s * wx + c * wy
         x, y, inside = cell_at(grid, px, py)
         sight.cell[i] = number(grid, x, y) if inside else -1
         x0, y0 = np.floor(x), np.floor(y)
         x0, y0 = x0 if x0 < corner_x else corner_x, y0 if y0 < corner_y else corner_y
         sight.corner[i] = np.int32(y0) * np.int32(grid.columns) + np.int32(x0)
         sight.u[i], sight.v[i] = x - x0, y - y0
-        x, y, inside = cell_at(raster.grid, px, py)
-        sight.square[i] = number(raster.grid, x, y) if inside else -1
+        x, y, inside = cell_at(cost_layers.grid, px, py)
+        sight.square[i] = number(cost_layers.grid, x, y) if inside else -1
 
 
 @PLANNING.loop
@@ -138,10 +138,10 @@ def locate(cells: np.ndarray, size: int, place: np.ndarray) -> None:
 
 
 @PLANNING.loop
-def read(w: np.ndarray, sight: Sight, ground: Ground, raster: Raster, k: int, codes: bool) -> None:
+def read(w: np.ndarray, sight: Sight, ground: Ground, cost_layers: CostLayers, k: int, codes: bool) -> None:
     """What lies under wheel k."""
     read_slope(sight, ground)
-    read_costs(sight, raster)
+    read_costs(sight, cost_layers)
     if codes:
         size = len(ground.missing)
         locate(sight.cell, size, sight.place)
@@ -165,15 +165,15 @@ def read_slope(sight: Sight, ground: Ground) -> None:
 
 
 @PLANNING.loop
-def read_costs(sight: Sight, raster: Raster) -> None:
+def read_costs(sight: Sight, cost_layers: CostLayers) -> None:
     """Under a wheel."""
     quarter = f4(0.25)
     hazard, limit = sight.seen[HAZARD * LANES : (HAZARD + 1) * LANES], sight.seen[LIMIT * LANES : (LIMIT + 1) * LANES]
     locate(sight.square, COST_NUMBERS, sight.place)
     for i in range(LANES):
-        found, other = raster.layers[np.uint64(sight.place[i])], raster.layers[np.uint64(sight.place[i] + 1)]
+        found, other = cost_layers.layers[np.uint64(sight.place[i])], cost_layers.layers[np.uint64(sight.place[i] + 1)]
         inside = sight.square[i] >= 0
-        hazard[i] += quarter * (found if inside else raster.outside)
+        hazard[i] += quarter * (found if inside else cost_layers.outside)
         limit[i] = other if inside & (other < limit[i]) else limit[i]
 
 
@@ -196,25 +196,29 @@ def lean(w: np.ndarray, sight: Sight) -> None:
 
 
 @PLANNING.loop
-def survey(w: np.ndarray, carry: np.ndarray, sight: Sight, ground: Ground, raster: Raster, codes: bool) -> None:
+def sample_terrain(
+    w: np.ndarray, model_state: np.ndarray, sight: Sight, ground: Ground, cost_layers: CostLayers, codes: bool
+) -> None:
     """Normals, and codes if wanted, under the wheels into the workspace, layers of the cost into `sight.seen`."""
     seen = sight.seen
     for i in range(LANES):
-        seen[COS * LANES + i] = cos(carry[2 * LANES + i])
-        seen[SIN * LANES + i] = sin(carry[2 * LANES + i])
+        seen[COS * LANES + i] = cos(model_state[2 * LANES + i])
+        seen[SIN * LANES + i] = sin(model_state[2 * LANES + i])
     w[NORMAL_ROW * LANES : (NORMAL_ROW + 3) * LANES] = f4(0)
     seen[HAZARD * LANES : (HAZARD + 1) * LANES] = f4(0)
     seen[LIMIT * LANES : (LIMIT + 1) * LANES] = f4(np.inf)
     for k in range(4):
-        find(carry, sight, ground, raster, k)
-        read(w, sight, ground, raster, k, codes)
+        find(model_state, sight, ground, cost_layers, k)
+        read(w, sight, ground, cost_layers, k, codes)
         lean(w, sight)
     for i in range(LANES):
-        x, y, _ = cell_at(raster.grid, carry[i], carry[LANES + i])
-        sight.square[i] = number(raster.grid, x, y)
+        x, y, _ = cell_at(cost_layers.grid, model_state[i], model_state[LANES + i])
+        sight.square[i] = number(cost_layers.grid, x, y)
     locate(sight.square, COST_NUMBERS, sight.place)
     for k in range(DISTANCE, TARGET + 1):
         for i in range(LANES):
-            seen[k * LANES + i] = raster.layers[np.uint64(sight.place[i] + k)]
+            seen[k * LANES + i] = cost_layers.layers[np.uint64(sight.place[i] + k)]
     for i in range(LANES):
-        seen[DISTANCE * LANES + i] += (carry[i] - carry[i]) + (carry[LANES + i] - carry[LANES + i])
+        seen[DISTANCE * LANES + i] += (model_state[i] - model_state[i]) + (
+            model_state[LANES + i] - model_state[LANES + i]
+        )

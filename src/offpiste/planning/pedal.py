@@ -21,13 +21,13 @@ def controls_of(feet: Float[Tensor, "*P 2"]) -> Float[Tensor, "*P 3"]:
     return torch.stack((pedal.clamp(min=0), (-pedal).clamp(min=0), steer), dim=-1)
 
 
-def feet_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
+def pedals_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
     """Pedal and steer of throttle, brake and steer; of both pedals pressed, the difference."""
     throttle, brake, steer = controls.unbind(-1)
     return torch.stack((throttle - brake, steer), dim=-1)
 
 
-def with_one_foot(cost_of: CostOf) -> CostOf:
+def with_pedal(cost_of: CostOf) -> CostOf:
     """Costs of pedal and steer [K, T, 2]."""
 
     def cost(feet: Float[Tensor, "K T 2"]) -> Float[Tensor, " K"]:

@@ -11,11 +11,11 @@ from offpiste.dynamics.hybrid import Hybrid
 from offpiste.mapping.terrain_lookup import Encode, HeldCodes, MapTerrain
 from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
-from offpiste.state import Carry, TerrainSource, Trajectory
+from offpiste.state import ModelState, TerrainSource, Trajectory
 
 
 def model_costs(
-    dynamics: Dynamics, carry: Carry, source: TerrainSource, cost: Callable[[Trajectory, Tensor], Tensor]
+    dynamics: Dynamics, model_state: ModelState, source: TerrainSource, cost: Callable[[Trajectory, Tensor], Tensor]
 ) -> CostOf:
     """Costs of the trajectories that a model predicts.
 
@@ -26,13 +26,13 @@ def model_costs(
     """
 
     def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
-        return cost(rollout(dynamics, spread_carry(carry, len(controls)), controls, source), controls)
+        return cost(rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source), controls)
 
     return cost_of
 
 
 def driving_costs(
-    dynamics: Dynamics, carry: Carry, situation: Situation, weights: Weights, encode: Encode | None = None
+    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: Weights, encode: Encode | None = None
 ) -> CostOf:
     """Costs of driving on the situation's map.
 
@@ -47,7 +47,7 @@ def driving_costs(
         def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
             return driving_cost(trajectory, controls, situation, weights)
 
-        return model_costs(dynamics, carry, source, cost)(controls)
+        return model_costs(dynamics, model_state, source, cost)(controls)
 
     return cost_of
 
@@ -66,9 +66,14 @@ def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode:
     return HeldCodes.of(source, situation.state.expand(samples, 6))
 
 
-def spread_carry(carry: Carry, samples: int) -> Carry:
+def spread_model_state(model_state: ModelState, samples: int) -> ModelState:
     """A carry of one, for as many samples."""
-    return Carry(*(part.expand(samples, -1) for part in (carry.state, carry.actuators, carry.hidden, carry.cell)))
+    return ModelState(
+        *(
+            part.expand(samples, -1)
+            for part in (model_state.state, model_state.actuators, model_state.hidden, model_state.cell)
+        )
+    )
 
 
 def callable_costs(

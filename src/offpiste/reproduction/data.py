@@ -7,7 +7,7 @@ The dataset of a reproduction: simulated, or an existing one that can carry it.
 
 import io
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from itertools import count
@@ -56,34 +56,36 @@ class Recording:
     log: Path
 
 
-def simulate_all(recordings: Sequence[Recording], processes: int, *, tell: Callable[[str], None]) -> None:
+def simulate_all(recordings: Sequence[Recording], processes: int) -> None:
     """Record the drives that are not there yet, `processes` at a time.
 
     Raises:
         OffpisteError: why the first of those failed that did; the others are recorded.
     """
     missing = [recording for recording in recordings if not recording.log.exists()]
-    failed = run_all(_record, missing, processes, "simulate", tell)
+    failed = run_all(_record, missing, processes, "simulate")
     if failed:
         raise failed[0]
 
 
-def simulate_once(settings: DriveSettings, log: Path, *, tell: Callable[[str], None]) -> None:
-    """Record a drive unless it is there; what an interruption leaves has another name and is begun again."""
+def simulate_once(settings: DriveSettings, log: Path) -> str:
+    """Record a drive unless it is there; what an interruption leaves has another name and is begun again.
+
+    Returns:
+        What was driven, for a person.
+    """
     if log.exists():
-        return
+        return f"{log}: there"
     partial = log.with_name(f"{log.stem}.partial{log.suffix}")
     partial.unlink(missing_ok=True)
     driven = simulate(settings, partial)[0]
     partial.rename(log)
-    tell(str(driven).replace(partial.name, log.name))
+    return str(driven).replace(partial.name, log.name)
 
 
 def _record(recording: Recording, report: Report) -> str:
-    said: list[str] = []
     with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        simulate_once(recording.settings, recording.log, tell=said.append)
-    return "; ".join(said) or f"{recording.log}: there"
+        return simulate_once(recording.settings, recording.log)
 
 
 MIX = {"mojave": 0.64, "halter-ranch": 0.28, "dunes": 0.04, "coastal-scrub": 0.04}
@@ -144,7 +146,7 @@ def expected_features(asked: Reproduction) -> int:
     return min(max(PCA_SWEPT), open_backbone(asked.backbone, device=asked.device).channels)
 
 
-def data_pieces(asked: Reproduction, tell: Callable[[str], None]) -> list[Piece]:
+def data_pieces(asked: Reproduction) -> list[Piece]:
     """What leads to a dataset; nothing where one is given."""
     if asked.dataset is not None:
         return []
@@ -158,19 +160,19 @@ def data_pieces(asked: Reproduction, tell: Callable[[str], None]) -> list[Piece]
             f"simulate {len(drives)} drives, {seconds / 60:.0f} min",
             (0.4 * seconds + 8 * len(drives)) / processes,
             lambda: all(log.exists() for log in _logs(asked, drives)) or _extracted(asked, drives),
-            lambda: _simulate(asked, drives, processes, tell),
+            lambda: _simulate(asked, drives, processes),
         ),
         Piece(
             f"fit the PCA on {asked.size.images} images of {len(looked_at)} drives",
             0.5 * seconds_of(looked_at) + 10,
             pca.exists,
-            lambda: _fit(asked, _logs(asked, looked_at), drives, pca, tell),
+            lambda: _fit(asked, _logs(asked, looked_at), drives, pca),
         ),
         Piece(
             f"extract {len(drives)} drives",
             0.6 * seconds / processes,
             lambda: _extracted(asked, drives),
-            lambda: _extract(asked, drives, pca, processes, tell),
+            lambda: _extract(asked, drives, pca, processes),
         ),
     ]
 
@@ -203,24 +205,20 @@ def open_checked(asked: Reproduction) -> Dataset:
     return dataset
 
 
-def _simulate(asked: Reproduction, drives: list[PlannedDrive], processes: int, tell: Callable[[str], None]) -> None:
+def _simulate(asked: Reproduction, drives: list[PlannedDrive], processes: int) -> None:
     recordings = [Recording(d.settings, log) for d, log in zip(drives, _logs(asked, drives), strict=True)]
-    simulate_all(recordings, processes, tell=tell)
+    simulate_all(recordings, processes)
 
 
-def _fit(
-    asked: Reproduction, logs: list[Path], drives: list[PlannedDrive], path: Path, tell: Callable[[str], None]
-) -> None:
+def _fit(asked: Reproduction, logs: list[Path], drives: list[PlannedDrive], path: Path) -> None:
     backbone = open_backbone(asked.backbone, device=asked.device)
     components = min(max(PCA_SWEPT), backbone.channels)
     split = parse_split(_split(asked, drives))
-    fitted = fit_pca(logs, load_rig(RIG), split, backbone, images=asked.size.images, components=components, tell=tell)
+    fitted = fit_pca(logs, load_rig(RIG), split, backbone, images=asked.size.images, components=components)
     save_pca(path, fitted.pca)
 
 
-def _extract(
-    asked: Reproduction, drives: list[PlannedDrive], pca: Path, processes: int, tell: Callable[[str], None]
-) -> None:
+def _extract(asked: Reproduction, drives: list[PlannedDrive], pca: Path, processes: int) -> None:
     make_dataset(
         _logs(asked, drives),
         load_rig(RIG),
@@ -230,7 +228,6 @@ def _extract(
         device=asked.device,
         snapshots=SnapshotSettings(asked.size.snapshot_seconds),
         processes=min(processes, asked.at_a_time),
-        tell=tell,
     )
 
 

@@ -17,7 +17,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.evaluation.errors import trajectories
 from offpiste.evaluation.figures import grouped_boxes, whisker_top
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.reproduction.results import Findings
 from offpiste.reproduction.settings import Member, compression_sizes, feature_numbers, usual
 from offpiste.reproduction.tables import HINDSIGHT, MAP
@@ -37,16 +37,16 @@ def fig3(found: Findings, stored: int) -> dict[str, Figure]:
     }
     titles = {"a": "Compression type", "b": "Compression size n", "c": "Number of features"}
     figures = {}
-    for way, where in ((HINDSIGHT, "recorded, hindsight"), (MAP, "map at predicted places")):
-        if way not in found.ways:
+    for reading, where in ((HINDSIGHT, "recorded, hindsight"), (MAP, "map at predicted places")):
+        if reading not in found.readings:
             continue
         groups = {
-            part: {name: {member.model: _distance(found, member, way)} for name, member in models.items()}
+            part: {name: {member.model: _distance(found, member, reading)} for name, member in models.items()}
             for part, models in named.items()
         }
         top = max(whisker_top(group) for group in groups.values())  # the paper keeps the axis the same
         for part, group in groups.items():
-            name = f"3{part}" if way == HINDSIGHT else f"3{part} map"
+            name = f"3{part}" if reading == HINDSIGHT else f"3{part} map"
             figures[name] = grouped_boxes(group, title=f"{titles[part]}\n({where})", top=top)
     return figures
 
@@ -54,7 +54,7 @@ def fig3(found: Findings, stored: int) -> dict[str, Figure]:
 def fig4(found: Findings) -> dict[str, Figure]:
     """4a naive training, 4b `dc`, by the distance that features were seen from; and all of them on the map."""
     by_label = {member.label: member for member in found.members}
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.ways]
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
     groups: dict[str, dict[str, dict[str, np.ndarray]]] = {
         part: {
             name: {label: _distance(found, by_label[label], ("recorded", name)) for label in labels} for name in sets
@@ -67,14 +67,14 @@ def fig4(found: Findings) -> dict[str, Figure]:
         part: grouped_boxes(group, title=titles[part], axis="features seen from [m]", top=top)
         for part, group in groups.items()
     }
-    if MAP in found.ways:
+    if MAP in found.readings:
         models = {label: {label: _distance(found, member, MAP)} for label, member in by_label.items()}
         figures["4 map"] = grouped_boxes(models, title="Map at predicted places")
     return figures
 
 
-def _distance(found: Findings, member: Member, way: Way) -> np.ndarray:
-    return found.over_seeds(member, way).distance()
+def _distance(found: Findings, member: Member, reading: Reading) -> np.ndarray:
+    return found.over_seeds(member, reading).distance()
 
 
 def caption(name: str) -> str:

@@ -5,6 +5,7 @@ A long experiment as pieces: each is done whole and once, and a person sees how 
 
 import io
 import json
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
@@ -15,6 +16,8 @@ from typing import Any
 from offpiste.errors import RunError
 from offpiste.parallel import Report, run_all
 from offpiste.training.checkpoint import load_json, save_json
+
+logger = logging.getLogger(__name__)
 
 
 def claim_folder(out: Path, described: dict[str, Any]) -> None:
@@ -70,13 +73,12 @@ def nothing(name: str, seconds: float) -> None:
     """Record nothing."""
 
 
-def carry_out(
+def run_pieces(
     stages: Sequence[Sequence[Piece]],
     *,
     before: int = 0,
     later: Sequence[Piece] = (),
     processes: int = 1,
-    tell: Callable[[str], None],
     record: Record = nothing,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
@@ -101,17 +103,17 @@ def carry_out(
         missing = [piece for piece in stage if not piece.done()]
         for piece in stage:
             if piece not in missing:
-                tell(f"{numbers[piece.name]} {piece.name}: there")
+                logger.info(f"{numbers[piece.name]} {piece.name}: there")
         if processes > 1 and len(missing) > 1:
-            _side_by_side(missing, numbers, processes, pace, tell, record)
+            _side_by_side(missing, numbers, processes, pace, record)
             continue
         for piece in missing:
             number = numbers[piece.name]
-            tell(f"{number} {piece.name}; about {pace.left()} left")
+            logger.info(f"{number} {piece.name}; about {pace.left()} left")
             seconds = _timed(piece.do, clock)
             record(piece.name, seconds)
             pace.spent += piece.cost
-            tell(f"{' ' * len(number)} done in {said(seconds)}")
+            logger.info(f"{' ' * len(number)} done in {said(seconds)}")
 
 
 class _Pace:
@@ -131,20 +133,21 @@ def _side_by_side(
     numbers: Mapping[str, str],
     processes: int,
     pace: _Pace,
-    tell: Callable[[str], None],
     record: Record,
 ) -> None:
     named = {piece.name: piece for piece in pieces}
-    tell(f"{len(pieces)} pieces, {min(processes, len(pieces))} at a time: {', '.join(named)}")
+    logger.info(f"{len(pieces)} pieces, {min(processes, len(pieces))} at a time: {', '.join(named)}")
 
     def done(name: str) -> None:
         if name not in named:  # a failure, which has its own words
-            tell(name)
+            logger.info(name)
             return
         pace.spent += named[name].cost
-        tell(f"{numbers[name]} {name}: done; about {pace.left()} left")
+        logger.info(f"{numbers[name]} {name}: done; about {pace.left()} left")
 
-    failed = run_all(_alone, [_Job(piece.name, piece.do, record) for piece in pieces], processes, "pieces", done)
+    failed = run_all(
+        _alone, [_Job(piece.name, piece.do, record) for piece in pieces], processes, "pieces", finished=done
+    )
     if failed:
         raise failed[0]
 

@@ -21,8 +21,8 @@ from offpiste.reproduction.runs import PART, Work, driven_in
 from offpiste.reproduction.settings import PCA_SWEPT, Member, Reproduction
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import load_run
-from offpiste.visualization.coverage import Covered, TextTable, covered
-from offpiste.visualization.coverage import tables as cover_tables
+from offpiste.visualization.coverage import FeatureCoverage, TextTable, covered
+from offpiste.visualization.coverage import tables as coverage_tables
 from offpiste.visualization.coverage_figures import draw_differences, draw_rates
 from offpiste.visualization.page import page_html, picture_html, section_html
 
@@ -55,7 +55,7 @@ def write_figure(asked: Reproduction, work: Work, found: Findings) -> TextTable:
     if asked.figure == "fig4":
         sections += ["<h2>The same windows</h2>", _same(asked, work, found.members, folder)]
     if seen is not None:
-        sections += [section_html(table) for table in cover_tables(seen)]
+        sections += [section_html(table) for table in coverage_tables(seen)]
         sections.append(_shown(folder, "rates", draw_rates(seen), RATES))
         sections.append(_shown(folder, "differences", draw_differences(seen), APART))
     main = "cf" if asked.figure == "fig3" else "dc"
@@ -77,9 +77,9 @@ def _same(asked: Reproduction, work: Work, members: Sequence[Member], folder: Pa
     return _shown(folder, "same windows", draw_same(predict_same(models, work.windows)), SAME)
 
 
-def _metrics(asked: Reproduction, work: Work, found: Findings, seen: Covered | None) -> FigureMetrics:
+def _metrics(asked: Reproduction, work: Work, found: Findings, seen: FeatureCoverage | None) -> FigureMetrics:
     dataset = work.dataset
-    pairs = [(member, way) for member in found.members if member != found.baseline for way in found.ways]
+    pairs = [(member, reading) for member in found.members if member != found.baseline for reading in found.readings]
     single = [run for pair in pairs for run in found.each_seed(*pair) if len(found.runs[pair]) > 1]
     return FigureMetrics(
         figure=asked.figure,
@@ -88,7 +88,10 @@ def _metrics(asked: Reproduction, work: Work, found: Findings, seen: Covered | N
         split=dataset.split.text,
         part=PART,
         seeds={member.label: list(member.seeds(asked.size)) for member in found.members},
-        windows={" ".join(filter(None, way)): len(found.over_seeds(found.baseline, way).row) for way in found.ways},
+        windows={
+            " ".join(filter(None, reading)): len(found.over_seeds(found.baseline, reading).row)
+            for reading in found.readings
+        },
         made=provenance("", found.sampling.seed, asked.device),
         loss=LossUnits(asdict(asked.size.train.weights), dict(zip(COMPONENTS, work.scale.tolist(), strict=True))),
         against_b=[found.against(*pair) for pair in pairs] + single,
@@ -97,7 +100,7 @@ def _metrics(asked: Reproduction, work: Work, found: Findings, seen: Covered | N
     )
 
 
-def _coverage(seen: Covered) -> dict[str, Any]:
+def _coverage(seen: FeatureCoverage) -> dict[str, Any]:
     """By feature set."""
     return {
         "feature_sets": list(FEATURE_SETS),
@@ -133,7 +136,7 @@ def _facts(asked: Reproduction, work: Work, metrics: FigureMetrics) -> dict[str,
 def _judged(metrics: FigureMetrics) -> dict[str, int]:
     """Windows at recorded places, the same for all feature sets, and on the map."""
     kinds = {"recorded": "at recorded places", "map": "on the map"}
-    return {kinds[way.split()[0]]: number for way, number in metrics.windows.items()}
+    return {kinds[reading.split()[0]]: number for reading, number in metrics.windows.items()}
 
 
 def _seen_before(asked: Reproduction, work: Work) -> str:

@@ -1,22 +1,24 @@
 """`offpiste reproduce`: drives, features, models and judgement of a figure of the paper, in one resumable command."""
 
-from collections.abc import Callable
+import logging
 from functools import partial
 from itertools import chain
 from pathlib import Path
 
 from offpiste.reproduction.data import data_pieces, expected_features, open_checked
-from offpiste.reproduction.pieces import Piece, append_time, carry_out, claim_folder
+from offpiste.reproduction.pieces import Piece, append_time, claim_folder, run_pieces
 from offpiste.reproduction.report import write_figure
 from offpiste.reproduction.results import gather
-from offpiste.reproduction.runs import Driven, Work, driven_in, mapped, model_stages, ways
+from offpiste.reproduction.runs import Driven, Work, driven_in, mapped, model_stages, readings
 from offpiste.reproduction.settings import Reproduction, members
 from offpiste.training.run import check_device
+
+logger = logging.getLogger(__name__)
 
 REPORT_COST = 30.0
 
 
-def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
+def reproduce(asked: Reproduction) -> Path:
     """Make a figure in `asked.out`; whatever is there already from the same settings is used again.
 
     Returns:
@@ -29,14 +31,14 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
     check_device(asked.device)
     if asked.dataset is not None:
         open_checked(asked)
-    data = data_pieces(asked, tell)
+    data = data_pieces(asked)
     planned = _plan(asked, expected_features(asked), data)
     claim_folder(asked.out, asked.described())
     record = partial(append_time, asked.times)
-    carry_out([[piece] for piece in data], later=planned, tell=tell, record=record)
+    run_pieces([[piece] for piece in data], later=planned, record=record)
     work = Work(asked, open_checked(asked))
     chosen = members(asked.figure, len(work.dataset.features))
-    found_ways = ways(asked.figure, mapped=mapped(work.dataset))
+    found_ways = readings(asked.figure, mapped=mapped(work.dataset))
     stages = model_stages(asked, chosen, found_ways, driven_in(work.dataset))
     said: list[str] = []
 
@@ -45,11 +47,11 @@ def reproduce(asked: Reproduction, *, tell: Callable[[object], None]) -> Path:
         said.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
 
     stages.append([Piece("report", REPORT_COST, lambda: False, report)])
-    carry_out(stages, before=len(data), processes=asked.at_a_time, tell=tell, record=record)
+    run_pieces(stages, before=len(data), processes=asked.at_a_time, record=record)
     for line in said:
-        tell(line)
+        logger.info(line)
     page = asked.out / asked.figure / "report.html"
-    tell(f"report: {page}")
+    logger.info(f"report: {page}")
     return page
 
 
@@ -57,5 +59,5 @@ def _plan(asked: Reproduction, stored: int, data: list[Piece]) -> list[Piece]:
     """What comes after the dataset, as far as it can be told before."""
     driven = Driven(*asked.size.seconds) if data else driven_in(open_checked(asked))
     chosen = members(asked.figure, stored)
-    stages = model_stages(asked, chosen, ways(asked.figure, mapped=True), driven)
+    stages = model_stages(asked, chosen, readings(asked.figure, mapped=True), driven)
     return [*chain.from_iterable(stages), Piece("report", REPORT_COST, lambda: False, lambda: None)]

@@ -16,7 +16,7 @@ from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors
 from offpiste.evaluation.intervals import PairedDifference, relative
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.evaluation.results import LossUnits, Provenance, ResultRow
 from offpiste.evaluation.tables import Case, RunErrors, Sampling, pool, result_rows
 from offpiste.reproduction.runs import PART, read_errors
@@ -73,13 +73,13 @@ class Findings:
         sampling: of the intervals.
     """
 
-    runs: Mapping[tuple[Member, Way], Sequence[RunErrors]]
+    runs: Mapping[tuple[Member, Reading], Sequence[RunErrors]]
     sampling: Sampling
 
     @property
-    def ways(self) -> list[Way]:
+    def readings(self) -> list[Reading]:
         """Ways of reading the ground."""
-        return list(dict.fromkeys(way for _, way in self.runs))
+        return list(dict.fromkeys(reading for _, reading in self.runs))
 
     @property
     def members(self) -> list[Member]:
@@ -91,38 +91,38 @@ class Findings:
         """The model that the others are compared with."""
         return next(member for member in self.members if member.label == BASELINE)
 
-    def over_seeds(self, member: Member, way: Way) -> Errors:
+    def over_seeds(self, member: Member, reading: Reading) -> Errors:
         """Errors of a model, each window's the mean over its seeds."""
-        return pool([run.errors for run in self.runs[member, way]])
+        return pool([run.errors for run in self.runs[member, reading]])
 
     def rows(self) -> list[ResultRow]:
         """The rows of metrics.json."""
         return result_rows(
-            {_case(member, way): list(runs) for (member, way), runs in self.runs.items()}, PART, self.sampling
+            {_case(member, reading): list(runs) for (member, reading), runs in self.runs.items()}, PART, self.sampling
         )
 
-    def against(self, member: Member, way: Way, seen: Bool[np.ndarray, " n"] | None = None) -> Against:
+    def against(self, member: Member, reading: Reading, seen: Bool[np.ndarray, " n"] | None = None) -> Against:
         """A model against `b`, over all seeds.
 
         Args:
             seen: windows that count.
         """
-        mine, others = self.over_seeds(member, way), self.over_seeds(self.baseline, way)
-        return self._compared(member, way, mine, others, None, seen)
+        mine, others = self.over_seeds(member, reading), self.over_seeds(self.baseline, reading)
+        return self._compared(member, reading, mine, others, None, seen)
 
-    def each_seed(self, member: Member, way: Way) -> list[Against]:
+    def each_seed(self, member: Member, reading: Reading) -> list[Against]:
         """Each run of a model against the `b` of its seed."""
-        others = {run.seed: run.errors for run in self.runs[self.baseline, way]}
+        others = {run.seed: run.errors for run in self.runs[self.baseline, reading]}
         return [
-            self._compared(member, way, run.errors, others[run.seed], run.seed, None)
-            for run in self.runs[member, way]
+            self._compared(member, reading, run.errors, others[run.seed], run.seed, None)
+            for run in self.runs[member, reading]
             if run.seed in others
         ]
 
     def _compared(
         self,
         member: Member,
-        way: Way,
+        reading: Reading,
         mine: Errors,
         others: Errors,
         seed: int | None,
@@ -134,7 +134,7 @@ class Findings:
             mine, others = mine.take(index), others.take(index)
             drawn = self.sampling.on(mine)
             found = {name: relative(_of(mine, name), _of(others, name), drawn) for name in QUANTITIES}
-        lookup, chosen = way
+        lookup, chosen = reading
         return Against(
             model=member.model,
             variant=member.variant,
@@ -147,15 +147,15 @@ class Findings:
         )
 
 
-def gather(asked: Reproduction, members: Sequence[Member], ways: Sequence[Way]) -> Findings:
+def gather(asked: Reproduction, members: Sequence[Member], readings: Sequence[Reading]) -> Findings:
     """Read the errors of all runs."""
     runs = {
-        (member, way): [
-            RunErrors(seed, None, pool([read_errors(asked.runs / member.folder(seed), way)]))
+        (member, reading): [
+            RunErrors(seed, None, pool([read_errors(asked.runs / member.folder(seed), reading)]))
             for seed in member.seeds(asked.size)
         ]
         for member in members
-        for way in ways
+        for reading in readings
     }
     return Findings(runs, Sampling())
 
@@ -163,14 +163,14 @@ def gather(asked: Reproduction, members: Sequence[Member], ways: Sequence[Way]) 
 def last_rows(rows: Sequence[ResultRow], *, single: bool = False) -> list[ResultRow]:
     """Rows at the last horizon: over all runs of a model, or those of single ones of several."""
     at_end = [row for row in rows if row.horizon_s == HORIZONS[-1]]
-    several = {row.way for row in at_end if row.seed is None}
+    several = {row.reading for row in at_end if row.seed is None}
     if single:
-        return [row for row in at_end if row.seed is not None and row.way in several]
-    return [row for row in at_end if row.seed is None or row.way not in several]
+        return [row for row in at_end if row.seed is not None and row.reading in several]
+    return [row for row in at_end if row.seed is None or row.reading not in several]
 
 
-def _case(member: Member, way: Way) -> Case:
-    return Case(member.model, member.variant, "causal", *way)
+def _case(member: Member, reading: Reading) -> Case:
+    return Case(member.model, member.variant, "causal", *reading)
 
 
 def _of(errors: Errors, quantity: str) -> np.ndarray:

@@ -21,7 +21,7 @@ from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors, predict
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.files import write_bytes, write_whole
 from offpiste.progress import track
 from offpiste.reproduction.pieces import Piece
@@ -50,41 +50,41 @@ def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
 PART = "test"
 
 
-def ways(figure: Figure, *, mapped: bool) -> list[Way]:
+def readings(figure: Figure, *, mapped: bool) -> list[Reading]:
     """Where the models of a figure read the ground: under recorded wheels by feature set, and on the map.
 
     Args:
         mapped: whether the dataset keeps maps.
     """
-    recorded: list[Way] = [("recorded", name) for name in feature_sets(figure)]
+    recorded: list[Reading] = [("recorded", name) for name in feature_sets(figure)]
     return recorded + ([("map", None)] if mapped else [])
 
 
-def errors_path(run: Path, way: Way) -> Path:
+def errors_path(run: Path, reading: Reading) -> Path:
     """Where the errors of a run are kept: in its own folder, so that they go with it."""
-    return run / "judged" / f"{'-'.join(filter(None, way))}.safetensors"
+    return run / "judged" / f"{'-'.join(filter(None, reading))}.safetensors"
 
 
-def judged_windows(windows: Windows, way: Way, stride: int) -> np.ndarray:
+def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.ndarray:
     """Windows that are judged: a stride apart, or those with a snapshot of the map."""
-    if way[0] == "map":
+    if reading[0] == "map":
         return windows.judged(stride)
     every = windows.every(stride)
     return every if len(every) else np.arange(len(windows))
 
 
-def judge(run: Run, windows: Windows, way: Way, size: Size, scale: torch.Tensor) -> None:
+def judge(run: Run, windows: Windows, reading: Reading, size: Size, scale: torch.Tensor) -> None:
     """Judge a run in one way, and keep the errors.
 
     Args:
         windows: of the test part.
         scale: of the loss, the same for all runs.
     """
-    lookup, chosen = way
+    lookup, chosen = reading
     errors = predict(
         run.dynamics,
         windows.reading(chosen) if chosen else windows,
-        judged_windows(windows, way, size.stride),
+        evaluation_windows(windows, reading, size.stride),
         lookup=lookup,
         scale=scale,
         weights=torch.tensor(run.weights.in_order()),
@@ -93,16 +93,16 @@ def judge(run: Run, windows: Windows, way: Way, size: Size, scale: torch.Tensor)
     )
     arrays = {"drive": errors.drive, "row": errors.row, "values": errors.values, "loss": errors.loss}
     kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    write_whole(errors_path(run.folder, way), lambda partial: save_file(kept, partial))
+    write_whole(errors_path(run.folder, reading), lambda partial: save_file(kept, partial))
 
 
-def read_errors(run: Path, way: Way) -> Errors:
+def read_errors(run: Path, reading: Reading) -> Errors:
     """What `judge` kept.
 
     Raises:
         RunError: not there, or damaged.
     """
-    path = errors_path(run, way)
+    path = errors_path(run, reading)
     try:
         return Errors(**load_file(path))
     except (OSError, SafetensorError, TypeError) as error:
@@ -161,18 +161,18 @@ def train_run(asked: Reproduction, member: Member, seed: int) -> None:
     train(open_dataset(asked.data), config, folder, resume=(folder / "config.json").exists())
 
 
-def judge_run(asked: Reproduction, member: Member, seed: int, ways: Sequence[Way]) -> None:
+def evaluate_run(asked: Reproduction, member: Member, seed: int, readings: Sequence[Reading]) -> None:
     """Judge a run in the ways that are missing."""
     work = Work(asked, open_dataset(asked.data))
     run = load_run(asked.runs / member.folder(seed), device=asked.device)
     refuse_seen(run, work.dataset, PART)
-    for way in ways:
-        if not errors_path(run.folder, way).exists():
-            judge(run, work.windows, way, asked.size, work.scale)
+    for reading in readings:
+        if not errors_path(run.folder, reading).exists():
+            judge(run, work.windows, reading, asked.size, work.scale)
 
 
 def model_stages(
-    asked: Reproduction, members: Sequence[Member], ways: Sequence[Way], driven: Driven
+    asked: Reproduction, members: Sequence[Member], readings: Sequence[Reading], driven: Driven
 ) -> list[list[Piece]]:
     """Training of the baseline, which fits what others reuse; training of these; judging of all.
 
@@ -196,16 +196,16 @@ def model_stages(
             judged.append(
                 Piece(
                     f"judge {name}",
-                    _cost_of_judging(asked, ways, driven),
-                    partial(_judged, folder, ways),
-                    partial(judge_run, asked, member, seed, ways),
+                    _cost_of_judging(asked, readings, driven),
+                    partial(_judged, folder, readings),
+                    partial(evaluate_run, asked, member, seed, readings),
                 )
             )
     return [first, others, judged]
 
 
-def _judged(folder: Path, ways: Sequence[Way]) -> bool:
-    return all(errors_path(folder, way).exists() for way in ways)
+def _judged(folder: Path, readings: Sequence[Reading]) -> bool:
+    return all(errors_path(folder, reading).exists() for reading in readings)
 
 
 def _cost_of_training(asked: Reproduction, member: Member, driven: Driven) -> float:
@@ -216,7 +216,7 @@ def _cost_of_training(asked: Reproduction, member: Member, driven: Driven) -> fl
     return WINDOW_SECONDS * windows * train.epochs * READING + 2
 
 
-def _cost_of_judging(asked: Reproduction, ways: Sequence[Way], driven: Driven) -> float:
+def _cost_of_judging(asked: Reproduction, readings: Sequence[Reading], driven: Driven) -> float:
     recorded = 0.5 * WINDOW_SECONDS * driven.test / DT / asked.size.stride
     on_map = MAP_SECONDS * driven.test / asked.size.snapshot_seconds
-    return sum(on_map if lookup == "map" else recorded for lookup, _ in ways) + 1
+    return sum(on_map if lookup == "map" else recorded for lookup, _ in readings) + 1

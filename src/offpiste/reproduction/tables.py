@@ -10,15 +10,15 @@ import numpy as np
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.intervals import PairedDifference
-from offpiste.evaluation.models import Way
+from offpiste.evaluation.models import Reading
 from offpiste.evaluation.results import ResultRow
 from offpiste.evaluation.tables import interval, number
 from offpiste.reproduction.results import Findings, last_rows, valid_throughout
 from offpiste.reproduction.settings import BASELINE, compression_sizes, feature_numbers
 from offpiste.visualization.coverage import TextTable
 
-HINDSIGHT: Way = ("recorded", "hindsight")
-MAP: Way = ("map", None)
+HINDSIGHT: Reading = ("recorded", "hindsight")
+MAP: Reading = ("map", None)
 
 
 def percent(difference: PairedDifference) -> str:
@@ -44,16 +44,16 @@ def fig3_claims(found: Findings, stored: int) -> TextTable:
     by_label = {member.label: member for member in found.members}
     lines: list[tuple[str, ...]] = []
     for quantity, name, limit in (("loss", "summed loss", -0.10), ("vx_error_mps", "v_x error at 5 s", -0.08)):
-        for way in _present(found, (HINDSIGHT, MAP)):
-            mine = found.against(by_label["cf"], way).relative[quantity]
-            paper = f"{100 * limit:.0f} %" if way == HINDSIGHT else f"{100 * limit:.0f} % (recorded)"
-            lines.append((f"cf against b, mean {name}, {_said(way)}", paper, percent(mine), verdict(mine, limit)))
-    for way in _present(found, (HINDSIGHT, MAP)):
-        df, cf = (found.against(by_label[name], way).relative["distance_error_m"] for name in ("df", "cf"))
+        for reading in _present(found, (HINDSIGHT, MAP)):
+            mine = found.against(by_label["cf"], reading).relative[quantity]
+            paper = f"{100 * limit:.0f} %" if reading == HINDSIGHT else f"{100 * limit:.0f} % (recorded)"
+            lines.append((f"cf against b, mean {name}, {_said(reading)}", paper, percent(mine), verdict(mine, limit)))
+    for reading in _present(found, (HINDSIGHT, MAP)):
+        df, cf = (found.against(by_label[name], reading).relative["distance_error_m"] for name in ("df", "cf"))
         apart = df.mean - cf.mean
         lines.append(
             (
-                f"df at or slightly below cf, distance error, {_said(way)}",
+                f"df at or slightly below cf, distance error, {_said(reading)}",
                 "df slightly below",
                 f"df {100 * df.mean:+.1f} %, cf {100 * cf.mean:+.1f} % of b",
                 "yes" if apart <= 0 else "no",
@@ -87,9 +87,9 @@ def fig4_claims(found: Findings) -> TextTable:
         value = gain("dc", name)
         where = "in hindsight" if name == "hindsight" else f"at {name} m"
         lines.append((f"dc below b {where}", "below", percent(value), verdict(value)))
-    for way in _present(found, (MAP,)):
-        value = found.against(by_label["dc"], way).relative["distance_error_m"]
-        lines.append((f"dc below b, {_said(way)} (decides)", "not in the paper", percent(value), verdict(value)))
+    for reading in _present(found, (MAP,)):
+        value = found.against(by_label["dc"], reading).relative["distance_error_m"]
+        lines.append((f"dc below b, {_said(reading)} (decides)", "not in the paper", percent(value), verdict(value)))
     return _table(lines)
 
 
@@ -97,20 +97,20 @@ def sentences(found: Findings, label: str) -> list[str]:
     """The main numbers of a model, the way that decides first."""
     member = next(member for member in found.members if member.label == label)
 
-    def sentence(way: Way) -> str:
-        gains = found.against(member, way).relative
+    def sentence(reading: Reading) -> str:
+        gains = found.against(member, reading).relative
         numbers = f"distance error after 5 s {percent(gains['distance_error_m'])}, loss {percent(gains['loss'])}"
-        return f"{label} against b, {_said(way)}: {numbers}"
+        return f"{label} against b, {_said(reading)}: {numbers}"
 
-    return [sentence(way) for way in _present(found, (MAP, HINDSIGHT))]
-
-
-def _present(found: Findings, wanted: Sequence[Way]) -> Iterator[Way]:
-    return (way for way in wanted if way in found.ways)
+    return [sentence(reading) for reading in _present(found, (MAP, HINDSIGHT))]
 
 
-def _said(way: Way) -> str:
-    return "map at predicted places" if way == MAP else "recorded lookup in hindsight"
+def _present(found: Findings, wanted: Sequence[Reading]) -> Iterator[Reading]:
+    return (reading for reading in wanted if reading in found.readings)
+
+
+def _said(reading: Reading) -> str:
+    return "map at predicted places" if reading == MAP else "recorded lookup in hindsight"
 
 
 def _table(lines: Sequence[tuple[str, ...]]) -> TextTable:
@@ -134,7 +134,7 @@ def error_table(rows: Sequence[ResultRow]) -> TextTable:
     """Mean errors after 5 s of every model, in every way of reading the ground."""
     lines = [
         (
-            row.way,
+            row.reading,
             *(f"{number(getattr(row, key).mean, 3)} {interval(getattr(row, key).ci95, 3)}" for key in NAMES),
             number(row.distance_error_m.median),
             f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else ""),
@@ -152,10 +152,10 @@ def difference_table(found: Findings) -> TextTable:
     """Every model against `b`, read in the same way on the same windows."""
     lines = []
     for member in found.members:
-        for way in found.ways:
+        for reading in found.readings:
             if member.label != BASELINE:
-                against = found.against(member, way)
-                name = f"{member.label} · {' '.join(filter(None, way))}"
+                against = found.against(member, reading)
+                name = f"{member.label} · {' '.join(filter(None, reading))}"
                 lines.append((name, *(percent(against.relative[key]) for key in NAMES), str(against.n)))
     about = f"Mean error of the model relative to that of {BASELINE}; negative: the model is better."
     names = ("model", *(name.partition(" [")[0] for name in NAMES.values()), "windows")
@@ -166,12 +166,12 @@ def seed_table(found: Findings) -> TextTable:
     """Each run against the `b` of its seed, for models with several."""
     lines = []
     for member in found.members:
-        for way in found.ways:
-            runs = found.each_seed(member, way)
-            if member.label != BASELINE and len(runs) > 1 and way[1] in (None, "hindsight"):
+        for reading in found.readings:
+            runs = found.each_seed(member, reading)
+            if member.label != BASELINE and len(runs) > 1 and reading[1] in (None, "hindsight"):
                 gains = [100 * run.relative["distance_error_m"].mean for run in runs]
                 losses = [100 * run.relative["loss"].mean for run in runs]
-                name = f"{member.label} · {' '.join(filter(None, way))}"
+                name = f"{member.label} · {' '.join(filter(None, reading))}"
                 lines.append((name, _spread(gains), _spread(losses)))
     about = "Each run relative to the b of its seed, and their standard deviation."
     return TextTable("Seeds", ("model", "distance error [%]", "loss [%]"), tuple(lines), about)
@@ -179,8 +179,8 @@ def seed_table(found: Findings) -> TextTable:
 
 def distance_table(found: Findings, results: Sequence[ResultRow], quantity: str) -> TextTable:
     """A mean error by the distance that features were seen from, and relative to `b`'s with the normals seen then."""
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.ways]
-    rows = {row.way: row for row in last_rows(results)}
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
+    rows = {row.reading: row for row in last_rows(results)}
     lines = []
     for member in found.members:
         mine = [rows[_way(member.label, name)] for name in sets]
@@ -195,7 +195,7 @@ def distance_table(found: Findings, results: Sequence[ResultRow], quantity: str)
 
 def seen_table(found: Findings, dataset: Dataset) -> TextTable:
     """Distance errors against `b` where nothing is missing: what is left is how looks change with distance."""
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.ways]
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
     windows = found.over_seeds(found.baseline, ("recorded", sets[0]))
     seen = {name: valid_throughout(dataset, name, windows) for name in sets}
     lines: list[tuple[str, ...]] = [("windows", *(str(int(s.sum())) for s in seen.values()))]

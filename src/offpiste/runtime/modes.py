@@ -10,7 +10,7 @@ Mode = Literal["driving", "degraded", "stopping", "stopped"]
 
 
 @dataclass(frozen=True)
-class Patience:
+class Timeouts:
     """How old inputs may be [s].
 
     Attributes:
@@ -45,7 +45,7 @@ class Ages:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ModeDecision:
     """What is to be done.
 
     Attributes:
@@ -87,25 +87,25 @@ class Controls:
     why: str = ""
 
 
-def judge(ages: Ages, patience: Patience, *, map_empty: bool, finished: bool) -> Judgement:
+def judge(ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool) -> ModeDecision:
     """The worst of all troubles decides.
 
     Args:
         map_empty: whether nothing is known of the ground around the vehicle.
         finished: whether the course is driven.
     """
-    if ages.state > patience.state:
-        return Judgement("stopping", "no state of the vehicle")
+    if ages.state > timeouts.state:
+        return ModeDecision("stopping", "no state of the vehicle")
     if finished:
-        return Judgement("stopping", "end of the course")
-    if ages.scan > patience.scan_limit:
-        return Judgement("stopping", "no scan")
+        return ModeDecision("stopping", "end of the course")
+    if ages.scan > timeouts.scan_limit:
+        return ModeDecision("stopping", "no scan")
     if map_empty:
-        return Judgement("stopping", "empty map")
-    if ages.plan > patience.plan:
-        return Judgement("stopping", "no plan")
-    if ages.scan > patience.scan:
-        return Judgement("degraded", "late scan", slow=True)
-    if ages.image > patience.image:
-        return Judgement("degraded", "no image")
-    return Judgement("driving")
+        return ModeDecision("stopping", "empty map")
+    if ages.plan > timeouts.plan:
+        return ModeDecision("stopping", "no plan")
+    if ages.scan > timeouts.scan:
+        return ModeDecision("degraded", "late scan", slow=True)
+    if ages.image > timeouts.image:
+        return ModeDecision("degraded", "no image")
+    return ModeDecision("driving")

@@ -16,7 +16,7 @@ from jaxtyping import Float32, UInt8
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.errors import PerceptionError
 from offpiste.logs.measurements import Cloud, Image, Lidar
-from offpiste.mapping.replay import Look, Mapper, ReplaySettings
+from offpiste.mapping.replay import ExtractFeatures, Mapper, ReplaySettings
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera
 from offpiste.runtime.estimator import VehicleTrack
@@ -61,7 +61,7 @@ class Sight:
 
     lidars: Mapping[str, Lidar]
     cameras: Mapping[str, PinholeCamera] = field(default_factory=dict)
-    look: Look | None = None
+    look: ExtractFeatures | None = None
 
 
 class Seeing:

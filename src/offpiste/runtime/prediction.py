@@ -19,11 +19,11 @@ from offpiste.dynamics.kernels.autograd import supports
 from offpiste.mapping.terrain_lookup import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.costs import Situation, Weights
-from offpiste.planning.kernel import Codes, fused_carry, fused_costs, fused_rollout
+from offpiste.planning.kernel import Codes, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
 from offpiste.planning.rollouts import driving_costs
 from offpiste.runtime.estimator import TrackRows
-from offpiste.state import Carry, History, Terrain
+from offpiste.state import History, ModelState, Terrain
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
 """From places x, y [m] to features of the ground there: a simulator's truth instead of what cameras see."""
@@ -108,9 +108,9 @@ class Prediction:
     state: Float[np.ndarray, "T 6"]
 
 
-def carry_of(
+def model_state_of(
     model: Dynamics, rows: TrackRows, area: Area, wheels: Float[Tensor, "4 2"], offset: Float[Tensor, " 2"]
-) -> Carry:
+) -> ModelState:
     """The vehicle's latest state, in the frame at `offset`, and what the model remembers of the rows before it."""
     shift = np.concatenate((offset.numpy(), np.zeros(4)))
     state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
@@ -123,48 +123,55 @@ def carry_of(
     return model.start(history, state[past:], actuators[past:])
 
 
-def carry_after(model: Dynamics, carry: Carry, controls: Float[Tensor, "L 3"], area: Area, at: Situation) -> Carry:
+def model_state_after(
+    model: Dynamics, model_state: ModelState, controls: Float[Tensor, "L 3"], area: Area, at: Situation
+) -> ModelState:
     """The state after some controls: where a plan begins to act that they are committed until.
 
     Args:
         at: its state and control are not read.
     """
-    if len(controls) and _by_kernel(model, carry):
-        return fused_carry(model, carry, controls, at, area.codes)
-    for after in _stepped(model, carry, controls, area, at):
-        carry = after
-    return carry
+    if len(controls) and _by_kernel(model, model_state):
+        return kernel_model_state(model, model_state, controls, at, area.codes)
+    for after in _stepped(model, model_state, controls, area, at):
+        model_state = after
+    return model_state
 
 
-def costs_from(model: Dynamics, carry: Carry, area: Area, at: Situation, weights: Weights) -> CostOf:
+def costs_from(model: Dynamics, model_state: ModelState, area: Area, at: Situation, weights: Weights) -> CostOf:
     """Costs of control sequences that begin at a state."""
-    if _by_kernel(model, carry):
-        return fused_costs(model, carry, at, weights, area.codes)
-    return driving_costs(model, carry, at, weights, area.encode)
+    if _by_kernel(model, model_state):
+        return fused_costs(model, model_state, at, weights, area.codes)
+    return driving_costs(model, model_state, at, weights, area.encode)
 
 
 def predicted(
-    model: Dynamics, carry: Carry, controls: Float[Tensor, "T 3"], area: Area, at: Situation, weights: Weights
+    model: Dynamics,
+    model_state: ModelState,
+    controls: Float[Tensor, "T 3"],
+    area: Area,
+    at: Situation,
+    weights: Weights,
 ) -> Float[np.ndarray, "T 6"]:
     """The states that a plan leads through, in the world frame."""
-    if _by_kernel(model, carry):
-        found = fused_rollout(model, carry, controls[None], at, weights, area.codes)[1][0]
+    if _by_kernel(model, model_state):
+        found = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
     else:
-        found = torch.cat([after.state for after in _stepped(model, carry, controls, area, at)])
+        found = torch.cat([after.state for after in _stepped(model, model_state, controls, area, at)])
     states = found.double().numpy()
     states[:, :2] += at.offset.numpy()
     return states
 
 
 def _stepped(
-    model: Dynamics, carry: Carry, controls: Float[Tensor, "T 3"], area: Area, at: Situation
-) -> Iterator[Carry]:
+    model: Dynamics, model_state: ModelState, controls: Float[Tensor, "T 3"], area: Area, at: Situation
+) -> Iterator[ModelState]:
     """After each step, one by one."""
     source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
     for t, given in enumerate(controls):
-        carry = step(carry, given[None], source.at(t, carry.state))
-        yield carry
+        model_state = step(model_state, given[None], source.at(t, model_state.state))
+        yield model_state
 
 
-def _by_kernel(model: Dynamics, carry: Carry) -> TypeGuard[Parametric | Hybrid]:
-    return supports(model, carry.state.device, carry.state.dtype)
+def _by_kernel(model: Dynamics, model_state: ModelState) -> TypeGuard[Parametric | Hybrid]:
+    return supports(model, model_state.state.device, model_state.state.dtype)

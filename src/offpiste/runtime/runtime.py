@@ -21,24 +21,24 @@ from offpiste.mapping.replay import ReplaySettings
 from offpiste.planning import mppi
 from offpiste.planning.cost_map import Course, Hazards, cost_map
 from offpiste.planning.costs import Situation, Weights
-from offpiste.planning.pedal import PEDAL_AND_WHEEL, controls_of, feet_of, with_one_foot
+from offpiste.planning.pedal import PEDAL_AND_WHEEL, controls_of, pedals_of, with_pedal
 from offpiste.runtime.course_progress import Guide
 from offpiste.runtime.estimator import TrackRows, VehicleReading, VehicleTrack
-from offpiste.runtime.modes import Ages, Controls, Event, Judgement, Patience, judge
+from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, Timeouts, judge
 from offpiste.runtime.perception import Seeing, Sight, Stopwatch
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
     Prediction,
-    carry_after,
-    carry_of,
     coded_area,
     costs_from,
     cropped,
+    model_state_after,
+    model_state_of,
     predicted,
 )
 from offpiste.runtime.schedule import Launch, LaunchSettings, Schedule, TimedPlan
-from offpiste.state import Carry
+from offpiste.state import ModelState
 from offpiste.threads import only_kernels_spread
 
 
@@ -84,7 +84,7 @@ class RuntimeSettings:
     weights: Weights = field(default_factory=lambda: Weights(path=5.0))
     hazards: Hazards = field(default_factory=Hazards)
     replay: ReplaySettings = field(default_factory=ReplaySettings)
-    patience: Patience = field(default_factory=Patience)
+    timeouts: Timeouts = field(default_factory=Timeouts)
     launch: LaunchSettings = field(default_factory=LaunchSettings)
     slow: float = 3.0
     stop: float = 0.5
@@ -97,7 +97,7 @@ class RuntimeSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
             raise PlanningError(f"a latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
-        longest = self.patience.plan
+        longest = self.timeouts.plan
         if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
             how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (patience.plan)"
             raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
@@ -196,14 +196,14 @@ class Runtime:
             self._begin_anew()
             self.events.append(Event(now, "stopping", "the clock went back"))
         self._now = now
-        judgement = self._judge(now)
+        decision = self._judge(now)
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
-            if judgement.mode != "stopping" or judgement.why in ("no plan", "empty map"):
+            if decision.mode != "stopping" or decision.why in ("no plan", "empty map"):
                 with only_kernels_spread():
-                    self._plan(now, judgement)
-                judgement = self._judge(now)
-        controls = self._follow(now, judgement)
+                    self._plan(now, decision)
+                decision = self._judge(now)
+        controls = self._follow(now, decision)
         self._track.commanded(now, controls.command)
         if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
             self.events.append(Event(now, controls.mode, controls.why))
@@ -211,7 +211,7 @@ class Runtime:
 
     def _ahead(self, what: str, time: float) -> bool:
         """Whether a stamp is ahead of the clock, and a note: taken in, it would make all that follows look old."""
-        ahead = time > self._now + self._settings.patience.ahead
+        ahead = time > self._now + self._settings.timeouts.ahead
         if ahead:
             self._seeing.dropped[f"{what}: stamps ahead of the clock"] += 1
         return ahead
@@ -223,7 +223,7 @@ class Runtime:
         self._launch.reset()
         self._plan_due = -np.inf
 
-    def _judge(self, now: float) -> Judgement:
+    def _judge(self, now: float) -> ModeDecision:
         seen, latest, followed = self._seeing, self._track.latest, self._schedule.acting(now)
         ages = Ages(
             state=now - (latest.time if latest else -np.inf),
@@ -232,24 +232,24 @@ class Runtime:
             plan=now - followed.start if followed else np.inf,
         )
         finished = self.guide.progress > self.guide.length - self._settings.arrived
-        return judge(ages, self._settings.patience, map_empty=self._map_empty, finished=finished)
+        return judge(ages, self._settings.timeouts, map_empty=self._map_empty, finished=finished)
 
-    def _follow(self, now: float, judgement: Judgement) -> Controls:
+    def _follow(self, now: float, decision: ModeDecision) -> Controls:
         """The plan, or a controlled stop; a stop that has begun is ended, unless it was over before it began."""
         planned = self._schedule.control(now)
         stands = self._stands()
-        bad = judgement.mode == "stopping" or planned is None
+        bad = decision.mode == "stopping" or planned is None
         if not bad and not (self._stopping and not stands):
             self._stopping = False
             assert planned is not None
             planned[0] = self._launch.throttle(float(planned[0]), self._speed)
-            return Controls(now, planned, judgement.mode, judgement.why)
+            return Controls(now, planned, decision.mode, decision.why)
         self._stopping = True
         self._launch.reset()
         # The wheels stay as they were planned: straight ahead may lead off the course.
         steer = 0.0 if planned is None else float(planned[2])
         command = np.array((0.0, self._settings.stop, steer))
-        why = judgement.why if bad or not self.events else self.events[-1].why
+        why = decision.why if bad or not self.events else self.events[-1].why
         return Controls(now, command, "stopped" if stands else "stopping", why)
 
     @property
@@ -260,7 +260,7 @@ class Runtime:
     def _stands(self) -> bool:
         return self._speed < self._settings.standstill
 
-    def _plan(self, now: float, judgement: Judgement) -> None:
+    def _plan(self, now: float, decision: ModeDecision) -> None:
         """Plan from the map as it is; a plan that fails leaves the last one."""
         settings, latest = self._settings, self._track.latest
         assert latest is not None
@@ -277,19 +277,19 @@ class Runtime:
         with self.watch.of("encode map"):
             area = coded_area(near, self._encoder, self._ground)
         with self.watch.of("cost map"):
-            stretch = self.guide.stretch(at_most=settings.slow if judgement.slow else np.inf)
+            stretch = self.guide.stretch(at_most=settings.slow if decision.slow else np.inf)
             costs = cost_map(near, stretch, settings.hazards)
         with self.watch.of("start"):
             offset = torch.from_numpy(state[:2].copy())
             given = self._committed(latest.time, now + settings.latency, rows)
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
-            carry = carry_of(self._dynamics, rows, area, self._wheels, offset)
-            at = Situation(area.stack, costs, self._wheels, offset, carry.state[0], last)
-            carry = carry_after(self._dynamics, carry, committed, area, at)
-            at = replace(at, state=carry.state[0])
+            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset)
+            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last)
+            model_state = model_state_after(self._dynamics, model_state, committed, area, at)
+            at = replace(at, state=model_state.state[0])
         with self.watch.of("plan"):
-            self._improve(now, area, carry, at)
+            self._improve(now, area, model_state, at)
 
     def _committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
         """What is commanded from the last reading until a new plan acts."""
@@ -305,20 +305,20 @@ class Runtime:
             committed[:, 0] = self._launch.ahead(committed[:, 0], self._speed)
         return committed
 
-    def _improve(self, now: float, area: Area, carry: Carry, at: Situation) -> None:
+    def _improve(self, now: float, area: Area, model_state: ModelState, at: Situation) -> None:
         """A new plan, and where it leads; with no good one the last stays."""
         settings, model = self._settings, self._dynamics
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
         before = self._schedule.continued(start, HORIZON_STEPS, rest)
-        cost_of = costs_from(model, carry, area, at, settings.weights)
+        cost_of = costs_from(model, model_state, area, at, settings.weights)
         try:
             plan = mppi.improve(
-                feet_of(before),
-                with_one_foot(cost_of),
+                pedals_of(before),
+                with_pedal(cost_of),
                 settings.sampling,
                 self._generator,
-                previous=feet_of(at.control),
+                previous=pedals_of(at.control),
             )
         except PlanningError as error:
             self.failures.append(str(error))
@@ -328,5 +328,5 @@ class Runtime:
             return
         controls = controls_of(plan.controls)
         self._schedule.add(TimedPlan(start, now, controls))
-        states = predicted(model, carry, controls, area, at, settings.weights)
+        states = predicted(model, model_state, controls, area, at, settings.weights)
         self._predictions.append(Prediction(start, states))

@@ -2,7 +2,7 @@
 
 Driving off: more throttle than was planned, while the vehicle hardly moves though it was to drive.
 
-Models learn from windows that start above `conventions.MIN_JUDGED_SPEED`, and expect a standing vehicle to follow any
+Models learn from windows that start above `conventions.MIN_EVALUATION_SPEED`, and expect a standing vehicle to follow any
 throttle. A torque that does not overcome the resistance of soft ground moves nothing, however often it is planned anew.
 """
 

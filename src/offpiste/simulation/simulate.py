@@ -1,7 +1,8 @@
 """From settings to a recorded drive: world, driver, vehicle, sensors, recorder."""
 
+import logging
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from offpiste.simulation.sensors.suite import sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,7 @@ class Driven:
         return f"{self.log}: {self.seconds:.0f} s, {self.metres:.0f} m, median {median:.1f} m/s{told}"
 
 
-def simulate(
-    settings: DriveSettings, out: Path, *, twins: int = 0, tell: Callable[[str], None] = lambda line: None
-) -> list[Driven]:
+def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[Driven]:
     """Record a drive, and `twins` of it: the same start and the same commands, open loop, on other ground.
 
     Args:
@@ -85,12 +86,12 @@ def simulate(
     start, driver = with_driver(world, parameters, seed=settings.seed, settings=settings.driver)
     commands: list[np.ndarray] = []
     driven = [record(settings, world, parameters, start, driver, files[0], steps=steps, commands=commands)]
-    tell(str(driven[0]))
+    logger.info(str(driven[0]))
     for k, file in enumerate(files[1:], start=1):
         other = make_world(replace(settings.world, seed=settings.world.seed + 1_000_003 * k))
         ground, replay = on_other_ground(world, other), Replay(np.stack(commands))
         driven.append(record(settings, ground, parameters, start, replay, file, steps=len(commands)))
-        tell(str(driven[-1]))
+        logger.info(str(driven[-1]))
     return driven
 
 

@@ -1,6 +1,6 @@
 """Blocked cross-validation: every stretch of every drive is tested once, and everything fitted is fitted anew."""
 
-from collections.abc import Callable
+import logging
 from pathlib import Path
 
 from offpiste.dataset.splits import parse_split
@@ -8,6 +8,8 @@ from offpiste.dataset.store import Dataset
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
+
+logger = logging.getLogger(__name__)
 
 
 def train_folds(
@@ -17,7 +19,6 @@ def train_folds(
     *,
     folds: int,
     resume: bool = False,
-    tell: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Train one run a fold, in `folder/fold-0`, `folder/fold-1`, ...
 
@@ -27,9 +28,9 @@ def train_folds(
     if folds < 3:
         raise RunError(f"{folds} folds", how="cross-validation takes 3 or more")
     for number in range(folds):
-        tell(f"fold {number + 1} of {folds}")
+        logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))
-        train(relabelled, config, folder / f"fold-{number}", resume=resume, tell=tell)
+        train(relabelled, config, folder / f"fold-{number}", resume=resume)
 
 
 def fold_folders(folder: Path) -> list[Path]:

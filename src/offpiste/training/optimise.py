@@ -4,6 +4,7 @@ One stage of training: Adam on a multi-step loss, a checkpoint an epoch, the bes
 """
 
 import json
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -15,7 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from offpiste.dataset.feature_sets import Draw, Views
+from offpiste.dataset.feature_sets import Draw, FeatureSetChoice
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import RunError, TrainingError
 from offpiste.progress import track
@@ -23,18 +24,20 @@ from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weight
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
 
+logger = logging.getLogger(__name__)
+
 Record = Callable[[dict[str, float | int | str]], None]
 """Takes one line of metrics."""
 
 
-def metrics_writer(path: Path, tell: Callable[[str], None]) -> Record:
+def metrics_writer(path: Path) -> Record:
     """Appends each line of metrics to `metrics.jsonl` and tells a person."""
 
     def record(line: dict[str, float | int | str]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
-        tell(
+        logger.info(
             f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
             f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
         )
@@ -137,11 +140,11 @@ def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group 
     """Mean loss over the judged windows of a part, without gradients."""
     index, rng = _strided(windows, config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / 512))
-    views = [_views(stage, windows, len(part), rng) for part in parts]
+    feature_set_choice = [_feature_set_choice(stage, windows, len(part), rng) for part in parts]
     total = torch.zeros((), dtype=torch.float64, device=windows.device)
     with torch.no_grad():
         for number, part in group.mine(parts):
-            total += stage.loss(windows.gather(part, views[number])).double().sum()
+            total += stage.loss(windows.gather(part, feature_set_choice[number])).double().sum()
     return float(group.sum(total)) / len(index)
 
 
@@ -178,7 +181,9 @@ class _State:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
 
-def _views(stage: Stage, windows: Windows, count: int, rng: np.random.Generator) -> Views | None:
+def _feature_set_choice(
+    stage: Stage, windows: Windows, count: int, rng: np.random.Generator
+) -> FeatureSetChoice | None:
     return stage.draw(rng, count, windows.horizon, windows.sets) if stage.draw is not None else None
 
 
@@ -202,7 +207,7 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
         _set_learning_rate(state.optimiser, (epoch + number / len(batches)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
         try:
-            loss = _share_of_loss(stage, train, index, _views(stage, train, len(index), rng), group)
+            loss = _share_of_loss(stage, train, index, _feature_set_choice(stage, train, len(index), rng), group)
         except TrainingError as error:
             raise TrainingError(error.what, where=where, how=error.how) from error
         mean = group.sum(loss.detach())
@@ -220,14 +225,18 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
 
 
 def _share_of_loss(
-    stage: Stage, train: Windows, index: Int[np.ndarray, " B"], views: Views | None, group: Group
+    stage: Stage,
+    train: Windows,
+    index: Int[np.ndarray, " B"],
+    feature_set_choice: FeatureSetChoice | None,
+    group: Group,
 ) -> Float[Tensor, ""]:
     """What this process's windows add to the mean loss of a batch."""
     share = group.share(len(index))
     mine = index[share]
     if not len(mine):
         return torch.zeros((), device=train.device)
-    read = None if views is None else replace(views, sets=views.sets[share])
+    read = None if feature_set_choice is None else replace(feature_set_choice, sets=feature_set_choice.sets[share])
     return stage.loss(train.gather(mine, read)).sum() / len(index)
 
 

@@ -1,6 +1,7 @@
 """Train a model on a dataset: actuators, then the bicycle's constants, then everything along the whole horizon."""
 
 import json
+import logging
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -27,6 +28,8 @@ from offpiste.training.optimise import MEND, Stage, also_tensorboard, metrics_wr
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.training.terrain_sources import encoded, encoder_of
 
+logger = logging.getLogger(__name__)
+
 STANDARDISED = 4096
 """Windows that means and scales of a network's inputs are taken from."""
 
@@ -39,7 +42,6 @@ def train(
     resume: bool = False,
     tensorboard: bool = False,
     group: Group = ALONE,
-    tell: Callable[[str], None] = lambda line: None,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
@@ -61,7 +63,7 @@ def train(
     _refuse_poor(dynamics, windows, config, dataset)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
-    record = metrics_writer(folder / "metrics.jsonl", tell) if group.writes else _unrecorded
+    record = metrics_writer(folder / "metrics.jsonl") if group.writes else _unrecorded
     if tensorboard and group.writes:
         record = also_tensorboard(record, folder / "tensorboard")
 
@@ -91,7 +93,7 @@ def train(
         fit("model", dynamics, loss_of(dynamics), config.epochs, draw)
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale)
-        tell(f"{folder}: each stage kept its best epoch by validation")
+        logger.info(f"{folder}: each stage kept its best epoch by validation")
     return dynamics
 
 
@@ -134,10 +136,10 @@ def _draw(model: str, windows: Windows) -> Draw | None:
 def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
     """Roll out a batch of windows over its recorded terrain, by the kernels where they can."""
     batch = encoded(dynamics, batch)
-    carry = dynamics.start(batch.history, batch.state, batch.actuators)
+    model_state = dynamics.start(batch.history, batch.state, batch.actuators)
     if isinstance(dynamics, Parametric | Hybrid) and supports(dynamics, batch.state.device, batch.state.dtype):
-        return rollout_recorded(dynamics, carry, batch.control, batch.terrain)
-    return rollout(dynamics, carry, batch.control, RecordedTerrain(batch.terrain))
+        return rollout_recorded(dynamics, model_state, batch.control, batch.terrain)
+    return rollout(dynamics, model_state, batch.control, RecordedTerrain(batch.terrain))
 
 
 def standardise(dynamics: Dynamics, windows: Windows) -> None:

@@ -47,7 +47,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class Covered:
+class FeatureCoverage:
     """What the visual features of a dataset cover.
 
     Attributes:
@@ -69,7 +69,7 @@ class Covered:
     contacts: Int[np.ndarray, " K"]
 
 
-def covered(dataset: Dataset, *, seed: int = 0) -> Covered | None:
+def covered(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | None:
     """The numbers of a dataset; None if no drive of it has features by distance.
 
     Args:
@@ -87,7 +87,7 @@ def covered(dataset: Dataset, *, seed: int = 0) -> Covered | None:
     contacts = np.zeros(max((len(c) for c in counts), default=0), np.int64)
     for count in counts:
         contacts[: len(count)] += count
-    return Covered(
+    return FeatureCoverage(
         tuple(drives),
         _rates("all", cells, reached),
         feature_coverage.observation_quartiles(cells),
@@ -165,13 +165,13 @@ class TextTable:
         return table
 
 
-def tables(found: Covered) -> tuple[TextTable, ...]:
+def tables(found: FeatureCoverage) -> tuple[TextTable, ...]:
     """All of them, in the order in which they are read."""
     counted = (_contacts(found),) if len(found.contacts) else ()
     return (_rates_of_cover_table(found), _distances(found), _matrix(found), _neighbours(found), *counted)
 
 
-def _rates_of_cover_table(found: Covered) -> TextTable:
+def _rates_of_cover_table(found: FeatureCoverage) -> TextTable:
     def line(name: str, rates: np.ndarray) -> tuple[str, ...]:
         return (name, *(number(rate) for rate in rates))
 
@@ -193,7 +193,7 @@ def _rates_of_cover_table(found: Covered) -> TextTable:
     return TextTable("Valid rates", names, (*body, line("paper", np.array(PAPER_RATES))), about)
 
 
-def _distances(found: Covered) -> TextTable:
+def _distances(found: FeatureCoverage) -> TextTable:
     lines = [
         (name, *(number(value, 1) for value in column))
         for name, column in zip(("25 %", "median", "75 %"), found.quartiles.T, strict=True)
@@ -206,7 +206,7 @@ def _distances(found: Covered) -> TextTable:
     return TextTable("Achieved observation distances", names, tuple(lines), about)
 
 
-def _matrix(found: Covered) -> TextTable:
+def _matrix(found: FeatureCoverage) -> TextTable:
     length = found.apart.length
     lines = [(name, *(number(v) for v in row)) for name, row in zip(FEATURE_SETS, length, strict=True)]
     about = (
@@ -217,7 +217,7 @@ def _matrix(found: Covered) -> TextTable:
     return TextTable("Differences between sets", ("l2 difference / range", *FEATURE_SETS), tuple(lines), about)
 
 
-def _neighbours(found: Covered) -> TextTable:
+def _neighbours(found: FeatureCoverage) -> TextTable:
     pairs = [f"{a}/{b}" for a, b in pairwise(FEATURE_SETS[1:])]
     lines = []
     for name, differences in (("1 to 99 %", found.apart), ("total", found.apart_of_total)):
@@ -235,7 +235,7 @@ def _neighbours(found: Covered) -> TextTable:
     return TextTable("Differences of single features", ("difference / range", *pairs), tuple(lines), about)
 
 
-def _contacts(found: Covered) -> TextTable:
+def _contacts(found: FeatureCoverage) -> TextTable:
     share = found.contacts / found.contacts.sum()
     names = [f"pass {n + 1}" for n in range(len(share))]
     line = ("contacts", *(f"{c} ({s:.0%})" for c, s in zip(found.contacts, share, strict=True)))
@@ -243,7 +243,7 @@ def _contacts(found: Covered) -> TextTable:
     return TextTable("Rows by pass", ("wheels at rows", *names), (line,), about)
 
 
-def headline(found: Covered) -> str:
+def headline(found: FeatureCoverage) -> str:
     """One sentence with the main numbers."""
     rates = ", ".join(
         f"{name} {number(rate)}" for name, rate in zip(FEATURE_SETS, found.whole.share, strict=True) if rate == rate

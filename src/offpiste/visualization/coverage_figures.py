@@ -8,14 +8,14 @@ from matplotlib.figure import Figure
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.feature_coverage import PAPER_DIFFERENCE, PAPER_RATES
 from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
-from offpiste.visualization.coverage import Covered
+from offpiste.visualization.coverage import FeatureCoverage
 from offpiste.visualization.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain
 
 PLACES = np.arange(len(FEATURE_SETS))
 TICKS = [name if name == "hindsight" else f"{name} m" for name in FEATURE_SETS]
 
 
-def draw_rates(found: Covered) -> Figure:
+def draw_rates(found: FeatureCoverage) -> Figure:
     """Valid rates by distance, of each drive, of all, and the paper's."""
     figure = Figure(figsize=(8.4, 4.4), dpi=130, layout="constrained")
     axes = plain(figure.subplots(), f"Valid features by distance, {found.whole.cells} cells")
@@ -30,7 +30,7 @@ def draw_rates(found: Covered) -> Figure:
     return figure
 
 
-def draw_distances(found: Covered) -> Figure:
+def draw_distances(found: FeatureCoverage) -> Figure:
     """From how far features were really observed, against the distance that each set asks for."""
     figure = Figure(figsize=(8.4, 4.0), dpi=130, layout="constrained")
     axes = plain(figure.subplots(), "Distance from sensor to ground when valid features were observed")
@@ -47,7 +47,7 @@ def draw_distances(found: Covered) -> Figure:
     return figure
 
 
-def draw_differences(found: Covered) -> Figure:
+def draw_differences(found: FeatureCoverage) -> Figure:
     """L2 differences between sets as a matrix, and of each feature between distances next to each other."""
     figure = Figure(figsize=(11.5, 4.8), dpi=130, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))

@@ -3,7 +3,8 @@
 A dataset as people look at it: its drives from above, and the report of its visual features.
 """
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from offpiste.visualization.coverage import covered, headline, path_of, seconds_
 from offpiste.visualization.coverage_figures import draw_differences, draw_distances, draw_rates
 from offpiste.visualization.figure import BLUE, INK, ORANGE, PURPLE, SOFT, coloured_path, plain, png
 from offpiste.visualization.page import render_page
+
+logger = logging.getLogger(__name__)
 
 PART_COLOURS = {-1: SOFT, 0: BLUE, 1: ORANGE, 2: PURPLE}
 """By label; -1 is in no part."""
@@ -69,7 +72,7 @@ def _draw_parts(axes: Axes, drive: StoredDrive) -> None:
     axes.legend(handles, shares, frameon=False, fontsize=8)
 
 
-def view_dataset(dataset: Dataset, out: Path, *, tell: Callable[[object], None] = lambda said: None) -> list[Path]:
+def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
     """Write paths*.png, and for visual features rates.png, distances.png, differences.png, and report.html.
 
     Returns:
@@ -84,8 +87,8 @@ def view_dataset(dataset: Dataset, out: Path, *, tell: Callable[[object], None] 
         pictures["distances"] = png(draw_distances(found))
         pictures["differences"] = png(draw_differences(found))
         for table in tables(found):
-            tell(table.rich())
-        tell(headline(found))
+            logger.info(table.rich())
+        logger.info(headline(found))
     written = []
     for name, content in pictures.items():
         written.append(out / f"{name}.png")

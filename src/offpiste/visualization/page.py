@@ -7,7 +7,7 @@ from importlib import resources
 from string import Template
 
 from offpiste.dataset.store import Dataset
-from offpiste.visualization.coverage import Covered, TextTable, headline, seconds_of, tables
+from offpiste.visualization.coverage import FeatureCoverage, TextTable, headline, seconds_of, tables
 
 PICTURE_OF = {
     "Valid rates": "rates",
@@ -23,7 +23,7 @@ _CAPTIONS = {
 }
 
 
-def render_page(dataset: Dataset, found: Covered | None, pictures: Mapping[str, bytes]) -> str:
+def render_page(dataset: Dataset, found: FeatureCoverage | None, pictures: Mapping[str, bytes]) -> str:
     """The page.
 
     Args:

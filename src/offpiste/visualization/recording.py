@@ -132,7 +132,7 @@ class Recorder:
 
     def add(self, moment: Moment, world_from_body: Float[np.ndarray, "4 4"]) -> None:
         """What is new at this moment."""
-        for view, image, features in zip(moment.views, moment.images, moment.looks, strict=True):
+        for view, image, features in zip(moment.feature_set_choice, moment.images, moment.looks, strict=True):
             if self._written.images.get(view.camera.name) != view.time:
                 self._written.images[view.camera.name] = view.time
                 self._add_image(view, image, features)

@@ -3,7 +3,7 @@
 Look at a log or at a dataset, whichever a path is.
 """
 
-from collections.abc import Callable
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,12 @@ from offpiste.dataset.store import open_dataset
 from offpiste.errors import DatasetError, LogError, RigError
 from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
-from offpiste.perception.feature_extractor import load_looking
+from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.rig.rig import load_rig
 from offpiste.visualization.drives import view_dataset
 from offpiste.visualization.view_log import view_log
+
+logger = logging.getLogger(__name__)
 
 
 def parse_stretch(text: str) -> tuple[float, float]:
@@ -43,7 +45,6 @@ def view(
     seconds: str = "",
     rrd: bool = True,
     device: str = "cpu",
-    tell: Callable[[object], None] = lambda said: None,
 ) -> list[Path]:
     """Write pictures of a log or a dataset into a folder; other files in it are left alone.
 
@@ -61,15 +62,17 @@ def view(
         raise DatasetError("is a file, not a folder for pictures", where=out, how="choose another --out")
     if (path / "zarr.json").exists():
         if rig or pca or seconds:
-            tell("a dataset is viewed whole, with the rig that it was made with: --rig, --pca and --seconds do nothing")
-        return view_dataset(open_dataset(path), out, tell=tell)
+            logger.info(
+                "a dataset is viewed whole, with the rig that it was made with: --rig, --pca and --seconds do nothing"
+            )
+        return view_dataset(open_dataset(path), out)
     stretch = parse_stretch(seconds)
     if rig is None:
         raise _without_rig(path)
     vehicle = load_rig(rig)
-    looking = load_looking(pca, device) if pca is not None else None
+    extractor = load_feature_extractor(pca, device) if pca is not None else None
     log = _open(path, clock_column=vehicle.clock.column, clock_unit=vehicle.clock.unit)
-    return view_log(log, vehicle, out, looking=looking, stretch=stretch, rrd=rrd, tell=tell)
+    return view_log(log, vehicle, out, extractor=extractor, stretch=stretch, rrd=rrd)
 
 
 def _without_rig(path: Path) -> RigError:

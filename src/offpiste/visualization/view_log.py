@@ -1,6 +1,7 @@
 """A recorded drive as people look at it: pictures of its sensors and its map, and a Rerun recording."""
 
-from collections.abc import Callable, Iterator
+import logging
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_places
-from offpiste.perception.feature_extractor import Looking
+from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.progress import track
 from offpiste.rig.rig import Rig
 from offpiste.visualization.figure import png
@@ -23,6 +24,8 @@ from offpiste.visualization.images import Album, contact_sheet, times_between, w
 from offpiste.visualization.map_figure import FEATURED, Mosaic, draw_map
 from offpiste.visualization.recording import Recorder, rerun_is_there
 from offpiste.visualization.sensor_timing import draw_sensors, stamps_of
+
+logger = logging.getLogger(__name__)
 
 PATCH = 14
 """Side of a patch where nothing is made of patches [px]."""
@@ -53,7 +56,7 @@ class _Drive:
     """
 
     log: SensorLog
-    looking: Looking | None
+    extractor: FeatureExtractor | None
     start: float
     end: float
     scans: int
@@ -67,10 +70,9 @@ def view_log(
     rig: Rig,
     out: Path,
     *,
-    looking: Looking | None = None,
+    extractor: FeatureExtractor | None = None,
     stretch: tuple[float, float] = (0.0, np.inf),
     rrd: bool = True,
-    tell: Callable[[object], None] = lambda said: None,
 ) -> list[Path]:
     """Write sensors.png, overlay.png, features.png (with features), map.png, map-near.png, and drive.rrd.
 
@@ -85,12 +87,14 @@ def view_log(
     Raises:
         LogError, RigError: there is nothing to see in this log, or in this stretch, with this rig.
     """
-    drive = _open(log, rig, looking, stretch)
+    drive = _open(log, rig, extractor, stretch)
     sensors = drive.log
     for note in (*sensors.notes, *sensors.coverage()):
-        tell(f"  {note}")
+        logger.info(f"  {note}")
     if rrd and not rerun_is_there():
-        tell("no recording: rerun-sdk is not installed (pip install 'offpiste[view]'); pictures are made without it")
+        logger.info(
+            "no recording: rerun-sdk is not installed (pip install 'offpiste[view]'); pictures are made without it"
+        )
         rrd = False
     written = [out / "sensors.png"]
     write_bytes(written[0], png(draw_sensors(stamps_of(sensors), stretch)))
@@ -104,14 +108,14 @@ def view_log(
     written += _write_album(album, out)
     written += _write_maps(drive, mosaic, last, out)
     ground = mosaic.ground().known
-    tell(
+    logger.info(
         f"{drive.end - drive.start:.1f} s; {(ground > 0).sum() * (reach.size * mosaic.step) ** 2:.0f} m2 of ground, "
         f"{(ground == FEATURED).sum() / max((ground > 0).sum(), 1):.0%} of it with features"
     )
     return written
 
 
-def _open(log: Log, rig: Rig, looking: Looking | None, stretch: tuple[float, float]) -> _Drive:
+def _open(log: Log, rig: Rig, extractor: FeatureExtractor | None, stretch: tuple[float, float]) -> _Drive:
     if not rig.lidars and not rig.cameras:
         raise RigError(
             f"rig '{rig.name}' names no cameras and no LiDARs, so there is nothing to see",
@@ -138,9 +142,9 @@ def _open(log: Log, rig: Rig, looking: Looking | None, stretch: tuple[float, flo
     poses = sensors.poses.at(np.append(np.arange(start, end, PATH_STEP), end))
     if not np.isfinite(poses).all(axis=(1, 2)).any():
         raise LogError("no pose in that stretch", where=log.path, how="mend --seconds")
-    spread = None if looking is None else 2 * np.sqrt(looking.pca.variance[:3].astype(np.float64))
+    spread = None if extractor is None else 2 * np.sqrt(extractor.pca.variance[:3].astype(np.float64))
     limits = None if spread is None else np.stack((-_three(spread), _three(spread)))
-    return _Drive(sensors, looking, start, end, len(scans), limits, poses, _wheels(poses, rig))
+    return _Drive(sensors, extractor, start, end, len(scans), limits, poses, _wheels(poses, rig))
 
 
 def _three(spread: Float[np.ndarray, " n"]) -> Float[np.ndarray, " 3"]:
@@ -177,9 +181,9 @@ def _recording(drive: _Drive, path: Path | None) -> Iterator[Recorder | None]:
 
 
 def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None) -> Moment:
-    log, looking = drive.log, drive.looking
-    cameras = pinhole_cameras(log, looking.patch if looking else PATCH)
-    look, channels = (looking.look, looking.channels) if looking else (_blind, 0)
+    log, extractor = drive.log, drive.extractor
+    cameras = pinhole_cameras(log, extractor.patch if extractor else PATCH)
+    look, channels = (extractor.look, extractor.channels) if extractor else (_blind, 0)
     played = replay(log, cameras, look, channels, start=drive.start - EARLIER, end=drive.end)
     moment, before = None, np.full(3, np.inf)
     for moment in track(played, "playing back", total=drive.scans):

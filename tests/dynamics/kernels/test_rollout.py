@@ -15,12 +15,12 @@ from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import ConstantMotion, Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.errors import DatasetError
-from offpiste.state import Carry, RecordedTerrain, Terrain, Trajectory
+from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
 
 TOLERANCE = 2e-5
 """Of the largest value of each tensor."""
 
-Inputs = tuple[Carry, Tensor, Terrain]
+Inputs = tuple[ModelState, Tensor, Terrain]
 
 CHANNELS = {
     "all": (CONTROL, ACTUATORS),
@@ -79,22 +79,27 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
         if name not in model.vehicle.control:
             control[:, :, i] = torch.nan
     hidden, cell = torch.randn(2, batch, units, generator=draw) * 0.5
-    return Carry(state, actuators, hidden, cell), control, Terrain(normal, latent)
+    return ModelState(state, actuators, hidden, cell), control, Terrain(normal, latent)
 
 
 def run(model: Hybrid | Parametric, inputs: Inputs, *, eager: bool) -> tuple[Trajectory, dict[str, Tensor]]:
     """The trajectory, and the gradients of a weighted sum of all that it has."""
     dtype = next(model.parameters()).dtype
-    carry, control, terrain = inputs
-    leaves = {"state": carry.state, "hidden": carry.hidden, "cell": carry.cell, "latent": terrain.latent}
+    model_state, control, terrain = inputs
+    leaves = {
+        "state": model_state.state,
+        "hidden": model_state.hidden,
+        "cell": model_state.cell,
+        "latent": terrain.latent,
+    }
     leaves = {name: leaf.to(dtype, copy=True).requires_grad_() for name, leaf in leaves.items()}
-    carry = Carry(leaves["state"], carry.actuators.to(dtype), leaves["hidden"], leaves["cell"])
+    model_state = ModelState(leaves["state"], model_state.actuators.to(dtype), leaves["hidden"], leaves["cell"])
     terrain, control = Terrain(terrain.normal.to(dtype), leaves["latent"]), control.to(dtype)
     if eager:
-        found = rollout(model, carry, control, RecordedTerrain(terrain))
+        found = rollout(model, model_state, control, RecordedTerrain(terrain))
     else:
         assert supports(model, control.device, dtype)
-        found = rollout_recorded(model, carry, control, terrain)
+        found = rollout_recorded(model, model_state, control, terrain)
     draw = torch.Generator().manual_seed(1)
     present = [i for i, name in enumerate(ACTUATORS) if name in model.vehicle.actuators]
     weight = torch.randn(found.state.shape, generator=draw).to(dtype)
@@ -164,11 +169,11 @@ def test_without_gradients_and_with_any_number_of_threads_the_numbers_are_the_sa
 
 def test_a_window_that_diverges_says_so_and_leaves_the_others_alone() -> None:
     model = example(*CHANNELS["all"], codes=0, kind=Hybrid).float()
-    carry, control, terrain = windows(model, 40, 5)
+    model_state, control, terrain = windows(model, 40, 5)
     with torch.no_grad():
-        good = rollout_recorded(model, carry, control, terrain)
-        carry.state[7, 3] = torch.nan
-        bad = rollout_recorded(model, carry, control, terrain)
+        good = rollout_recorded(model, model_state, control, terrain)
+        model_state.state[7, 3] = torch.nan
+        bad = rollout_recorded(model, model_state, control, terrain)
     assert bad.state[7, -1].isnan().any()
     others = [i for i in range(40) if i != 7]
     assert torch.equal(bad.state[others], good.state[others])
@@ -176,16 +181,16 @@ def test_a_window_that_diverges_says_so_and_leaves_the_others_alone() -> None:
 
 def test_what_kernels_cannot_do_is_refused() -> None:
     model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float()
-    carry, control, terrain = windows(model, 3, 2)
+    model_state, control, terrain = windows(model, 3, 2)
     cpu = torch.device("cpu")
     assert supports(model, cpu, torch.float32)
     assert not supports(model, cpu, torch.float64)
     assert not supports(model, torch.device("cuda"), torch.float32)
     assert not supports(ConstantMotion(model.vehicle), cpu, torch.float32)
     with pytest.raises(ValueError, match="latent"):
-        rollout_recorded(model, carry, control, Terrain(terrain.normal, terrain.latent[..., :3]))
+        rollout_recorded(model, model_state, control, Terrain(terrain.normal, terrain.latent[..., :3]))
     with pytest.raises(ValueError, match="normals"):
-        rollout_recorded(model, carry, control, Terrain(terrain.normal[:, 1:], terrain.latent[:, 1:]))
+        rollout_recorded(model, model_state, control, Terrain(terrain.normal[:, 1:], terrain.latent[:, 1:]))
     model.actuators.requires_grad_(True)
     assert not supports(model, cpu, torch.float32)
     blind = example(("throttle",), (), codes=0, kind=Parametric).float()

@@ -24,7 +24,7 @@ def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "settings.json").write_text(json.dumps({"size": asdict(TINY), "dataset": "simulated"}))
     of = open_reproduction(folder)
     for model in ("b", "dc"):
-        trained(of.dataset, of.member(model).config(of.size, 0, "cpu"), folder / "runs", tell=lambda line: None)
+        trained(of.dataset, of.member(model).config(of.size, 0, "cpu"), folder / "runs")
     return folder
 
 
@@ -36,23 +36,23 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_models_are_trained_once_and_judged_beside_b_and_dc(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
-    page = models_control(of, out, ["dc-hold"], tell=lambda line: None)
+    page = models_control(of, out, ["dc-hold"])
     found = json.loads((page.parent / "control.json").read_text("utf-8"))
-    ways = {(g["model"], g["lookup"], g["feature_set"]) for g in found["against_b"]}
-    assert {("dc", "map", None), ("dc-hold", "recorded", "40"), ("dc-hold", "recorded", "hindsight")} <= ways
+    readings = {(g["model"], g["lookup"], g["feature_set"]) for g in found["against_b"]}
+    assert {("dc", "map", None), ("dc-hold", "recorded", "40"), ("dc-hold", "recorded", "hindsight")} <= readings
     assert {g["model"] for g in found["against_dc"]} == {"dc-hold"}
     assert "## Control models against b" in page.read_text("utf-8")
     # The bicycle's constants are those of the reproduction's runs: only the networks are trained anew.
     stage = "bicycle.safetensors"
     assert (out / "models/runs/dc-hold-0" / stage).read_bytes() == (reproduction / "runs/b-0" / stage).read_bytes()
     kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
-    models_control(of, out, ["dc-hold"], tell=lambda line: None)
+    models_control(of, out, ["dc-hold"])
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
 
 
 def test_shifted_features_are_judged_on_the_same_windows(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
-    page = shift_control(of, out, tell=lambda line: None)
+    page = shift_control(of, out)
     gains = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
     assert {(g["case"], g["model"]) for g in gains} == {("as recorded", "dc"), ("shifted", "dc")}
     for before, after in zip(gains[::2], gains[1::2], strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.controls.branches import branches_of, load_branches, save_branches, twin_worlds
-from experiments.controls.sensitivity import Differences, draw_told, told_apart, told_table
+from experiments.controls.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
 from experiments.controls.twins import _turned
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
@@ -20,7 +20,7 @@ def made(slope: float, noise: float, *, count: int = 400) -> Differences:
 
 
 def test_a_model_that_is_the_simulator() -> None:
-    told = told_apart("dc", made(1.0, 0.0))
+    told = sensitivity("dc", made(1.0, 0.0))
     for value, wanted in ((told.slope, 1.0), (told.correlation, 1.0), (told.left_over, 0.0)):
         assert value.mean == pytest.approx(wanted, abs=1e-12)
         assert value.ci95 == pytest.approx((wanted, wanted), abs=1e-7)
@@ -29,7 +29,7 @@ def test_a_model_that_is_the_simulator() -> None:
 
 def test_half_the_difference_with_noise() -> None:
     # Variances by hand: s 4.25, p = s / 2 + noise of 1 each way: correlation 2.125 / sqrt(4.25 x (1.0625 + 2)).
-    told = told_apart("dc", made(0.5, 1.0, count=4000))
+    told = sensitivity("dc", made(0.5, 1.0, count=4000))
     assert told.slope.ci95[0] < 0.5 < told.slope.ci95[1]
     assert told.correlation.mean == pytest.approx(2.125 / np.sqrt(4.25 * 3.0625), abs=0.03)
     assert told.correlation_ahead.mean == pytest.approx(2 / np.sqrt(4 * 2), abs=0.03)
@@ -37,11 +37,11 @@ def test_half_the_difference_with_noise() -> None:
 
 
 def test_a_model_that_tells_nothing_apart() -> None:
-    told = told_apart("b", made(0.0, 0.0))
+    told = sensitivity("b", made(0.0, 0.0))
     assert (told.slope.mean, told.left_over.mean) == (0.0, 1.0)
     assert np.isnan(told.correlation.mean)
-    assert "–" in told_table([told]).lines[0][5]
-    assert draw_told({"b": made(0.0, 0.0)}, [told]).axes
+    assert "–" in sensitivity_table([told]).lines[0][5]
+    assert draw_sensitivity({"b": made(0.0, 0.0)}, [told]).axes
 
 
 def test_ahead_and_left_of_a_heading() -> None:

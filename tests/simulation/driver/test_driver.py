@@ -100,7 +100,7 @@ def test_starts_are_standing_and_flying(world):
 
 
 def test_who_cannot_move_tries_and_gives_up(drives, world):
-    driver = Driver(world, VEHICLE, np.random.default_rng(0), DriverSettings(patience=9.0))
+    driver = Driver(world, VEHICLE, np.random.default_rng(0), DriverSettings(timeouts=9.0))
     pinned = replace(drives[0][0], velocity=np.zeros(3), wheel_speed=np.zeros(4), angular_velocity=np.zeros(3))
     commands = []
     while not driver.stuck and len(commands) < 6000:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.simulation.driver.lookahead import FAR, Country, survey
+from offpiste.simulation.driver.lookahead import FAR, Country, sample_terrain
 from simulation.drives import flat_world
 
 SIZE = (2.0, 1.2, 1.5)
@@ -13,7 +13,9 @@ SIZE = (2.0, 1.2, 1.5)
 
 
 def look(world, *, x=0.0, y=0.0, yaw=0.0, length=10.0, curvatures=(0.0,), margin=8.0):
-    return survey(Country.of(world), np.array(curvatures), x=x, y=y, yaw=yaw, length=length, size=SIZE, margin=margin)
+    return sample_terrain(
+        Country.of(world), np.array(curvatures), x=x, y=y, yaw=yaw, length=length, size=SIZE, margin=margin
+    )
 
 
 def test_an_arc_ends_where_a_circle_does():

@@ -99,9 +99,9 @@ def test_who_is_lost_finds_another_way(country):
 
 def test_rejoining_prefers_the_way_down():
     heading = np.array([0.0, 1.0])
-    ways = []
+    readings = []
     for seed in range(20):
         route = Route(circle_country(slope=0.2), np.random.default_rng(seed), off_trail=0.3)
         route.rejoin(np.zeros(2), heading)
-        ways.append(route.ahead(np.zeros(2), 6.0))
-    assert np.mean([way[0] < 1.0 for way in ways]) > 0.7
+        readings.append(route.ahead(np.zeros(2), 6.0))
+    assert np.mean([reading[0] < 1.0 for reading in readings]) > 0.7

@@ -19,7 +19,7 @@ from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.model_arrays import Given, constants, networks, record
 from offpiste.dynamics.kernels.network import weights
 from offpiste.dynamics.kernels.rollout import backward, forward
-from offpiste.state import Carry, Terrain, Trajectory
+from offpiste.state import ModelState, Terrain, Trajectory
 from offpiste.threads import spread_threads
 
 
@@ -38,11 +38,11 @@ def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> Ty
 
 
 def rollout_recorded(
-    dynamics: Parametric | Hybrid, carry: Carry, controls: Float[Tensor, "B T 3"], terrain: Terrain
+    dynamics: Parametric | Hybrid, model_state: ModelState, controls: Float[Tensor, "B T 3"], terrain: Terrain
 ) -> Trajectory:
     """`rollout(dynamics, carry, controls, RecordedTerrain(terrain))`, several times as fast.
 
-    Gradients reach the bicycle's constants, the compensator, `carry` and `terrain.latent`; not the actuators' models,
+    Gradients reach the bicycle's constants, the compensator, `model_state` and `terrain.latent`; not the actuators' models,
     controls or normals.
 
     Args:
@@ -57,8 +57,8 @@ def rollout_recorded(
     """
     compensator = dynamics.compensator if isinstance(dynamics, Hybrid) else None
     latent = terrain.latent if isinstance(dynamics, Hybrid) and dynamics.codes else terrain.latent[..., :0]
-    _check(dynamics, carry, controls, terrain.normal, latent)
-    start, codes, learned = carry.pack(), latent.flatten(-2), torch.stack(dynamics.bicycle())
+    _check(dynamics, model_state, controls, terrain.normal, latent)
+    start, codes, learned = model_state.pack(), latent.flatten(-2), torch.stack(dynamics.bicycle())
     matrices = weights(compensator, dynamics.force_scale if isinstance(dynamics, Hybrid) else None)
     tensors = (start, learned, codes, *matrices)
     given = Given(
@@ -107,7 +107,9 @@ class _Rollout(torch.autograd.Function):
         return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
 
 
-def _check(dynamics: Parametric | Hybrid, carry: Carry, controls: Tensor, normals: Tensor, latent: Tensor) -> None:
+def _check(
+    dynamics: Parametric | Hybrid, model_state: ModelState, controls: Tensor, normals: Tensor, latent: Tensor
+) -> None:
     """Refuse what the kernels would read out of bounds, or wrongly."""
     batch, steps = controls.shape[:2]
     codes = dynamics.codes if isinstance(dynamics, Hybrid) else 0
@@ -116,10 +118,10 @@ def _check(dynamics: Parametric | Hybrid, carry: Carry, controls: Tensor, normal
         "controls": (controls, (batch, steps, 3)),
         "normals": (normals, (batch, steps, 4, 3)),
         "latent": (latent, (batch, steps, 4, codes)),
-        "state": (carry.state, (batch, 6)),
-        "actuators": (carry.actuators, (batch, 4)),
-        "hidden": (carry.hidden, (batch, units)),
-        "cell": (carry.cell, (batch, units)),
+        "state": (model_state.state, (batch, 6)),
+        "actuators": (model_state.actuators, (batch, 4)),
+        "hidden": (model_state.hidden, (batch, units)),
+        "cell": (model_state.cell, (batch, units)),
     }
     if not supports(dynamics, controls.device, controls.dtype):
         raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
@@ -127,4 +129,6 @@ def _check(dynamics: Parametric | Hybrid, carry: Carry, controls: Tensor, normal
         if tuple(tensor.shape) != shape or (tensor.device, tensor.dtype) != (controls.device, controls.dtype):
             found = f"{list(tensor.shape)}, {tensor.dtype} on {tensor.device}"
             raise ValueError(f"{name} is {found}; kernels want {list(shape)}, {controls.dtype} on {controls.device}")
-    drive_train(dynamics.vehicle, carry.state, carry.actuators, controls[:, 0])  # says what the vehicle lacks
+    drive_train(
+        dynamics.vehicle, model_state.state, model_state.actuators, controls[:, 0]
+    )  # says what the vehicle lacks

@@ -19,7 +19,7 @@ HIDDEN: Final = 4
 """Hidden units of every compensator that the kernels step."""
 
 CARRIED: Final = (*STATE, *ACTUATORS)
-"""What the physics carries from step to step, in `Carry.pack`'s order."""
+"""What the physics carries from step to step, in `ModelState.pack`'s order."""
 
 CONTROLS: Final = ("throttle", "brake_command", "steer_command")
 """`conventions.CONTROL`, named apart from the actuators."""

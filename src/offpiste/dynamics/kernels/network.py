@@ -178,7 +178,7 @@ NEXT_MEMORY = CELL_ROW["next_memory"] * UNITS
 CELL = len(CELL_ROWS) * UNITS
 
 
-class Scratch(NamedTuple):
+class Buffers(NamedTuple):
     """What a network computes in one step, as rows of lanes.
 
     Attributes:
@@ -193,7 +193,7 @@ class Scratch(NamedTuple):
 
 
 @KERNELS.maker
-def make_scratch(network: Network, one: Lane) -> Scratch:
+def make_buffers(network: Network, one: Lane) -> Buffers:
     """Scratch of a network; `one` stands in the row of the biases' input, 0 for adjoints."""
     seen = np.zeros((network.gates.shape[1] + HIDDEN) * LANES, f4)
     layer = np.zeros(network.outer.shape[1] * LANES, f4)
@@ -202,11 +202,11 @@ def make_scratch(network: Network, one: Lane) -> Scratch:
         seen[bias : bias + LANES] = one
         bias = network.inner.shape[0] * LANES
         layer[bias : bias + LANES] = one
-    return Scratch(seen, np.zeros(CELL, f4), layer)
+    return Buffers(seen, np.zeros(CELL, f4), layer)
 
 
 @KERNELS.loop
-def compensate(network: Network, s: Scratch, w: np.ndarray, before: np.ndarray, after: np.ndarray, units: int) -> None:
+def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, after: np.ndarray, units: int) -> None:
     """One step of a network: its outputs into the workspace, its recurrent state from one carry to the next.
 
     Args:
@@ -247,10 +247,10 @@ def compensate(network: Network, s: Scratch, w: np.ndarray, before: np.ndarray, 
 @KERNELS.loop
 def compensate_adjoint(
     network: Network,
-    s: Scratch,
-    bar: Scratch,
+    s: Buffers,
+    bar: Buffers,
     w_bar: np.ndarray,
-    carry_bar: np.ndarray,
+    model_state_bar: np.ndarray,
     units: int,
     gates_bar: np.ndarray,
     inner_bar: np.ndarray,
@@ -284,14 +284,14 @@ def compensate_adjoint(
 
     bar.cell[:NEXT_HIDDEN] = f4(0)
     for i in range(UNITS):
-        bar.cell[NEXT_HIDDEN + i] = carry_bar[hidden + i] + bar.seen[after + i]
-    copy(carry_bar[memory : memory + UNITS], bar.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS])
+        bar.cell[NEXT_HIDDEN + i] = model_state_bar[hidden + i] + bar.seen[after + i]
+    copy(model_state_bar[memory : memory + UNITS], bar.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS])
     cell_adjoint(s.cell, bar.cell)
     add_outer(bar.cell, s.seen, gates_bar)
     add_product(network.gates_t, bar.cell, bar.seen)
 
-    copy(bar.seen[:inputs], carry_bar[hidden : hidden + UNITS])
-    copy(bar.cell[MEMORY : MEMORY + UNITS], carry_bar[memory : memory + UNITS])
+    copy(bar.seen[:inputs], model_state_bar[hidden : hidden + UNITS])
+    copy(bar.cell[MEMORY : MEMORY + UNITS], model_state_bar[memory : memory + UNITS])
     for k in range(len(network.inputs)):
         row = w_bar[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
         standardised = bar.seen[inputs + k * LANES : inputs + (k + 1) * LANES]

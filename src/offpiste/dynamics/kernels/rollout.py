@@ -13,7 +13,7 @@ from offpiste.conventions import STATE
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
 from offpiste.dynamics.kernels.layout import CARRIED, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS
-from offpiste.dynamics.kernels.network import Network, Scratch, compensate, compensate_adjoint, copy, make_scratch
+from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, copy, make_buffers
 
 MOVED = len(CARRIED) * LANES
 STATES = len(STATE)
@@ -26,7 +26,7 @@ CONSTANTS = len(LEARNED)
 Networks = tuple[Network, Network, Network]
 """Of the forces, the brake and the steering."""
 
-Scratches = tuple[Scratch, Scratch, Scratch]
+BufferSets = tuple[Buffers, Buffers, Buffers]
 
 
 class Record(NamedTuple):
@@ -46,9 +46,9 @@ class Record(NamedTuple):
 
 
 @KERNELS.maker
-def make_scratches(networks: Networks, one: Lane) -> Scratches:
-    """`make_scratch` of each network."""
-    return make_scratch(networks[0], one), make_scratch(networks[1], one), make_scratch(networks[2], one)
+def make_buffer_sets(networks: Networks, one: Lane) -> BufferSets:
+    """`make_buffers` of each network."""
+    return make_buffers(networks[0], one), make_buffers(networks[1], one), make_buffers(networks[2], one)
 
 
 @KERNELS.loop
@@ -69,14 +69,14 @@ def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
 
 @KERNELS.loop
 def advance_block(
-    w: np.ndarray, c: np.ndarray, networks: Networks, scratches: Scratches, before: np.ndarray, after: np.ndarray
+    w: np.ndarray, c: np.ndarray, networks: Networks, buffer_sets: BufferSets, before: np.ndarray, after: np.ndarray
 ) -> None:
     """One step of a block, from one carry to the next; controls, normals and codes are loaded."""
     units = (len(before) - MOVED) // (2 * LANES)
     copy(before, w[:MOVED])
     sense(w, c)
     for k in range(3):
-        compensate(networks[k], scratches[k], w, before[MOVED:], after[MOVED:], units)
+        compensate(networks[k], buffer_sets[k], w, before[MOVED:], after[MOVED:], units)
     advance(w, c)
     copy(w[NEXT : NEXT + MOVED], after[:MOVED])
 
@@ -107,7 +107,7 @@ def forward(
     batch, steps, _ = record.controls.shape
     slots = tape.shape[1]
     w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
-    scratches = make_scratches(networks, f4(1))
+    buffer_sets = make_buffer_sets(networks, f4(1))
     for block in range(first, last):
         for i in range(LANES):
             window = min(block * LANES + i, batch - 1)
@@ -117,7 +117,7 @@ def forward(
         for t in range(steps):
             after = tape[block, (t + 1) % slots]
             load(w, record, block, t)
-            advance_block(w, c, networks, scratches, tape[block, t % slots], after)
+            advance_block(w, c, networks, buffer_sets, tape[block, t % slots], after)
             for i in range(min(LANES, batch - block * LANES)):
                 window = block * LANES + i
                 for k in range(STATES):
@@ -163,21 +163,21 @@ def backward(
     after = np.zeros(tape.shape[2], f4)
     units = (len(after) - MOVED) // (2 * LANES)
     constants_bar = np.zeros(CONSTANTS * LANES, f4)
-    scratches = make_scratches(networks, f4(1))
-    bars = make_scratches(networks, f4(0))
+    buffer_sets = make_buffer_sets(networks, f4(1))
+    bars = make_buffer_sets(networks, f4(0))
     frozen = np.zeros((0, 0), f4)
     for block in range(first, last):
         inside = min(LANES, batch - block * LANES)
         constants_bar[:] = f4(0)
-        carry_bar = np.zeros_like(after)
+        model_state_bar = np.zeros_like(after)
         for step in range(steps):
             t = steps - 1 - step
             before = tape[block, t]
             load(w, record, block, t)
-            advance_block(w, c, networks, scratches, before, after)
+            advance_block(w, c, networks, buffer_sets, before, after)
 
             w_bar[:] = f4(0)
-            w_bar[NEXT : NEXT + MOVED] = carry_bar[:MOVED]
+            w_bar[NEXT : NEXT + MOVED] = model_state_bar[:MOVED]
             for i in range(inside):
                 window = block * LANES + i
                 for k in range(STATES):
@@ -186,21 +186,21 @@ def backward(
                     w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[window, t, k]
             advance_adjoint(w, c, w_bar, constants_bar)
             compensate_adjoint(
-                networks[0], scratches[0], bars[0], w_bar, carry_bar[MOVED:], units,
+                networks[0], buffer_sets[0], bars[0], w_bar, model_state_bar[MOVED:], units,
                 gates_bar[block], inner_bar[block], outer_bar[block],
             )  # fmt: skip
             for k in range(1, 3):
                 compensate_adjoint(
-                    networks[k], scratches[k], bars[k], w_bar, carry_bar[MOVED:], units, frozen, frozen, frozen
+                    networks[k], buffer_sets[k], bars[k], w_bar, model_state_bar[MOVED:], units, frozen, frozen, frozen
                 )
             sense_adjoint(w, c, w_bar, constants_bar)
-            carry_bar[:MOVED] = w_bar[:MOVED]
+            model_state_bar[:MOVED] = w_bar[:MOVED]
             if len(codes_bar) > 0:
                 for i in range(inside):
                     for k in range(codes):
                         codes_bar[block * LANES + i, t, k] = w_bar[(CODES + k) * LANES + i]
         for i in range(inside):
             for k in range(start_bar.shape[1]):
-                start_bar[block * LANES + i, k] = carry_bar[k * LANES + i]
+                start_bar[block * LANES + i, k] = model_state_bar[k * LANES + i]
         for k in range(CONSTANTS):
             c_bar[block, k] = constants_bar[k * LANES : (k + 1) * LANES].sum()

@@ -145,8 +145,8 @@ class Stall:
         patience: how long [s].
     """
 
-    def __init__(self, patience: float) -> None:
-        self._patience = patience
+    def __init__(self, timeouts: float) -> None:
+        self._patience = timeouts
         self._place: tuple[float, float] | None = None
         self._time = 0.0
         self._clock = 0.0

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import GRAVITY
 from offpiste.simulation.driver.behaviour import Feeling, Foot, Mood, Stall
-from offpiste.simulation.driver.lookahead import Country, Prospect, survey
+from offpiste.simulation.driver.lookahead import Country, Prospect, sample_terrain
 from offpiste.simulation.driver.route import Route
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
@@ -48,7 +48,7 @@ class DriverSettings:
     tilting: float = 0.8
     bump: float = 6.0
     standing_start: float = 0.25
-    patience: float = 15.0
+    timeouts: float = 15.0
 
 
 _CURVATURES = np.linspace(-0.22, 0.22, 23)
@@ -91,7 +91,7 @@ class Driver:
         self._country, self._rng = Country.of(world), rng
         self.route = Route(self._country, rng, off_trail=self._settings.off_trail)
         self._mood = Mood(rng, pause=self._settings.pause)
-        self._stall = Stall(self._settings.patience)
+        self._stall = Stall(self._settings.timeouts)
         self._ticks, self._curvature, self._limit = 0, 0.0, self._settings.top_speed
         self._climb, self._lean = 0.0, 0.0
         self._foot = Foot()
@@ -148,7 +148,7 @@ class Driver:
         length = _clip(1.6 * speed, 5.0, 14.0)
         goal = self.route.ahead(np.array((x, y)), length)
         vehicle, settings = self._vehicle, self._settings
-        prospect = survey(
+        prospect = sample_terrain(
             self._country,
             _CURVATURES,
             x=x,

@@ -48,9 +48,9 @@ class Country:
 
         So does the slope across, over the width of a vehicle: who crosses a ditch at a small angle tips into it.
         """
-        way = line[-1] - line[0]
-        length = max(float(np.hypot(*way)), 1e-6)
-        heading = way / length
+        reading = line[-1] - line[0]
+        length = max(float(np.hypot(*reading)), 1e-6)
+        heading = reading / length
         places = line[0] + np.arange(0, length + 1, 1.0)[:, None] * heading
         left = np.array((-heading[1], heading[0])) * _HALF_TRACK
         sides = [read_grid(self.elevation, self.origin, self.resolution, places + side) for side in (left, -left)]
@@ -91,7 +91,7 @@ class Prospect:
     outside: Float[np.ndarray, " A"]
 
 
-def survey(
+def sample_terrain(
     country: Country,
     curvatures: Float[np.ndarray, " A"],
     *,

@@ -121,9 +121,9 @@ class Route:
             if not len(there):
                 continue
             index = int(self._rng.choice(there))
-            way = self._trails[number][index] - here
-            line = here + np.linspace(0, 1, 1 + int(np.ceil(away[index] / SPACING)))[:, None] * way
-            ahead = float(heading @ way) / max(float(np.hypot(*heading) * away[index]), 1e-6)
+            reading = self._trails[number][index] - here
+            line = here + np.linspace(0, 1, 1 + int(np.ceil(away[index] / SPACING)))[:, None] * reading
+            ahead = float(heading @ reading) / max(float(np.hypot(*heading) * away[index]), 1e-6)
             hardship = self._country.steepest(line) + 0.075 * (1 - ahead)
             if hardship < least:
                 best, least = (number, index, line), hardship

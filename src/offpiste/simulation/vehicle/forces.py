@@ -44,7 +44,7 @@ MIN_SLIP_SPEED = 0.5
 @PHYSICS.entry
 def substep(  # type: ignore[no-untyped-def]
     q, dt, command, around, elevation, properties, x0, y0, resolution,
-    qpos, qvel, actuators, speeds, deflection, truth, touched, body_forces, joint_forces, scratch,
+    qpos, qvel, actuators, speeds, deflection, truth, touched, body_forces, joint_forces, buffers,
 ):  # fmt: skip
     """Advance actuators, engine, wheel spins and tyres by dt, and write the forces on the bodies.
 
@@ -70,7 +70,7 @@ def substep(  # type: ignore[no-untyped-def]
     actuators[RATIO] = shifted_ratio(actuators[RATIO], shaft, command[0], dt, q)
 
     before = (speeds[1], speeds[2], speeds[3], speeds[4])
-    tyre_torque = scratch[5, :4]
+    tyre_torque = buffers[5, :4]
     left_angle, right_angle = wheel_angles(actuators[STEER], q)
     body_forces[:] = 0.0
     for i in range(4):
@@ -79,7 +79,7 @@ def substep(  # type: ignore[no-untyped-def]
             q, dt, i, angle, body, qpos, qvel, elevation, properties, x0, y0, resolution,
             speeds[i + 1], deflection, truth, body_forces,
         )  # fmt: skip
-    spin(speeds, actuators[RATIO], command[0], actuators[PRESSURE], tyre_torque, dt, q, scratch[:5])
+    spin(speeds, actuators[RATIO], command[0], actuators[PRESSURE], tyre_torque, dt, q, buffers[:5])
     for i in range(4):
         angle = left_angle if i == 0 else right_angle if i == 1 else 0.0
         _react(q, i, angle, body, qvel, (speeds[i + 1] - before[i]) / dt, speeds[i + 1], body_forces)

@@ -1,0 +1,27 @@
+"""Runs an experiment's command line: messages on the terminal, errors that a user can cause in one line."""
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import tyro
+
+from offpiste.errors import OffpisteError
+from offpiste.progress import log_to_terminal
+
+
+def run(command: Callable[..., Any], arguments: list[str] | None = None) -> None:
+    """Run `command` with arguments of the command line, and its method `run` if it has one.
+
+    Exits with 1 when the input or the run failed, with 130 when interrupted, each with one line on standard error.
+    """
+    log_to_terminal()
+    try:
+        result = tyro.cli(command, args=arguments)
+        if hasattr(result, "run"):
+            result.run()
+    except OffpisteError as error:
+        sys.exit(str(error))
+    except KeyboardInterrupt:
+        print("interrupted; what was finished is kept", file=sys.stderr)  # noqa: T201
+        sys.exit(130)

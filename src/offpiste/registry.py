@@ -1,0 +1,105 @@
+"""Things that can be added by name: log formats, backbones, fusion rules, cost terms, models, worlds, commands, figures.
+
+Each registers itself where it is defined. What ships with offpiste is found in one package; what others add comes from
+modules that `OFFPISTE_EXTENSIONS` names, or from entry points of the group `offpiste`.
+"""
+
+import os
+import pkgutil
+from collections.abc import Callable, Iterator
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Final, Generic, TypeVar
+
+from offpiste.errors import OffpisteError
+
+Entry = TypeVar("Entry")
+
+EXTENSIONS: Final = "OFFPISTE_EXTENSIONS"
+"""Environment variable: names of modules to import, separated by commas."""
+
+
+class Registry(Generic[Entry]):
+    """Entries by name; the first look-up imports what ships and what others have added.
+
+    Args:
+        kind: what an entry is, in the words of a message ("backbone").
+        package: every module in it is imported before the first look-up, so that a file dropped there is found.
+        error: raised for a name that is unknown or taken.
+    """
+
+    def __init__(self, kind: str, *, package: str = "", error: type[OffpisteError] = OffpisteError) -> None:
+        self.kind, self._package, self._error = kind, package, error
+        self._entries: dict[str, Entry] = {}
+        self._loaded = False
+
+    def register(self, name: str) -> Callable[[Entry], Entry]:
+        """Add what it decorates, or is called with, under a name.
+
+        Raises:
+            OffpisteError: the name is taken.
+        """
+
+        def add(entry: Entry) -> Entry:
+            if name in self._entries:
+                raise self._error(f"there are two {self.kind}s called '{name}'", how="give one of them another name")
+            self._entries[name] = entry
+            return entry
+
+        return add
+
+    def __getitem__(self, name: str) -> Entry:
+        """The entry of that name.
+
+        Raises:
+            OffpisteError: there is none.
+        """
+        self._load()
+        if name not in self._entries:
+            raise self._error(f"no {self.kind} '{name}'", how=f"there are: {', '.join(self._entries)}")
+        return self._entries[name]
+
+    def __contains__(self, name: object) -> bool:
+        self._load()
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        self._load()
+        return iter(tuple(self._entries))
+
+    def __len__(self) -> int:
+        self._load()
+        return len(self._entries)
+
+    def items(self) -> list[tuple[str, Entry]]:
+        """Names and entries, those that ship first, each in the order of registration."""
+        self._load()
+        return list(self._entries.items())
+
+    def _load(self) -> None:
+        if self._loaded:
+            return
+        self._loaded = True
+        if self._package:
+            for module in pkgutil.iter_modules(import_module(self._package).__path__):
+                import_module(f"{self._package}.{module.name}")
+        load_extensions()
+
+
+@cache
+def load_extensions() -> None:
+    """Import what others have added, once a process.
+
+    Raises:
+        OffpisteError: a module of `OFFPISTE_EXTENSIONS`, or an entry point, cannot be imported.
+    """
+    named = {name.strip(): f"{EXTENSIONS}" for name in os.environ.get(EXTENSIONS, "").split(",") if name.strip()}
+    named |= {point.value: f"entry point '{point.name}'" for point in entry_points(group="offpiste")}
+    for module, where in named.items():
+        try:
+            import_module(module)
+        except ImportError as error:
+            raise OffpisteError(
+                f"cannot import '{module}': {error}", where=where, how="install it, or put its folder on PYTHONPATH"
+            ) from error

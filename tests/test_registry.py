@@ -1,0 +1,72 @@
+"""Entries by name: found where they are defined, refused in one line where there is none."""
+
+import sys
+
+import pytest
+
+from offpiste.errors import OffpisteError, PerceptionError
+from offpiste.registry import EXTENSIONS, Registry, load_extensions
+
+
+def test_an_entry_is_found_by_the_name_it_registered():
+    registry: Registry[int] = Registry("number")
+    registry.register("one")(1)
+
+    @registry.register("double")
+    def double(x):
+        return 2 * x
+
+    assert registry["one"] == 1
+    assert registry["double"](4) == 8
+    assert list(registry) == ["one", "double"]
+    assert len(registry) == 2
+    assert "one" in registry
+    assert "two" not in registry
+    assert registry.items() == [("one", 1), ("double", double)]
+
+
+def test_unknown_and_taken_names_are_refused_with_what_there_is():
+    registry: Registry[int] = Registry("backbone", error=PerceptionError)
+    registry.register("one")(1)
+    with pytest.raises(PerceptionError, match=r"no backbone 'two'; there are: one"):
+        registry["two"]
+    with pytest.raises(PerceptionError, match="two backbones called 'one'"):
+        registry.register("one")(2)
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package with a registry and one module that registers itself, and an extension beside it."""
+    folder = tmp_path / "shipped_things"
+    folder.mkdir()
+    head = "from offpiste.registry import Registry\n"
+    (folder / "__init__.py").write_text(head + "THINGS = Registry('thing', package=__name__)\n")
+    (folder / "hammer.py").write_text("from shipped_things import THINGS\nTHINGS.register('hammer')(1)\n")
+    (tmp_path / "added_things.py").write_text("from shipped_things import THINGS\nTHINGS.register('saw')(2)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    load_extensions.cache_clear()
+    yield
+    load_extensions.cache_clear()
+    for name in [name for name in sys.modules if name.split(".")[0] in ("shipped_things", "added_things")]:
+        del sys.modules[name]
+
+
+def test_a_module_dropped_into_the_package_is_found(package):
+    from shipped_things import THINGS
+
+    assert list(THINGS) == ["hammer"]
+
+
+def test_modules_named_in_the_environment_are_found(package, monkeypatch):
+    monkeypatch.setenv(EXTENSIONS, "added_things")
+    from shipped_things import THINGS
+
+    assert THINGS.items() == [("hammer", 1), ("saw", 2)]
+
+
+def test_an_extension_that_cannot_be_imported_is_named(monkeypatch):
+    monkeypatch.setenv(EXTENSIONS, "nowhere_at_all")
+    load_extensions.cache_clear()
+    with pytest.raises(OffpisteError, match=r"OFFPISTE_EXTENSIONS: cannot import 'nowhere_at_all'"):
+        load_extensions()
+    load_extensions.cache_clear()
