@@ -43,7 +43,8 @@ def test_errors_come_back_from_other_processes_as_they_were():
 
 
 def test_processes_end_when_their_parent_is_killed():
-    code = "from jobs import wait; from offpiste.parallel import run_all; run_all(wait, [1, 2], 2, 'waiting', finished=print)"
+    imports = "from jobs import wait; from offpiste.parallel import run_all"
+    code = f"{imports}; run_all(wait, [1, 2], 2, 'waiting', finished=print)"
     script = f"if __name__ == '__main__':\n    {code}"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(["tests", *sys.path])}
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, env=environment)

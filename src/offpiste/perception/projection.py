@@ -1,8 +1,8 @@
 """Which patch of which camera's feature image each LiDAR point is seen in.
 
 Points come in the world frame, each carried there with the vehicle's pose at its own moment
-(`offpiste.perception.motion_compensation`); every image has the pose of its own stamp. So the motion between scan and image, and
-within the scan, is compensated, as far as poses are right and the world stands still.
+(`offpiste.perception.motion_compensation`); every image has the pose of its own stamp. So the motion between scan and
+image, and within the scan, is compensated, as far as poses are right and the world stands still.
 """
 
 from collections.abc import Sequence

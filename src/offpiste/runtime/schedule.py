@@ -2,8 +2,9 @@
 
 Driving off: more throttle than was planned, while the vehicle hardly moves though it was to drive.
 
-Models learn from windows that start above `conventions.MIN_EVALUATION_SPEED`, and expect a standing vehicle to follow any
-throttle. A torque that does not overcome the resistance of soft ground moves nothing, however often it is planned anew.
+Models learn from windows that start above `conventions.MIN_EVALUATION_SPEED`, and expect a standing vehicle to follow
+any throttle. A torque that does not overcome the resistance of soft ground moves nothing, however often it is planned
+anew.
 """
 
 from collections import deque

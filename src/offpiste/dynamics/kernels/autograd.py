@@ -42,8 +42,8 @@ def rollout_recorded(
 ) -> Trajectory:
     """`rollout(dynamics, carry, controls, RecordedTerrain(terrain))`, several times as fast.
 
-    Gradients reach the bicycle's constants, the compensator, `model_state` and `terrain.latent`; not the actuators' models,
-    controls or normals.
+    Gradients reach the bicycle's constants, the compensator, `model_state` and `terrain.latent`; not the actuators'
+    models, controls or normals.
 
     Args:
         dynamics: one that `supports` is true for.

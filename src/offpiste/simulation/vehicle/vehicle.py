@@ -1,7 +1,7 @@
 """The rigid bodies of the vehicle as MuJoCo sees them: a free chassis and four wheels that slide up and down on it.
 
-MuJoCo integrates the bodies; every force on them is ours (`offpiste.simulation.vehicle.forces`), so contacts and constraints
-are off. Wheels do not spin here: their spin is a state of its own, and its reaction acts as a torque.
+MuJoCo integrates the bodies; every force on them is ours (`offpiste.simulation.vehicle.forces`), so contacts and
+constraints are off. Wheels do not spin here: their spin is a state of its own, and its reaction acts as a torque.
 
 A side-by-side that drives in a `World`: MuJoCo's rigid bodies under our own tyres, drive train and ground.
 """

@@ -1,0 +1,78 @@
+"""What the code gives equals what was recorded (`golden/record.py`): the same numbers, whatever things are called.
+
+Numbers may differ by 1e-6 of themselves and 1e-6 besides, or by what OFFPISTE_GOLDEN_TOLERANCE says instead.
+Whole numbers and texts are the same. Hashes of messages are the same on the machine that recorded them; other hashes
+are only counted: their arrays are compared by a selection. `pytest -rP` tells how many hashes were equal.
+
+A process that compiles the kernels of networks itself, and one that loads them from numba's cache, differ in the last
+bits (up to 4.5e-7 here; each is the same again): then hashes of `models`, `plan` and `training` do, too.
+"""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from golden.record import GROUPS, RECORDED, machine, read, recorded_data
+
+FOLDER = Path(__file__).parent / "results"
+TOLERANCE = float(os.environ.get("OFFPISTE_GOLDEN_TOLERANCE", "1e-6"))
+STRICT = ("simulated_log", "closed_loop")
+"""Groups whose hashes are of messages."""
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_golden(group: str) -> None:
+    if group in RECORDED and recorded_data() is None:
+        pytest.skip("no recorded data; set OFFPISTE_DATA")
+    wanted, found = read(FOLDER, group), GROUPS[group]()
+    found = {key: value for key, value in found.items() if not key.endswith(".words")}
+    same_machine = json.loads((FOLDER / "machine.json").read_text()) == machine()
+    said = [f"{key}: was not recorded" for key in found.keys() - wanted.keys()]
+    said += [f"{key}: is not made any more" for key in wanted.keys() - found.keys()]
+    hashes = [key for key in wanted if key.endswith(".sha256") and key in found]
+    unlike = [key for key in hashes if wanted[key] != found[key]]
+    print(f"{group}: {len(hashes) - len(unlike)} of {len(hashes)} hashes equal; the same machine: {same_machine}")
+    if group in STRICT and same_machine:
+        said += [f"{key}: other bytes" for key in unlike]
+    for key in sorted(wanted.keys() & found.keys()):
+        if not key.endswith(".sha256") and (difference := different(wanted[key], found[key])):
+            said.append(f"{key}: {difference}")
+    more = "" if len(said) <= 40 else f"\n... and {len(said) - 40} more"
+    assert not said, f"{len(said)} of {len(wanted)} differ\n" + "\n".join(said[:40]) + more
+
+
+def different(wanted: np.ndarray | str, found: np.ndarray | str) -> str:
+    """By how much; empty if it is the same."""
+    if isinstance(wanted, str) or isinstance(found, str):
+        return "" if wanted == found else f"was {shortened(wanted, found)}, is {shortened(found, wanted)}"
+    if wanted.shape != found.shape:
+        return f"was of shape {wanted.shape}, is {found.shape}"
+    if not np.issubdtype(wanted.dtype, np.floating):
+        unlike = wanted != found
+        return f"{unlike.sum()} of {unlike.size} whole numbers differ" if unlike.any() else ""
+    found = found.astype(np.float64)
+    unlike = np.isfinite(wanted) != np.isfinite(found)
+    if unlike.any():
+        return f"{unlike.sum()} of {unlike.size} are finite on one side only"
+    known = np.isfinite(wanted)
+    if not known.any():
+        return ""
+    error = np.abs(wanted[known] - found[known])
+    allowed = TOLERANCE * (1 + np.abs(wanted[known]))
+    if (error <= allowed).all():
+        return ""
+    at = int((error - allowed).argmax())
+    return (
+        f"{(error > allowed).sum()} of {error.size} numbers differ, worst: was {wanted[known][at]:.9g}, is "
+        f"{found[known][at]:.9g} ({error[at]:.2g}; allowed {allowed[at]:.2g})"
+    )
+
+
+def shortened(text: object, other: object) -> str:
+    """The text from a little before where it departs from the other."""
+    text, other = str(text), str(other)
+    same = next((i for i, (a, b) in enumerate(zip(text, other, strict=False)) if a != b), min(len(text), len(other)))
+    return repr(text[max(0, same - 30) : same + 60])
