@@ -86,12 +86,12 @@ def test_loops_agree_with_numpy_at_utm_coordinates():
 
 def test_loops_stay_inside_their_arrays(tmp_path):
     """Once more, compiled with bounds checks, in a process of its own."""
-    code = "import test_kernels as t; t.compare(); t.compare('average', 0, 3)"
+    code = f"import {Path(__file__).stem} as t; t.compare(); t.compare('average', 0, 3)"
     environment = os.environ | {
         "NUMBA_BOUNDSCHECK": "1",
         "NUMBA_OPT": "1",
         "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": str(Path(__file__).parent),
+        "PYTHONPATH": os.pathsep.join((str(Path(__file__).parent), str(Path(__file__).parents[1]))),
     }
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 

@@ -256,8 +256,7 @@ def test_a_plan_with_it_is_better_than_doing_nothing():
 
 def test_it_never_reads_out_of_bounds(tmp_path):
     """In a process of its own: Numba reads the switch when it compiles."""
-    program = """
-import torch, test_fused as f
+    program = f"import torch, {Path(__file__).stem} as f" + """
 from dataclasses import replace
 for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 5, 0, 0), (1e9, -1e9, 0, 5, 0, 0),
               (float("nan"), 0, 0, 5, 0, 0), (float("inf"), 0, 0, 5, 0, 0)):

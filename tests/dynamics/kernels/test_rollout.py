@@ -200,7 +200,7 @@ def test_what_kernels_cannot_do_is_refused() -> None:
 
 def test_kernels_stay_inside_their_arrays(tmp_path: Path) -> None:
     """Once more, compiled with bounds checks, in a process of its own."""
-    code = "import test_kernel_rollout as t; t.compare(t.example(*t.CHANNELS['all'], codes=4, kind=t.Hybrid), 33, 3)"
+    code = f"import {Path(__file__).stem} as t; t.compare(t.example(*t.CHANNELS['all'], codes=4, kind=t.Hybrid), 33, 3)"
     environment = os.environ | {
         "NUMBA_BOUNDSCHECK": "1",
         "NUMBA_OPT": "1",
