@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 
 from offpiste.conventions import DT
 from offpiste.simulation.drive import drive, with_driver
+from offpiste.simulation.rendering.appearance import make_appearance
+from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sample import Pose, VehicleSample, standing
 from offpiste.simulation.sensors.camera import Camera, render
 from offpiste.simulation.sensors.lidar import Lidar
-from offpiste.simulation.sensors.scene import world_scene
 from offpiste.simulation.sensors.suite import full_suite
 from offpiste.simulation.top_view import draw_top_view, overlay
 from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.simulation.world.appearance import make_appearance
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 

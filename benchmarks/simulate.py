@@ -47,7 +47,7 @@ def recorded(world: World, sensing: Sensing | None, seconds: float, file: Path) 
         recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=np.random.default_rng(0))
         for sample in drive(world, parameters, start, driver, steps=round(seconds / DT)):
             recorder.vehicle(sample)
-            for topic, message in sensing.observe(sample, recorder) if sensing else ():
+            for topic, message in sensing.observe(sample, recorder.sensor_stamp_ns) if sensing else ():
                 recorder.sensor(topic, message)
             rows += 1
     return rows * DT / (time.perf_counter() - begin)

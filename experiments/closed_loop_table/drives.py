@@ -22,7 +22,7 @@ from offpiste.closed_loop.drive_course import (
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import OffpisteError, RunError
 from offpiste.parallel import run_all
-from offpiste.simulation.sensors.scene import Scene, world_scene
+from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 

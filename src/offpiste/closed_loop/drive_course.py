@@ -22,7 +22,7 @@ from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import Sight
 from offpiste.runtime.prediction import KnownGround
 from offpiste.runtime.runtime import Runtime, RuntimeSettings
-from offpiste.simulation.sensors.scene import Scene
+from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world

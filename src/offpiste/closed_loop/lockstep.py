@@ -23,9 +23,9 @@ from offpiste.runtime.modes import Controls
 from offpiste.runtime.runtime import Runtime
 from offpiste.simulation.drive import Start, drive
 from offpiste.simulation.recorder import START_NS, Recorder, events_message, stamp_ns
+from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sample import Pose, VehicleSample
 from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
-from offpiste.simulation.sensors.scene import Scene
 from offpiste.simulation.sensors.sensing import Sensing
 from offpiste.simulation.sensors.suite import SensorSuite
 from offpiste.simulation.vehicle.parameters import VehicleParameters
@@ -121,7 +121,7 @@ def drive_planned(
                 writer.write(PLANNER_EVENTS, events_message((f"{event.mode}: {event.why}",), stamp), stamp)
             told = len(runtime.events)
             with runtime.watch.of("simulated sensors"):
-                messages = list(sensing.observe(sample, recorder))
+                messages = list(sensing.observe(sample, recorder.sensor_stamp_ns))
             for topic, message in messages:
                 recorder.sensor(topic, message)
                 for measured in fault.passed(measurement_of(message, lidars), sample.time):

@@ -139,7 +139,7 @@ def record(
         samples = drive(world, parameters, start, commander, steps=steps)
         for sample in _shown(samples, steps, out.name):
             recorder.vehicle(sample)
-            for topic, message in sensing.observe(sample, recorder) if sensing else ():
+            for topic, message in sensing.observe(sample, recorder.sensor_stamp_ns) if sensing else ():
                 recorder.sensor(topic, message)
             events += [(sample.time, event) for event in sample.events]
             path.extend(sample.position[:2].tolist())

@@ -4,14 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
+from offpiste.simulation.rendering.appearance import make_appearance
+from offpiste.simulation.rendering.scene import world_scene
+from offpiste.simulation.rendering.shading import FINE, GLOSS, HIGH, LOW, SUN
 from offpiste.simulation.sample import Pose, standing
 from offpiste.simulation.sensors.camera import Camera, CameraSettings, pixel_rays, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
-from offpiste.simulation.sensors.scene import world_scene
-from offpiste.simulation.sensors.shading import FINE, GLOSS, HIGH, LOW, SUN
 from offpiste.simulation.sensors.suite import full_suite, mounted, sensor_suite
 from offpiste.simulation.top_view import overlay, project
-from offpiste.simulation.world.appearance import make_appearance
 from offpiste.simulation.world.meshes import SURFACES
 from offpiste.simulation.world.world import GROUND_KINDS
 from simulation import scenes

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.compilation import RAYS
+from offpiste.simulation.rendering.appearance import Appearance
+from offpiste.simulation.rendering.own_body import body_hits
+from offpiste.simulation.rendering.scene import Hits, Scene, cast_rays, nearest
+from offpiste.simulation.rendering.shading import shade_rays
 from offpiste.simulation.sample import Pose
-from offpiste.simulation.sensors.own_body import body_hits
-from offpiste.simulation.sensors.scene import Hits, Scene, cast_rays, nearest
-from offpiste.simulation.sensors.shading import shade_rays
-from offpiste.simulation.world.appearance import Appearance
 from offpiste.simulation.world.noise import hashed
 
 LENS_BLUR = 0.6

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from offpiste.simulation.rendering.own_body import body_hits
+from offpiste.simulation.rendering.scene import Scene, cast_rays, nearest
 from offpiste.simulation.sample import Motion, Pose
-from offpiste.simulation.sensors.own_body import body_hits
-from offpiste.simulation.sensors.scene import Scene, cast_rays, nearest
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)
 """Of `SURFACES` near 900 nm [1]; soil 0.2 to 0.4, green leaves about 0.5 (ASTER spectral library, rounded)."""

@@ -1,21 +1,23 @@
 """What cameras and LiDARs see along a drive: each at its own rate, as messages."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from offpiste.conventions import DT
-from offpiste.simulation.recorder import Recorder
+from offpiste.simulation.rendering.appearance import make_appearance
+from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, render
 from offpiste.simulation.sensors.lidar import Lidar
 from offpiste.simulation.sensors.messages import camera_info_message, image_message, points_message
-from offpiste.simulation.sensors.scene import Scene, world_scene
 from offpiste.simulation.sensors.suite import SensorSuite
-from offpiste.simulation.world.appearance import make_appearance
 from offpiste.simulation.world.world import World
+
+StampNs = Callable[[float], int]
+"""The stamp [ns] of a measurement at a time since the start of the drive [s]."""
 
 
 class Sensing:
@@ -38,23 +40,23 @@ class Sensing:
         turns = [round(1 / (lidar.settings.rate * DT)) for lidar in self._lidars]
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
-    def observe(self, sample: VehicleSample, recorder: Recorder) -> Iterator[tuple[str, Any]]:
+    def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
         """Topics and messages of all measurements that are complete with this sample."""
         self._past.append(sample)
         row = round(sample.time / DT)
         for camera in self._cameras:
             if row % round(1 / (camera.settings.rate * DT)) == 0:
-                yield from self._picture(camera, sample, recorder)
+                yield from self._picture(camera, sample, stamp_ns)
         for lidar in self._lidars:
             turn = round(1 / (lidar.settings.rate * DT))
             if row % turn == 0 and row >= turn:
-                yield self._turn(lidar, list(self._past)[-turn - 1 :], recorder)
+                yield self._turn(lidar, list(self._past)[-turn - 1 :], stamp_ns)
 
-    def _picture(self, camera: Camera, sample: VehicleSample, recorder: Recorder) -> Iterator[tuple[str, Any]]:
+    def _picture(self, camera: Camera, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
         s = camera.settings
         assert self._look is not None
         image = render(self._scene, self._look, camera, Pose(sample.position, sample.orientation), self._rng)
-        stamp = recorder.sensor_stamp_ns(sample.time)
+        stamp = stamp_ns(sample.time)
         yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)
         size = (s.width, s.height)
         yield (
@@ -62,12 +64,12 @@ class Sensing:
             camera_info_message(s.matrix, np.asarray(s.distortion), size, stamp, s.name),
         )
 
-    def _turn(self, lidar: Lidar, samples: list[VehicleSample], recorder: Recorder) -> tuple[str, Any]:
+    def _turn(self, lidar: Lidar, samples: list[VehicleSample], stamp_ns: StampNs) -> tuple[str, Any]:
         motion = Motion(
             np.array([s.time for s in samples]),
             np.stack([s.position for s in samples]),
             np.stack([s.orientation for s in samples]),
         )
         scan = lidar.scan(self._scene, motion, samples[0].time, self._rng)
-        stamp, name = recorder.sensor_stamp_ns(samples[0].time), lidar.settings.name
+        stamp, name = stamp_ns(samples[0].time), lidar.settings.name
         return f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name)

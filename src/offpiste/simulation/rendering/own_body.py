@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.simulation.sensors.scene import Hits, Scene, cast_rays
+from offpiste.simulation.rendering.scene import Hits, Scene, cast_rays
 from offpiste.simulation.world.meshes import box_mesh
 
 BOXES: Final[dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]] = {

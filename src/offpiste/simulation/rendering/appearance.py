@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from offpiste.simulation.sensors.own_body import BOXES
-from offpiste.simulation.sensors.scene import Scene
-from offpiste.simulation.sensors.shading import (
+from offpiste.simulation.rendering.own_body import BOXES
+from offpiste.simulation.rendering.scene import Scene
+from offpiste.simulation.rendering.shading import (
     BLADES,
     CHANNELS,
     COARSE,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from offpiste.simulation.sensors.scene import Scene, cast_rays, nearest, world_scene
+from offpiste.simulation.rendering.scene import Scene, cast_rays, nearest, world_scene
 from offpiste.simulation.world.meshes import SURFACES, box_mesh
 from simulation import scenes
 
