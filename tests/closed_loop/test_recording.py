@@ -11,7 +11,6 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDrive, drive_course
 from offpiste.closed_loop.planner import Planner
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.visualization.recording import MissingRerun
 from runtime.stream import parametric, settings
 
 WORLD = WorldSettings("dunes", seed=3, size=120.0, resolution=0.5)
@@ -46,9 +45,3 @@ def test_a_recording_has_world_plans_vehicle_and_numbers(tmp_path: Path, capfd: 
     assert {"/speed/driven", "/speed/wanted", "/slip/slip", "/path/error", "/mode/mode", "/events"} <= set(found)
     assert {f"/controls/{name}" for name in ("throttle", "brake", "steer")} <= set(found)
     assert {place.strip("/").split("/")[0] for place in found} >= set(recording.PLOTS), "each plot has its numbers"
-
-
-def test_without_rerun_it_says_so_before_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "rerun_is_there", lambda: False)
-    with pytest.raises(MissingRerun, match="rerun-sdk"):
-        recording.require_rerun()

@@ -51,7 +51,7 @@ def read_back(path: Path) -> set[str]:
 def test_without_pca_and_without_rerun_there_are_pictures_and_a_line(
     run: Run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "rerun_is_there", lambda: False)
+    monkeypatch.setattr(module, "is_installed", lambda name: False)
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine.txt").write_text("mine")

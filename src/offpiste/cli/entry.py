@@ -2,30 +2,12 @@
 
 import os
 import sys
-from collections.abc import Callable
-from typing import Any
 
 import tyro
 
-from offpiste.cli.datasets import Extract, FitPca
-from offpiste.cli.experiments import Demo, Drive, Reproduce
-from offpiste.cli.logs import Inspect, Simulate, View
-from offpiste.cli.models import Evaluate, Train
+from offpiste.cli.commands import commands_in_order
 from offpiste.errors import OffpisteError
 from offpiste.progress import log_to_terminal
-
-COMMANDS: dict[str, Callable[..., Any]] = {
-    "demo": Demo,
-    "simulate": Simulate,
-    "inspect": Inspect,
-    "fit-pca": FitPca,
-    "view": View,
-    "extract": Extract,
-    "train": Train,
-    "evaluate": Evaluate,
-    "reproduce": Reproduce,
-    "drive": Drive,
-}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -35,7 +17,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = [a for a in arguments if a != "--debug"]
     try:
         command = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
+            commands_in_order(),
             prog="offpiste",
             description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
             args=arguments,
@@ -52,6 +34,6 @@ def main(arguments: list[str] | None = None) -> None:
         print("offpiste: interrupted; what was finished is kept", file=sys.stderr)  # noqa: T201
         sys.exit(1)
     except BrokenPipeError:
-        # Whoever read what was printed has stopped, e.g. `head`; Python would complain when it flushes at its end.
+        # The reader of a pipe has closed it, e.g. `head`; Python would complain when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

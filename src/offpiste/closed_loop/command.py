@@ -10,6 +10,7 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDrive, Driven, drive_course
 from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
+from offpiste.extras import require
 from offpiste.runtime.runtime import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
 
@@ -36,9 +37,7 @@ def drive_and_show(
         OffpisteError: no such run or world, a setting out of range, or `out` holds a drive already.
     """
     if recording:
-        from offpiste.closed_loop.recording import require_rerun
-
-        require_rerun()
+        require("view", "rerun", otherwise="leave out --recording")
     planner = load_planner(run, pca)
     asked = CourseDrive(
         WorldSettings(world, seed),

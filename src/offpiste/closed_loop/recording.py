@@ -11,13 +11,14 @@ from offpiste.closed_loop.drive_course import Driven
 from offpiste.closed_loop.lockstep import time_of
 from offpiste.closed_loop.pictures import SLIP_COLOURS, SLIP_LIMIT
 from offpiste.conventions import DT
+from offpiste.extras import extra
 from offpiste.files import write_whole
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.runtime.modes import Mode
 from offpiste.simulation.top_view import shaded_colours
 from offpiste.simulation.world.surface import read_grid
 from offpiste.visualization.mesh import grid_triangles
-from offpiste.visualization.recording import MissingRerun, following_eye, rerun_is_there
+from offpiste.visualization.recording import following_eye
 
 LIFT = 0.3
 """Lines are drawn so far above the ground [m]."""
@@ -47,30 +48,18 @@ LEVEL: dict[Mode, int] = {"stopped": 0, "stopping": 1, "degraded": 2, "driving":
 """Of the mode, as a number to plot."""
 
 
-def require_rerun() -> None:
-    """Complain before minutes are spent.
-
-    Raises:
-        MissingRerun: the extra `view` is not installed.
-    """
-    if not rerun_is_there():
-        raise MissingRerun(
-            "recordings need the package rerun-sdk", how="pip install 'offpiste[view]', or go without --recording"
-        )
-
-
 def record_drive(driven: Driven, path: Path) -> None:
     """Write a recording, whole or not at all.
 
     Raises:
-        MissingRerun: the extra `view` is not installed.
+        MissingExtra: the extra `view` is not installed.
     """
-    require_rerun()
     write_whole(path, lambda partial: _write(driven, partial))
 
 
 def _write(driven: Driven, path: Path) -> None:
-    import rerun as rr
+    with extra("view"):
+        import rerun as rr
 
     stream = rr.RecordingStream("offpiste drive")
     start = driven.driving.samples[0].position

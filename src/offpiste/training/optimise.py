@@ -18,7 +18,8 @@ from torch import Tensor, nn
 
 from offpiste.dataset.feature_sets import Draw, FeatureSetChoice
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.errors import RunError, TrainingError
+from offpiste.errors import TrainingError
+from offpiste.extras import extra
 from offpiste.progress import track
 from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
 from offpiste.training.config import TrainConfig
@@ -49,12 +50,10 @@ def also_tensorboard(record: Record, folder: Path) -> Record:
     """The same, and scalars for TensorBoard.
 
     Raises:
-        RunError: TensorBoard is not installed.
+        MissingExtra: TensorBoard is not installed.
     """
-    try:
+    with extra("tensorboard"):
         from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise RunError("TensorBoard is not installed", how="pip install 'offpiste[tensorboard]'") from error
     writer = SummaryWriter(folder)
 
     def both(line: dict[str, float | int | str]) -> None:

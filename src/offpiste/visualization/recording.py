@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib import colormaps
 
-from offpiste.errors import OffpisteError
+from offpiste.extras import extra
 from offpiste.mapping.replay import Moment
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.projection import View
@@ -46,10 +46,6 @@ EPOCH: Final = 1e8
 
 GREY: Final = np.array([120, 120, 120], np.uint8)
 """Of what no camera has seen."""
-
-
-class MissingRerun(OffpisteError):
-    """The package that writes recordings is not installed."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +86,7 @@ class Recorder:
         limits: colours of the features; None without features.
 
     Raises:
-        MissingRerun: the extra `view` is not installed.
+        MissingExtra: the extra `view` is not installed.
     """
 
     def __init__(
@@ -101,7 +97,9 @@ class Recorder:
         cameras: tuple[str, ...],
         settings: RecordingSettings | None = None,
     ) -> None:
-        self._rr = rr = _rerun()
+        with extra("view", otherwise="go without: --no-rrd"):
+            import rerun as rr
+        self._rr = rr
         self._origin, self._limits, self._settings = origin, limits, settings or RecordingSettings()
         self._written = _Written()
         self._stream = rr.RecordingStream("offpiste")
@@ -248,23 +246,6 @@ class Recorder:
             valid = layers.valid[part]
             shade[valid] = colours(layers.features[part][valid], self._limits)
         return shade
-
-
-def rerun_is_there() -> bool:
-    """Whether the extra `view` is installed."""
-    from importlib.util import find_spec
-
-    return find_spec("rerun") is not None
-
-
-def _rerun() -> Any:
-    try:
-        import rerun
-    except ImportError as error:
-        raise MissingRerun(
-            "recordings need the package rerun-sdk", how="pip install 'offpiste[view]', or go without: --no-rrd"
-        ) from error
-    return rerun
 
 
 def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:

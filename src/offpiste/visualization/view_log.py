@@ -11,6 +11,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from offpiste.errors import LogError, RigError
+from offpiste.extras import is_installed
 from offpiste.files import write_bytes
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
@@ -22,7 +23,7 @@ from offpiste.rig.rig import Rig
 from offpiste.visualization.figure import png
 from offpiste.visualization.images import Album, contact_sheet, times_between, write_png
 from offpiste.visualization.map_figure import FEATURED, Mosaic, draw_map
-from offpiste.visualization.recording import Recorder, rerun_is_there
+from offpiste.visualization.recording import Recorder
 from offpiste.visualization.sensor_timing import draw_sensors, stamps_of
 
 logger = logging.getLogger(__name__)
@@ -91,7 +92,7 @@ def view_log(
     sensors = drive.log
     for note in (*sensors.notes, *sensors.coverage()):
         logger.info(f"  {note}")
-    if rrd and not rerun_is_there():
+    if rrd and not is_installed("rerun"):
         logger.info(
             "no recording: rerun-sdk is not installed (pip install 'offpiste[view]'); pictures are made without it"
         )

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.errors import PerceptionError
+from offpiste.extras import extra
 from offpiste.perception.backbones.backbone import DINOV2_SMALL, FILTERBANK, Backbone, Precision
 
 if TYPE_CHECKING:
@@ -27,7 +28,8 @@ FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
 """`model_type` of the configurations whose tokens are known to be: class, registers, patches row after row."""
 
 _FILES = ("config.json", "preprocessor_config.json", "model.safetensors")
-_INSTEAD = f"or use the backbone {FILTERBANK!r}, which needs no weights"
+_OTHERWISE = f"use the backbone {FILTERBANK!r}, which needs no weights"
+_INSTEAD = f"or {_OTHERWISE}"
 
 
 @final
@@ -99,17 +101,12 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
     """A model of `FAMILY` from a folder, the hub's cache or the hub, in this order; safetensors only.
 
     Raises:
-        PerceptionError: transformers is not installed, or weights that cannot be had.
+        MissingExtra: transformers is not installed.
+        PerceptionError: weights that cannot be had.
     """
-    try:
+    with extra("vit", otherwise=_OTHERWISE):
         from transformers import AutoModel
         from transformers.utils import logging
-    except ImportError as error:
-        raise PerceptionError(
-            "vision transformers need the package transformers",
-            where=name,
-            how=f"pip install 'offpiste[vit]', {_INSTEAD}",
-        ) from error
     folder = Path(name) if Path(name).is_dir() else _hub_folder(name)
     mean, std = _normalisation(folder)
     bars = logging.is_progress_bar_enabled()

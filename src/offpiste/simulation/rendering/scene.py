@@ -6,14 +6,17 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import RAYS
+from offpiste.extras import extra
 from offpiste.simulation.world import meshes
 from offpiste.simulation.world.meshes import SURFACES, Mesh
 from offpiste.simulation.world.world import World
+
+with extra("sim"):
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
 
 NOTHING = 1e30
 """Embree's distances above this mean that nothing is met."""

@@ -10,16 +10,19 @@ from collections import deque
 from copy import deepcopy
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from offpiste.conventions import DT, GRAVITY
+from offpiste.extras import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.chassis import surroundings
 from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.surface import height, main_kind
 from offpiste.simulation.world.world import World
+
+with extra("sim"):
+    import mujoco
 
 CHASSIS, FIRST_WHEEL = 1, 2
 """Body numbers in MuJoCo; wheels follow in the order of `WHEELS`."""
@@ -52,8 +55,6 @@ def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
     Args:
         timestep: of one `mj_step` [s].
     """
-    import mujoco
-
     p = parameters
     x, y = p.wheelbase / 2, p.track / 2
     places = ((x, y), (x, -y), (-x, y), (-x, -y))

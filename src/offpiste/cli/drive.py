@@ -1,0 +1,57 @@
+"""`offpiste drive`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from offpiste.cli.commands import COMMANDS
+
+
+@COMMANDS.register("drive")
+@dataclass(frozen=True)
+class Drive:
+    """Drive a course on the proving ground with a trained model, in simulated time (needs the extra `sim`)."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """A folder that `train` wrote; one trained on ground-truth features is given the ground's true properties."""
+    world: str = "mojave"
+    """Name of a world; an unknown name lists those there are."""
+    seed: int = 0
+    """Seed of the world, the course, the noise and the sampled controls."""
+    seconds: float = 40.0
+    """Longest drive [s]; it ends earlier at the end of its course."""
+    out: Path = Path("closed-loop")
+    """Folder of drive.mcap, result.json and drive.png."""
+    pca: Path | None = None
+    """For runs with visual features: the file that their dataset was extracted with."""
+    speed: float = 7.0
+    """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
+    latency: float = 0.1
+    """From the data of a plan to its first control [s]."""
+    fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
+    """Fault of the sensors."""
+    fault_start: float = 10.0
+    """When the fault begins [s]."""
+    recording: bool = False
+    """Also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
+
+    def run(self) -> int:
+        """Load, drive, evaluate, draw."""
+        from offpiste.closed_loop.command import drive_and_show
+
+        drive_and_show(
+            self.run_folder,
+            self.out,
+            world=self.world,
+            seed=self.seed,
+            seconds=self.seconds,
+            pca=self.pca,
+            speed=self.speed,
+            latency=self.latency,
+            fault=self.fault,
+            fault_start=self.fault_start,
+            recording=self.recording,
+        )
+        return 0

@@ -1,0 +1,44 @@
+"""`offpiste evaluate`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from offpiste.cli.commands import COMMANDS
+from offpiste.conventions import FEATURE_SETS
+
+
+@COMMANDS.register("evaluate")
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate runs on the test part of a dataset; writes metrics.json, pictures and report.html."""
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
+    """Run folders; a folder of folds counts as its folds."""
+    dataset: Path
+    """The dataset that they were trained on, or another one."""
+    out: Path = Path("report")
+    """Folder of the report."""
+    lookup: Literal["recorded", "map", "both"] = "both"
+    """Where models look the terrain up: at recorded wheels, or at predicted ones on the map, as a planner does."""
+    feature_set: Literal["hindsight", "-20", "-10", "0", "10", "20", "30", "40", "all"] = "hindsight"
+    """Feature sets read at recorded places: by the distance they were seen from [m], or the last there were."""
+    device: str = "cpu"
+    """Device of the models."""
+
+    def run(self) -> int:
+        """Load, evaluate, report."""
+        from offpiste.evaluation.evaluate_runs import evaluate_runs
+
+        lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
+        evaluate_runs(
+            self.runs,
+            self.dataset,
+            self.out,
+            lookups=lookups if self.lookup == "both" else (self.lookup,),
+            feature_sets=FEATURE_SETS if self.feature_set == "all" else (self.feature_set,),
+            device=self.device,
+        )
+        return 0

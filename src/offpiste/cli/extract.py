@@ -1,0 +1,64 @@
+"""`offpiste extract`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from offpiste.cli.commands import COMMANDS
+
+
+@COMMANDS.register("extract")
+@dataclass(frozen=True)
+class Extract:
+    """Bring logs to 50 Hz, split them once, and write a dataset."""
+
+    logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
+    """Logs of one vehicle."""
+    rig: str
+    """Name of a preset, or a rig file."""
+    out: Path
+    """The dataset, e.g. dataset.zarr; drives already in it are kept."""
+    split: str = "blocks:0.7,0.1,0.2"
+    """blocks:TRAIN,VALIDATION,TEST by time, fold:K/N, places:METRES, or drives:FILE."""
+    features: Literal["none", "ground-truth", "ground-kind"] = "none"
+    """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
+    `ground-kind`: the kind of ground."""
+    pca: Path | None = None
+    """Visual features: a file that `fit-pca` wrote. The log needs cameras and LiDARs, and the rig must name them."""
+    device: str = "cpu"
+    """Device of the backbone."""
+    keyframe_metres: float = 0.5
+    """Distance that a camera moves from one keyframe to the next [m]; 0: every image is a keyframe."""
+    min_hindsight: float = 0.5
+    """Windows are left out if a smaller share of their ground was ever seen; 0 keeps all."""
+    snapshot_seconds: float = 0.5
+    """Shortest time between snapshots of the map, which are kept for windows that validate and test [s]."""
+    processes: int = 0
+    """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
+    flat: bool = False
+    """Leave out the slope of the driven path: all ground is flat (an ablation)."""
+
+    def run(self) -> int:
+        """Read, resample, write."""
+        from offpiste.dataset.extract import make_dataset
+        from offpiste.dataset.snapshots import SnapshotSettings
+        from offpiste.mapping.replay import ReplaySettings
+        from offpiste.rig.rig import load_rig
+
+        rig = load_rig(self.rig)
+        make_dataset(
+            self.logs,
+            rig.without_slope() if self.flat else rig,
+            self.out,
+            split=self.split,
+            features=self.features,
+            pca=self.pca,
+            device=self.device,
+            min_hindsight=self.min_hindsight,
+            snapshots=SnapshotSettings(self.snapshot_seconds),
+            replay=ReplaySettings(self.keyframe_metres),
+            processes=self.processes,
+        )
+        return 0

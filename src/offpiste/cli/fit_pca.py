@@ -1,0 +1,60 @@
+"""`offpiste fit-pca`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from offpiste.cli.commands import COMMANDS
+from offpiste.progress import show
+
+
+@COMMANDS.register("fit-pca")
+@dataclass(frozen=True)
+class FitPca:
+    """Fit the PCA of patch features on images of the training stretches of logs."""
+
+    logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
+    """Logs with cameras and LiDARs."""
+    rig: str
+    """Name of a preset, or a rig file."""
+    out: Path = Path("pca.safetensors")
+    """The file to write."""
+    split: str = "blocks:0.7,0.1,0.2"
+    """The split that `extract` will be given: only images of its training part are read."""
+    backbone: str = "facebook/dinov2-small"
+    """Name of a backbone, e.g. `filterbank` (colours and edges, without weights), or a ViT by name or folder."""
+    images: int | Path = 175
+    """How many images, chosen for diversity of ground and light; or a file that lists them, such as the .images.txt
+    that is written beside the PCA."""
+    components: int = 40
+    """How many components are kept."""
+    seed: int = 0
+    """Seed of the choice of images."""
+    device: str = "cpu"
+    """Device of the backbone."""
+
+    def run(self) -> int:
+        """Choose images, fit, write."""
+        from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
+        from offpiste.dataset.splits import parse_split
+        from offpiste.perception.backbones.backbone import open_backbone
+        from offpiste.perception.pca import save_pca
+        from offpiste.rig.rig import load_rig
+
+        images = read_image_list(self.images) if isinstance(self.images, Path) else self.images
+        fitted = fit_pca(
+            self.logs,
+            load_rig(self.rig),
+            parse_split(self.split),
+            open_backbone(self.backbone, device=self.device),
+            images=images,
+            components=self.components,
+            seed=self.seed,
+        )
+        pca = fitted.pca
+        save_pca(self.out, pca)
+        write_image_list(self.out.with_suffix(".images.txt"), fitted.images)
+        show(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
+        return 0

@@ -1,0 +1,47 @@
+"""`offpiste view`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from offpiste.cli.commands import COMMANDS
+from offpiste.progress import show
+
+
+@COMMANDS.register("view")
+@dataclass(frozen=True)
+class View:
+    """Look at a log or a dataset: pictures, a Rerun recording of a log, and the report of a dataset's features."""
+
+    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG|DATASET")]
+    """A drive with LiDARs, or what `extract` wrote."""
+    rig: str | None = None
+    """For a log: name of a preset, or a rig file."""
+    pca: Path | None = None
+    """For a log: a file that `fit-pca` wrote; without one there are no features, and ground is grey."""
+    out: Path = Path("view")
+    """Folder of the pictures."""
+    seconds: str = ""
+    """For a log: a stretch A:B, A: or :B, in seconds after the first pose."""
+    rrd: bool = True
+    """For a log: also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
+    device: str = "cpu"
+    """Device of the backbone."""
+
+    def run(self) -> int:
+        """Play back or open, draw, write."""
+        from offpiste.visualization.view import view
+
+        written = view(
+            self.path,
+            self.out,
+            rig=self.rig,
+            pca=self.pca,
+            seconds=self.seconds,
+            rrd=self.rrd,
+            device=self.device,
+        )
+        show(f"wrote {', '.join(map(str, written))}")
+        return 0
