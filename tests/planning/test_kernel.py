@@ -256,7 +256,9 @@ def test_a_plan_with_it_is_better_than_doing_nothing():
 
 def test_it_never_reads_out_of_bounds(tmp_path):
     """In a process of its own: Numba reads the switch when it compiles."""
-    program = f"import torch, {Path(__file__).stem} as f" + """
+    program = (
+        f"import torch, {Path(__file__).stem} as f"
+        + """
 from dataclasses import replace
 for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 5, 0, 0), (1e9, -1e9, 0, 5, 0, 0),
               (float("nan"), 0, 0, 5, 0, 0), (float("inf"), 0, 0, 5, 0, 0)):
@@ -265,6 +267,7 @@ for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 
     codes = f.encode_map(at.ground, dynamics.encoder)
     f.fused_costs(dynamics, f.start(dynamics, at), at, f.Weights(), codes)(f.commands(33))
 """
+    )
     here = Path(__file__).parent
     paths = os.pathsep.join(map(str, (here, here.parent)))
     environment = {
