@@ -18,7 +18,8 @@ import tyro
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log

@@ -18,7 +18,7 @@ import tyro
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT, FEATURE_SETS
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import add_drive, create, drive_names
 from offpiste.rig.rig import load_rig

@@ -22,7 +22,8 @@ from offpiste.conventions import FEATURE_SETS, GROUND_KINDS
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, differences, feature_range, valid_rates, within_reach
 from offpiste.dataset.passes import Passes, find_passes
-from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.files import write_text
 from offpiste.logs import read_drive

@@ -19,7 +19,7 @@ from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.ground_truth import with_ground_truth
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
@@ -103,7 +103,7 @@ def _own_drives(dataset: Dataset, read: Read) -> Iterator[StoredDrive]:
         for snapshot, row in enumerate(drive.snapshots.row if drive.snapshots is not None else ()):
             if int(row) in starts:
                 window = slice(int(row) - HISTORY_STEPS, int(row) + HORIZON_STEPS + 1)
-                rows = read(dataset, drive, snapshot, _cut(drive.rows, window), window)
+                rows = read(dataset, drive, snapshot, drive.rows.cut(window), window)
                 yield StoredDrive(f"{drive.name}@{row}", rows, drive.part[window], ())
 
 
@@ -112,11 +112,6 @@ def _starts(dataset: Dataset, number: int) -> set[int]:
     part = PARTS[int(dataset.drives[number].part.max())]
     windows = Windows(replace(dataset, drives=(dataset.drives[number],)), part)
     return set(windows.row_in_drive(np.arange(len(windows))).tolist())
-
-
-def _cut(rows: Rows, window: slice) -> Rows:
-    names = ("time", "state", "state_causal", "actuators", "control", "valid")
-    return replace(rows, **{name: getattr(rows, name)[window] for name in names}, normal=rows.normal[:, window])
 
 
 def read_on_snapshot(dataset: Dataset, drive: StoredDrive, snapshot: int, rows: Rows, window: slice) -> Rows:

@@ -19,7 +19,7 @@ from experiments.controls.models import trained
 from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, write_control
 from offpiste.dataset.ground_truth import LAYERS, truth_map, with_ground_truth
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap

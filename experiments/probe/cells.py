@@ -12,7 +12,8 @@ from torch.nn import functional
 
 from experiments.sensor_faults import Flaw, perturbed, stretch
 from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES, WHEELS
-from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.files import write_whole
 from offpiste.logs import read_drive

@@ -4,7 +4,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from offpiste.dataset.resample import Rows, extract_rows
+    from offpiste.dataset.resample import extract_rows
+    from offpiste.dataset.rows import Rows
     from offpiste.dataset.store import Dataset, open_dataset
     from offpiste.dataset.windows import Windows
     from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from offpiste.training.train import train
 
 _HOME = {
-    "Rows": "offpiste.dataset.resample",
+    "Rows": "offpiste.dataset.rows",
     "extract_rows": "offpiste.dataset.resample",
     "Dataset": "offpiste.dataset.store",
     "open_dataset": "offpiste.dataset.store",

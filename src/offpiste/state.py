@@ -1,6 +1,7 @@
 """What the stages hand to each other: the past of a vehicle, the ground under it, its running state, its future."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -29,12 +30,14 @@ class History:
         state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
         actuators: brake [0..1], steer [rad], steer rate [rad/s], engine [1000 rev/min]; NaN where absent.
         control: throttle [0..1], brake [0..1], steer [-1..1]; NaN where absent.
+        extra: columns beyond these by name (`offpiste.dataset.columns`).
     """
 
     state: Float[Tensor, "B H 6"]
     actuators: Float[Tensor, "B H 4"]
     control: Float[Tensor, "B H 3"]
     terrain: Terrain
+    extra: Mapping[str, Float[Tensor, "B H ..."]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset import store
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.passes import find_passes
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.mapping.terrain_map import wheel_places
 from offpiste.visualization.coverage import covered, passes_of

@@ -13,7 +13,8 @@ from jaxtyping import Bool
 
 from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED
 from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
-from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, buffers, create, drive_names, open_dataset

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import Split
 from offpiste.errors import PerceptionError
 from offpiste.files import write_text

@@ -10,7 +10,7 @@ import torch
 
 from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.errors import LogError
 from offpiste.logs.ground_truth import read_truth_map
 from offpiste.mapping.terrain_lookup import look_up, stack_maps

@@ -15,8 +15,11 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
+from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.resample import Rows, present_actuators, present_control
+from offpiste.dataset.columns import COLUMNS
+from offpiste.dataset.columns.commands import present_actuators, present_control
+from offpiste.dataset.rows import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.snapshots import Snapshots, open_snapshots
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.dataset.validation import refuse_invalid, refuse_unlike
@@ -26,7 +29,6 @@ from offpiste.rig.rig import Rig
 
 SCHEMA = 1
 SNAPSHOTS = "snapshots"
-_ROWS = ("time", "state", "state_causal", "actuators", "control", "normal", "valid")
 
 
 @dataclass(frozen=True)
@@ -90,10 +92,8 @@ def create(
         "split": split.text,
         "split_drives": [list(pair) for pair in split.drives],
         "absent": {
-            "control": [name for name in ("throttle", "brake", "steer") if name not in present_control(rig)],
-            "actuators": [
-                name for name in ("brake", "steer", "steer_rate", "engine_rpm") if name not in present_actuators(rig)
-            ],
+            "control": [name for name in CONTROL if name not in present_control(rig)],
+            "actuators": [name for name in ACTUATORS if name not in present_actuators(rig)],
         },
         "features": list(features),
         "pca": pca,
@@ -145,7 +145,7 @@ def add_drive(
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
         group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
-        _write_arrays(group, {**{key: getattr(rows, key) for key in _ROWS}, "part": part})
+        _write_arrays(group, {**rows.arrays(), "part": part})
         if rows.cells is not None:
             _write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
         if terrain is not None and judged:
@@ -221,14 +221,18 @@ def stored_split(text: str, drives: list[list[str]]) -> Split:
 def _read_drive(path: Path, name: str) -> StoredDrive:
     with _reading(path, name):
         group = zarr.open_group(path / name, mode="r")
-        arrays = {key: _whole_array(group, key) for key in (*_ROWS, "part") if key != "normal"}
-        arrays["normal"] = _mapped_array(path / name, group, "normal")
+        arrays = {key: _whole_array(group, key) for key in ("time", "valid")}
+        for key, column in COLUMNS.items():
+            if key in OWN_COLUMNS or key in group:  # datasets that were made without an added column lack it
+                mapped = column.by_feature_set
+                arrays[key] = _mapped_array(path / name, group, key) if mapped else _whole_array(group, key)
         cells = _read_cells(path / name / "cells", group["cells"]) if "cells" in group else None
+        part = _whole_array(group, "part")
         attributes: dict[str, Any] = dict(group.attrs)
-        rows = Rows(origin=np.array(attributes["origin"]), cells=cells, **{key: arrays[key] for key in _ROWS})
+        rows = rows_from_arrays(arrays, np.array(attributes["origin"]), cells)
         load_map = (lambda: _read_map(path, name)) if "map" in group else None
         kept = open_snapshots(path / name / SNAPSHOTS) if SNAPSHOTS in group else None
-        return StoredDrive(name, rows, arrays["part"], tuple(attributes["notes"]), load_map, kept)
+        return StoredDrive(name, rows, part, tuple(attributes["notes"]), load_map, kept)
 
 
 def _read_cells(folder: Path, group: Any) -> Cells:

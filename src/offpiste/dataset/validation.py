@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.conventions import ACTUATORS, CONTROL
-from offpiste.dataset.resample import Rows, present_actuators, present_control
+from offpiste.dataset.columns import COLUMNS
+from offpiste.dataset.rows import Rows
 from offpiste.errors import DatasetError
 from offpiste.rig.rig import Rig
 
@@ -48,14 +48,10 @@ def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: 
         DatasetError: names the drive, the array and the first row.
     """
     how = f"delete {path / name} and run `offpiste extract` again"
-    given = {
-        "state": rows.state,
-        "state_causal": rows.state_causal,
-        "control": rows.control[:, [channel in present_control(rig) for channel in CONTROL]],
-        "actuators": rows.actuators[:, [channel in present_actuators(rig) for channel in ACTUATORS]],
-    }
-    for key, values in given.items():
-        broken = np.flatnonzero(rows.valid & ~np.isfinite(values).all(axis=1))
+    for key, column in COLUMNS.items():
+        if column.by_feature_set:  # large, and stays on disk
+            continue
+        broken = np.flatnonzero(rows.valid & ~column.complete(rows.column(key), rig))
         if len(broken):
             what = f"'{key}' is not finite in {len(broken)} rows that are marked complete, from row {broken[0]} on"
             raise DatasetError(f"drive '{name}': {what}", where=path, how=how)

@@ -9,7 +9,7 @@ from offpiste.conventions import DT
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.feature_sets import CellFeatureSets, FeatureSetRecorder
 from offpiste.dataset.passes import find_passes
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay

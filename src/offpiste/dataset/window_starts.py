@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import FEATURE_SETS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.cells import Cells
-from offpiste.dataset.resample import Rows
+from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import window_starts
 
 MIN_HINDSIGHT = 0.5

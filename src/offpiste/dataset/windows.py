@@ -1,7 +1,8 @@
 """Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
 
+from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +12,10 @@ from torch import Tensor
 
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.cells import CellTable, Normals, UnderWheels
+from offpiste.dataset.columns import COLUMNS, Column, Segment
+from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.resample import present_actuators, present_control
+from offpiste.dataset.rows import OWN_COLUMNS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
@@ -34,6 +37,7 @@ class Batch:
         target: states of rows t+1 ... t+T.
         target_actuators: actuators of the same rows.
         ground: features under the recorded wheels, in datasets that have them; `terrain` has no codes yet.
+        extra: columns of `dataset.columns.COLUMNS` beyond these: for each the segments that it declares.
     """
 
     history: History
@@ -44,6 +48,28 @@ class Batch:
     target: Float[Tensor, "B T 6"]
     target_actuators: Float[Tensor, "B T 4"]
     ground: UnderWheels | None = None
+    extra: Mapping[str, Mapping[Segment, Tensor]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Segments:
+    """Which rows of the dataset a batch of windows holds.
+
+    Attributes:
+        rows: of each segment.
+        place: what is subtracted from columns that are `relative`: px, py and whole turns of the yaw at the start.
+    """
+
+    rows: Mapping[Segment, Tensor]
+    place: Float[Tensor, "B 6"]
+
+    def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
+        """The segments of a column that it declares."""
+        found = {segment: values[self.rows[segment]] for segment in column.segments}
+        if column.relative:
+            for segment, part in found.items():
+                found[segment] = part - (self.place if segment == "start" else self.place[:, None])
+        return found
 
 
 class Windows:
@@ -76,12 +102,17 @@ class Windows:
         self.part, self.horizon, self.start = part, horizon, start
         rows = [drive.rows for drive in dataset.drives]
         self.device = torch.device(device)
-        self._state = self._column([r.state for r in rows])
-        self._start = self._column([r.state_causal if start == "causal" else r.state for r in rows])
-        self._actuators = self._column([r.actuators for r in rows])
-        self._control = self._column([r.control for r in rows])
+        self._columns = {
+            name: self._joined([r.column(name) for r in rows])
+            for name, column in COLUMNS.items()
+            if column.segments and not column.by_feature_set
+        }
+        self._gathered = [(name, COLUMNS[name]) for name in self._columns]
+        if start != "causal":
+            self._columns["state_causal"] = self._columns["state"]
+        self._state, self._start = self._columns["state"], self._columns["state_causal"]
         self._normals = Normals([r.normal for r in rows], self.device)
-        self._valid = self._column([r.valid for r in rows])
+        self._valid = self._joined([r.valid for r in rows])
         cells = [r.cells for r in rows if r.cells is not None]
         self._cells = CellTable(cells, self.device) if dataset.features else None
         self.sets = self._cells.sets if self._cells is not None else 1
@@ -137,14 +168,8 @@ class Windows:
             views: which feature sets they read.
         """
         feature_set_choice = feature_set_choice or same_feature_set(len(index), self._set)
-        t = torch.as_tensor(self.rows[index], device=self.device)
-        past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
-        now = t[:, None] + torch.arange(self.horizon, device=self.device)
-        ahead = now + 1
-        start = self._start[t]
-        place = torch.zeros_like(start)
-        place[:, :2] = start[:, :2]
-        place[:, 2] = start[:, 2] - wrap_angle(start[:, 2])
+        segments = self._segments(index)
+        read = {name: segments.of(self._columns[name], column) for name, column in self._gathered}
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
         normal = self._normals.at(first, count, feature_set_choice)
         before, after = (
@@ -153,16 +178,29 @@ class Windows:
         ground = None
         if self._cells is not None:
             ground = self._cells.under(first[:, None] + np.arange(count), feature_set_choice, HISTORY_STEPS)
+        start, actuators, control = read["state_causal"], read["actuators"], read["control"]
+        extra = {name: values for name, values in read.items() if name not in OWN_COLUMNS}
+        past = {name: values["past"] for name, values in extra.items() if "past" in values}
         return Batch(
-            history=History(self._start[past] - place[:, None], self._actuators[past], self._control[past], before),
-            state=start - place,
-            actuators=self._actuators[t],
-            control=self._control[now],
+            history=History(start["past"], actuators["past"], control["past"], before, past),
+            state=start["start"],
+            actuators=actuators["start"],
+            control=control["ahead"],
             terrain=after,
-            target=self._state[ahead] - place[:, None],
-            target_actuators=self._actuators[ahead],
+            target=read["state"]["target"],
+            target_actuators=actuators["target"],
             ground=ground,
+            extra=extra,
         )
+
+    def _segments(self, index: Int[np.ndarray, " B"]) -> _Segments:
+        t = torch.as_tensor(self.rows[index], device=self.device)
+        ahead = t[:, None] + torch.arange(self.horizon, device=self.device)
+        past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
+        place = torch.zeros_like(self._start[t])
+        place[:, :2] = self._start[t, :2]
+        place[:, 2] = self._start[t, 2] - wrap_angle(self._start[t, 2])
+        return _Segments({"past": past, "start": t, "ahead": ahead, "target": ahead + 1}, place)
 
     def features_at_starts(self, most: int = 20_000) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
         """Features under the wheels at the start of windows, all or `most` of them, and whether they are there."""
@@ -200,7 +238,7 @@ class Windows:
     def _driven_normal(self) -> Float[Tensor, "N 4 3"]:
         return self._normals.whole()
 
-    def _column(self, arrays: list[np.ndarray]) -> Tensor:
+    def _joined(self, arrays: list[np.ndarray]) -> Tensor:
         return torch.as_tensor(np.concatenate(arrays), device=self.device)
 
 

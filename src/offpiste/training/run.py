@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.dataset.resample import present_actuators, present_control
+from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import MODELS, Dynamics, Hybrid, Vehicle

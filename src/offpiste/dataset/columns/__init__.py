@@ -1,0 +1,103 @@
+"""Columns of a drive's rows, each declared once: resampling, the store, validation and windows read the declaration.
+
+A module in this package, or an extension (`offpiste.registry`), adds a column by registering a `Column` under its name.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.errors import DatasetError, LogError
+from offpiste.geometry import local_polynomial
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+from offpiste.logs.motion import Motion, estimate_motion
+from offpiste.registry import Registry
+from offpiste.rig.rig import Rig
+
+Segment = Literal["past", "start", "ahead", "target"]
+"""Rows of a window: t-10 ... t-1; t; t ... t+T-1; t+1 ... t+T."""
+
+
+@dataclass(frozen=True)
+class RowGrid:
+    """A drive, and the evenly spaced moments at which its rows lie.
+
+    Attributes:
+        time: of the rows, by the pose's clock [s].
+    """
+
+    drive: Drive
+    time: Float[np.ndarray, " N"]
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Planar states at the rows."""
+        return estimate_motion(self.drive, self.time)
+
+    def channel(self, name: str) -> Float[np.ndarray, " N"]:
+        """A channel of one field at the rows; NaN in gaps of the log, and everywhere if the log lacks it."""
+        channel, window = self.drive.channels.get(name), self.drive.rig.motion.window
+        if channel is None and name == "steer_rate" and "steer_angle" in self.drive.channels:
+            channel = _derivative(self.drive.channels["steer_angle"], window=window)
+        if channel is None:
+            return np.full(len(self.time), np.nan)
+        source = self.drive.rig.channels.get(name)
+        hold = source is not None and source.interpolation == "hold"
+        gap = self.drive.rig.clock.max_gap
+        return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
+
+
+def _derivative(channel: Channel, *, window: float) -> Channel:
+    _, rate = local_polynomial(channel.time, channel.values, channel.time, window=window, causal=False)
+    known = np.isfinite(rate[:, 0])
+    if known.sum() < 2:
+        raise LogError(f"{channel.name}: too few samples in {window:g} s for its rate", how="widen motion.window")
+    return Channel(f"{channel.name} rate", f"{channel.unit}/s", channel.time[known], rate[known])
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column is: float32 [N, *shape], or [D, N, *shape] by feature set.
+
+    Attributes:
+        read: its values in a drive; NaN where unknown.
+        shape: of one row.
+        present: which components a rig's logs have; a row is complete only where these are finite.
+        segments: rows of a window that a batch holds it for.
+        relative: laid out as `conventions.STATE`; px, py are stored relative to the drive's origin, and in a batch to
+            the window's start.
+        by_feature_set: there is one value for each feature set; read from disk where windows need it.
+    """
+
+    read: Callable[[RowGrid], np.ndarray]
+    shape: tuple[int, ...] = ()
+    present: Callable[[Rig], bool | Sequence[bool]] = lambda rig: True
+    segments: tuple[Segment, ...] = ()
+    relative: bool = False
+    by_feature_set: bool = False
+
+    @property
+    def row_axis(self) -> int:
+        """Axis of the array along which the rows lie."""
+        return int(self.by_feature_set)
+
+    def complete(self, values: np.ndarray, rig: Rig) -> Bool[np.ndarray, " N"]:
+        """Rows in which every component is known that the rig's logs have."""
+        unknown = ~np.isfinite(values) & np.asarray(self.present(rig))
+        others = tuple(axis for axis in range(values.ndim) if axis != self.row_axis)
+        return np.asarray(~unknown.any(axis=others))
+
+
+COLUMNS: Final[Registry[Column]] = Registry("column", package=__name__, error=DatasetError)
+
+
+def channel_column(name: str, *segments: Segment) -> Column:
+    """A column that holds a channel of the rig with one field, NaN in logs that lack it."""
+    return Column(
+        read=lambda grid: grid.channel(name), present=lambda rig: name in rig.channels, segments=tuple(segments)
+    )
