@@ -1,6 +1,7 @@
 """A vehicle and its log: geometry, and which topic or column feeds which channel, in what unit, sign and frame."""
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.errors import RigError
+from offpiste.registry import load_extensions
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
 _UNITS: dict[str, dict[str, float]] = {
@@ -40,6 +42,26 @@ CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "wheel_speed": ("m/s", (1, 2, 4)),
 }
 """Channel name -> (unit inside offpiste, allowed numbers of fields)."""
+
+
+def declare_channel(
+    name: str, *, unit: str, fields: tuple[int, ...] = (1,), units: Mapping[str, float] | None = None
+) -> None:
+    """Let rigs name one more channel.
+
+    Args:
+        unit: inside offpiste.
+        fields: allowed numbers of fields.
+        units: factors from the units a log may use to `unit`, where that is a new one.
+
+    Raises:
+        RigError: there is a channel of this name.
+    """
+    if name in CHANNELS:
+        raise RigError(f"there are two channels called '{name}'", how="give one of them another name")
+    CHANNELS[name] = unit, fields
+    _UNITS.setdefault(unit, {unit: 1.0}).update(units or {})
+
 
 CONTROL_CHANNELS = CONTROL
 ACTUATOR_CHANNELS = ("brake_pressure", "steer_angle", "steer_rate", "engine_rpm")
@@ -214,6 +236,7 @@ def load_rig(name: str | Path) -> Rig:
 
 def parse_rig(text: str, *, where: str) -> Rig:
     """A rig from TOML text; `where` names it in errors (see `load_rig`)."""
+    load_extensions()  # may declare channels
     try:
         rig = msgspec.convert(tomllib.loads(text), type=Rig)
     except tomllib.TOMLDecodeError as error:

@@ -1,0 +1,67 @@
+"""The declarations of the rows' columns: what they read, and which rows they call complete."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from factories import circle_rows, small_rig
+from offpiste.dataset.columns import COLUMNS, Column, RowGrid, channel_column
+from offpiste.dataset.rows import OWN_COLUMNS, Rows, rows_from_arrays
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+from offpiste.rig.rig import CHANNELS
+
+
+def test_every_column_that_models_read_is_declared():
+    assert set(COLUMNS) == OWN_COLUMNS
+    assert {f.name for f in fields(Rows)} - OWN_COLUMNS == {"time", "origin", "valid", "cells", "extra"}
+
+
+def test_declared_shapes_are_those_of_rows():
+    rows = circle_rows(20)
+    for name, column in COLUMNS.items():
+        values = rows.column(name)
+        assert values.shape[column.row_axis :] == (20, *column.shape), name
+
+
+def test_a_column_that_rows_were_made_without_is_unknown(monkeypatch):
+    monkeypatch.setattr(COLUMNS, "_entries", dict(COLUMNS.items()))
+    COLUMNS.register("slip")(Column(read=lambda grid: grid.time, shape=(4,)))
+    rows = circle_rows(20)
+    assert rows.column("slip").shape == (20, 4)
+    assert np.isnan(rows.column("slip")).all()
+    given = rows_from_arrays({**rows.arrays(), "slip": np.ones((20, 4), np.float32)}, rows.origin)
+    assert given.cut(slice(3, 7)).extra["slip"].shape == (4, 4)
+
+
+def test_cut_takes_the_same_rows_of_every_column():
+    rows = circle_rows(30)
+    cut = rows.cut(slice(10, 15))
+    for name, values in cut.arrays().items():
+        whole = rows.arrays()[name]
+        np.testing.assert_array_equal(values, whole[:, 10:15] if name == "normal" else whole[10:15])
+
+
+@pytest.mark.parametrize(("present", "complete"), [(True, [True, False, False]), ([True, False], [True, True, False])])
+def test_rows_are_complete_where_present_components_are_known(present, complete):
+    column = Column(read=lambda grid: grid.time, shape=(2,), present=lambda rig: present)
+    values = np.array([[1.0, 1.0], [1.0, np.nan], [np.inf, 1.0]])
+    assert column.complete(values, small_rig()).tolist() == complete
+    by_set = Column(read=lambda grid: grid.time, shape=(2,), present=lambda rig: present, by_feature_set=True)
+    assert by_set.complete(values[None], small_rig()).tolist() == complete
+
+
+def test_a_channel_column_is_unknown_in_gaps_and_absent_without_the_channel(monkeypatch):
+    monkeypatch.setitem(CHANNELS, "temperature", ("1", (1,)))
+    rig = small_rig('[channels.temperature]\ntopic = "air"\nfields = ["degrees"]\n')
+    time = np.append(np.arange(0, 3, 0.1), np.arange(5, 8, 0.1))
+    drive = Drive("one", rig, {"temperature": Channel("temperature", "1", time, 2 * time[:, None])})
+    column, grid = channel_column("temperature", "start"), RowGrid(drive, np.arange(0, 7.5, 0.5))
+    values = column.read(grid)
+    known = (grid.time < 3) | (grid.time >= 5)
+    np.testing.assert_allclose(values[known], 2 * grid.time[known])
+    np.testing.assert_array_equal(column.complete(values, rig), known)
+    without = column.read(RowGrid(Drive("two", small_rig(), {}), grid.time))
+    assert np.isnan(without).all()
+    assert column.complete(without, small_rig()).all()
