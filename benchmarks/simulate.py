@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from offpiste.conventions import DT
-from offpiste.logs.writer import McapWriter
+from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.drive import drive, with_driver
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sensors.sensing import Sensing

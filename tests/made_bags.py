@@ -9,7 +9,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2.enums import CompressionFormat, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from offpiste.logs.bag import BagLog
+from offpiste.logs.formats.bag import BagLog
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 TWIST = "geometry_msgs/msg/TwistStamped"

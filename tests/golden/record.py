@@ -471,7 +471,7 @@ def recorded_dataset() -> Results:
         if rig.startswith("dart") and path not in (sorted(path.parent.glob("*.csv"))[0],):
             continue
         preset = load_rig(rig)
-        log = open_log(path, clock_column=preset.clock.column, clock_unit=preset.clock.unit)
+        log = open_log(path, clock=preset.clock)
         drive = drive_from_log(log, preset)
         found[f"{path.name}.notes"] = json.dumps(sorted(number for note in drive.notes for number in numbers(note)))
         found |= parts(path.name, extract_rows(drive), keep=300)
@@ -601,7 +601,7 @@ def findings() -> Results:
         label = f"{path.name}.{rig or 'no rig'}"
         preset = load_rig(rig) if rig else None
         try:
-            clock = {"clock_column": preset.clock.column, "clock_unit": preset.clock.unit} if preset else {}
+            clock = {"clock": preset.clock} if preset else {}
             log = open_log(path, **clock)
             inspection = inspect_log(log, preset)
             if preset is not None and inspection.usable:

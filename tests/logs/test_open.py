@@ -5,10 +5,12 @@ import pytest
 from mcap.writer import Writer
 
 from offpiste.errors import LogError
-from offpiste.logs.bag import BagLog
+from offpiste.logs.formats.bag import BagLog
+from offpiste.logs.formats.table import TableLog
+from offpiste.logs.formats.tartandrive import TartanDriveLog
+from offpiste.logs.log import LOG_FORMATS
 from offpiste.logs.open import open_log
-from offpiste.logs.table import TableLog
-from offpiste.logs.tartandrive import TartanDriveLog
+from offpiste.rig.rig import Clock
 
 
 @pytest.fixture
@@ -47,7 +49,7 @@ def test_real_logs(data_folder: Path) -> None:
 
 
 def test_clock_reaches_the_table(logs: dict[str, Path]) -> None:
-    samples = open_log(logs["table"], clock_column="tick", clock_unit="ms").read("", ["x"])
+    samples = open_log(logs["table"], clock=Clock(column="tick", unit="ms")).read("", ["x"])
     assert (samples.time.tolist(), samples.values.tolist()) == ([2.0], [[7.0]])
 
 
@@ -62,14 +64,19 @@ def test_links_and_dots_in_a_path_are_harmless(logs: dict[str, Path], tmp_path: 
     link = tmp_path / f"link{path.suffix}"
     link.symlink_to(path)
     around = path.parent / ".." / path.parent.name / path.name
-    plain = open_log(path, clock_column="tick" if name == "table" else "")
+    plain = open_log(path, clock=Clock(column="tick") if name == "table" else None)
     for other in (link, around):
-        log = open_log(other, clock_column="tick" if name == "table" else "")
+        log = open_log(other, clock=Clock(column="tick") if name == "table" else None)
         assert log.topics == plain.topics
         (topic,) = log.topics.values()
         np.testing.assert_array_equal(
             log.read(topic.name, topic.fields).values, plain.read(topic.name, topic.fields).values
         )
+
+
+def test_a_folder_of_another_format_may_hold_a_bag(logs: dict[str, Path]) -> None:
+    (logs["tartan"] / "drive.mcap").write_bytes(logs["mcap"].read_bytes())
+    assert isinstance(open_log(logs["tartan"]), TartanDriveLog)
 
 
 def test_dangling_link(tmp_path: Path) -> None:
@@ -86,5 +93,8 @@ def test_no_such_path(tmp_path: Path) -> None:
 def test_unknown_format(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     for path in (tmp_path, tmp_path / "notes.txt"):
-        with pytest.raises(LogError, match=r"no known log format; give a \.bag, \.mcap, \.db3, \.csv, \.parquet"):
+        with pytest.raises(LogError, match=r"no known log format; give a ROS bag \(\.bag, \.mcap, \.db3") as error:
             open_log(path)
+        for name, kind in LOG_FORMATS.items():
+            assert kind.description, name
+            assert kind.description in str(error.value)

@@ -242,12 +242,12 @@ def test_sensors_outside_of_the_poses_are_named(tmp_path):
 
 def test_other_formats_have_no_sensors(tmp_path):
     (tmp_path / "x.csv").write_text("time,x\n0,1\n1,2\n")
-    with pytest.raises(OffpisteError, match=r"holds no images or clouds; give a ROS bag or a KITTI drive"):
+    with pytest.raises(OffpisteError, match=r"holds no images or clouds; give a ROS bag .* or a KITTI raw drive"):
         open_sensors(open_log(tmp_path / "x.csv"), sensor_rig())
 
 
 def test_the_point_of_a_jpeg_is_near_enough(tmp_path):
-    from offpiste.logs.writer import header, make
+    from offpiste.logs.ros.messages import header, make
     from sensor_bags import stamp
 
     smooth = np.dstack([np.tile(np.arange(8, dtype=np.uint8) * 20, (6, 1))] * 3)

@@ -10,7 +10,7 @@ import pytest
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import open_dataset
-from offpiste.logs.writer import McapWriter
+from offpiste.logs.ros.writer import McapWriter
 from sensor_bags import (
     SENSORS,
     cloud,

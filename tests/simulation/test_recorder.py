@@ -13,9 +13,10 @@ from offpiste.conventions import GRAVITY, GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.errors import LogError
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.logs import Drive, open_log, read_drive
-from offpiste.logs.bag import BagLog
+from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ground_truth import read_truth
-from offpiste.logs.writer import McapWriter, header
+from offpiste.logs.ros.messages import header
+from offpiste.logs.ros.writer import McapWriter
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.recorder import START_NS, Recorder, stamp_ns, vehicle_messages
 from offpiste.simulation.sample import VehicleSample

@@ -34,11 +34,10 @@ class Inspect:
         from offpiste.inspection.draft_sensors import missing
         from offpiste.inspection.inspect import inspect_log, render
         from offpiste.logs import open_log
-        from offpiste.rig.rig import Clock, load_rig
+        from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig) if self.rig else None
-        clock = rig.clock if rig else Clock()
-        log = open_log(self.log, clock_column=clock.column, clock_unit=clock.unit)
+        log = open_log(self.log, clock=rig.clock if rig else None)
         if self.write_rig and self.write_rig.exists():
             raise RigError("is there already", where=self.write_rig, how="give --write-rig a new name")
         if self.write_rig:

@@ -13,8 +13,9 @@ from offpiste.closed_loop.faults import Fault
 from offpiste.conventions import DT
 from offpiste.geometry import yaw_rate_from_body_rates
 from offpiste.logs.log import RawCloud
-from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, points_from_message
-from offpiste.logs.writer import McapWriter
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import Rig

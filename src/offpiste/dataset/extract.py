@@ -55,7 +55,7 @@ def extract_drive(job: Job, report: Report) -> str:
     Raises:
         LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
     """
-    log = open_log(job.log, clock_column=job.rig.clock.column, clock_unit=job.rig.clock.unit)
+    log = open_log(job.log, clock=job.rig.clock)
     drive = drive_from_log(log, job.rig)
     rows, notes = extract_rows(drive), drive.notes
     if job.pca is not None:

@@ -161,13 +161,13 @@ def _listed(image: ListedImage, found: Sequence[Candidate], names: Sequence[str]
 
 
 def _sensors(log: str | Path, rig: Rig) -> SensorLog:
-    return open_sensors(open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit), rig)
+    return open_sensors(open_log(log, clock=rig.clock), rig)
 
 
 def _candidates(
     number: int, log: str | Path, rig: Rig, split: Split, spacing: float, report: Report
 ) -> list[Candidate]:
-    opened = open_log(log, clock_column=rig.clock.column, clock_unit=rig.clock.unit)
+    opened = open_log(log, clock=rig.clock)
     sensors = open_sensors(opened, rig)
     sensors.coverage()  # refuses clocks that are not the poses'
     rows = extract_rows(drive_from_log(opened, rig))

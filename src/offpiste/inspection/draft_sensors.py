@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from offpiste.errors import LogError
-from offpiste.logs.bag import BagLog, BagSensors
 from offpiste.logs.log import Log, Transform
 from offpiste.logs.poses import between
 from offpiste.rig.sensors import TIME_FIELDS
@@ -32,22 +31,21 @@ def draft_sensors(log: Log, pose_topic: str) -> str:
     Returns:
         Nothing where the format or the log has no images and clouds.
     """
-    if not isinstance(log, BagLog):
+    if not log.has_messages:
         return ""
-    source = BagSensors(log, "header")
     cameras, lidars = _images(log), _scans(log)
     if not cameras and not lidars:
         return ""
     topics = sorted(name for name, topic in log.topics.items() if topic.type in _TRANSFORMS and topic.count)
     fixed = [name for name in topics if name.endswith("static")] or topics
-    transforms = source.transforms(fixed)
+    transforms = log.transforms(fixed)
     body = _body(log, pose_topic, transforms)
     parts = [_frames(body, fixed)]
     taken: set[str] = set()
     for image in cameras:
-        parts.append(_camera(source, image, _name(image, taken, "camera"), body, transforms))
+        parts.append(_camera(log, image, _name(image, taken, "camera"), body, transforms))
     for scan in lidars:
-        parts.append(_lidar(source, scan, _name(scan, taken, "lidar"), body, transforms))
+        parts.append(_lidar(log, scan, _name(scan, taken, "lidar"), body, transforms))
     return "\n".join(parts)
 
 
@@ -66,24 +64,24 @@ def _images(log: Log) -> list[str]:
     return sorted(found.values())
 
 
-def _scans(log: BagLog) -> list[str]:
+def _scans(log: Log) -> list[str]:
     names = [n for n, topic in log.topics.items() if topic.type == "sensor_msgs/msg/PointCloud2" and topic.count]
     return sorted(name for name in names if _points(log, name) >= LEAST_POINTS)
 
 
-def _points(log: BagLog, name: str) -> int:
+def _points(log: Log, name: str) -> int:
     message = _first(log, name)
     return 0 if message is None else int(message.width) * int(message.height)
 
 
-def _first(log: BagLog, name: str) -> Any:
+def _first(log: Log, name: str) -> Any:
     try:
         return next((message for _, message in log.messages(name)), None)
     except LogError:
         return None
 
 
-def _body(log: BagLog, pose_topic: str, transforms: Sequence[Transform]) -> str:
+def _body(log: Log, pose_topic: str, transforms: Sequence[Transform]) -> str:
     frames = {frame for t in transforms for frame in (t.parent, t.child)}
     if BODY in frames:
         return BODY
@@ -100,8 +98,8 @@ def _frames(body: str, topics: Sequence[str]) -> str:
     return "\n".join([*lines, ""])
 
 
-def _camera(source: BagSensors, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
-    info = _info(source.log, topic)
+def _camera(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
+    info = _info(log, topic)
     lines = [f"[cameras.{name}]", f"topic = {_toml(topic)}"]
     if info:
         lines.append(f"info = {_toml(info)}")
@@ -109,16 +107,16 @@ def _camera(source: BagSensors, topic: str, name: str, body: str, transforms: li
         lines += ["rectified = true         # GUESSED by the topic's name"] if rectified else []
     else:
         lines.append(f"# MISSING: calibration of {name}: no CameraInfo beside {topic}; give cameras.{name}.intrinsics")
-    lines += _mounting(source, topic, name, body, transforms, "body_from_camera")
+    lines += _mounting(log, topic, name, body, transforms, "body_from_camera")
     lines += ["# own_body: polygons in the image [px] where the vehicle sees itself", ""]
     # Without a calibration it would be refused as a whole: it waits in comments.
     return "\n".join(lines if info else [line if line.startswith("#") or not line else f"# {line}" for line in lines])
 
 
-def _lidar(source: BagSensors, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
+def _lidar(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
     lines = [f"[lidars.{name}]", f"topic = {_toml(topic)}"]
-    lines += _mounting(source, topic, name, body, transforms, "body_from_lidar")
-    fields = [field.name for field in getattr(_first(source.log, topic), "fields", ())]
+    lines += _mounting(log, topic, name, body, transforms, "body_from_lidar")
+    fields = [field.name for field in getattr(_first(log, topic), "fields", ())]
     times = [field for field in fields if field in TIME_FIELDS]
     if times:
         lines.append(
@@ -129,10 +127,10 @@ def _lidar(source: BagSensors, topic: str, name: str, body: str, transforms: lis
     return "\n".join(lines)
 
 
-def _mounting(source: BagSensors, topic: str, name: str, body: str, transforms: list[Transform], key: str) -> list[str]:
+def _mounting(log: Log, topic: str, name: str, body: str, transforms: list[Transform], key: str) -> list[str]:
     try:
-        frame = source.frame(topic)
-        between(transforms, body, frame, path=source.log.path)
+        frame = log.frame(topic)
+        between(transforms, body, frame, path=log.path)
     except LogError as error:
         return [f"# MISSING: mounting of {name}: {' '.join(error.what.split())}; give {key}"]
     return [f"# its messages are of frame '{frame}', which the transforms join to '{body}'"]

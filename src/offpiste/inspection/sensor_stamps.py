@@ -13,10 +13,9 @@ from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_samples import Grey, Scan
 from offpiste.inspection.stamps import check_spans, check_stamps
-from offpiste.logs.bag import BagLog
-from offpiste.logs.log import Log, SensorSource
+from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
-from offpiste.logs.sensor_log import SensorLog, sensor_source
+from offpiste.logs.sensor_log import SensorLog
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import TIME_FIELDS
 
@@ -50,11 +49,11 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     return [*said, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose]))]
 
 
-def untimed_points(source: SensorSource, lidars: Mapping[str, Lidar]) -> dict[str, str]:
+def untimed_points(log: Log, lidars: Mapping[str, Lidar]) -> dict[str, str]:
     """LiDARs whose points have a field of times that the rig does not name: from the LiDAR's name to the field's."""
     found: dict[str, str] = {}
     for name, lidar in lidars.items():
-        first = None if lidar.source.time_field else next(source.clouds(lidar.source.topic), None)
+        first = None if lidar.source.time_field else next(log.clouds(lidar.source.topic), None)
         times = [field for field in TIME_FIELDS if first is not None and field in (first.points.dtype.names or ())]
         if times:
             found[name] = times[0]
@@ -63,15 +62,9 @@ def untimed_points(source: SensorSource, lidars: Mapping[str, Lidar]) -> dict[st
 
 def _recorded(log: Log, topic: str, rig: Rig) -> Recorded:
     stamps = rig.clock.stamps
-    other = None
-    if isinstance(log, BagLog):
-        time = log.stamps(topic, stamps=stamps)
-        other = log.stamps(topic, stamps="receive" if stamps == "header" else "header")
-    elif log.topics[topic].fields:
-        time = log.read(topic, log.topics[topic].fields[:1], stamps=stamps).time
-    else:
-        time = sensor_source(log, rig).stamps(topic)
-    return Recorded(log.topics[topic], time, other, (), np.zeros((len(time), 0)))
+    other = "receive" if stamps == "header" else "header"
+    time, arrivals = log.stamps(topic, stamps=stamps), log.stamps(topic, stamps=other) if log.has_arrivals else None
+    return Recorded(log.topics[topic], time, arrivals, (), np.zeros((len(time), 0)))
 
 
 def _drift(sensor: Recorded, pose: Recorded) -> list[Finding]:

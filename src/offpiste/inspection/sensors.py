@@ -20,7 +20,7 @@ from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, chec
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
-from offpiste.logs.sensor_log import open_sensors, sensor_source
+from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
@@ -217,7 +217,7 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
         findings.append(
             Finding("note", "cameras and LiDARs", "are there in part", said, "nothing where the rest is enough")
         )
-    untimed = untimed_points(sensor_source(log, rig), sensors.lidars)
+    untimed = untimed_points(log, sensors.lidars)
     judged = [
         replace(one, untimed=untimed.get(one.sensor.name, ""))
         for one in lidar_misfits(sensors.lidars, gathered, sensors.poses)

@@ -35,7 +35,7 @@ def read_drive(path: str | Path, rig: Rig) -> Drive:
         LogError: the log cannot be read, or lacks a topic or field that the rig names.
         RigError: a channel has no usable sample.
     """
-    log = open_log(path, clock_column=rig.clock.column, clock_unit=rig.clock.unit)
+    log = open_log(path, clock=rig.clock)
     return drive_from_log(log, rig)
 
 

@@ -8,10 +8,10 @@ from jaxtyping import Float, Int
 
 from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.errors import LogError
-from offpiste.logs.bag import BagLog
-from offpiste.logs.grid_map import MapLayers, layers_from_grid_map
-from offpiste.logs.measurements import points_from_message
+from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
+from offpiste.logs.ros.grid_map import MapLayers, layers_from_grid_map
+from offpiste.logs.ros.point_cloud import points_from_message
 
 WHEELS_TOPIC, MAP_TOPIC = "/truth/wheels", "/truth/map"
 
@@ -81,9 +81,9 @@ def read_truth_map(path: str | Path) -> MapLayers:
     return layers_from_grid_map(grid)
 
 
-def _simulated(path: str | Path) -> BagLog:
+def _simulated(path: str | Path) -> Log:
     log = open_log(path)
-    if not isinstance(log, BagLog) or not {WHEELS_TOPIC, MAP_TOPIC} <= set(log.topics):
+    if not log.has_messages or not {WHEELS_TOPIC, MAP_TOPIC} <= set(log.topics):
         raise LogError(
             "no ground truth in it: only simulated logs have it", where=path, how="record one with `offpiste simulate`"
         )

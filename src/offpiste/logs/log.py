@@ -1,23 +1,30 @@
-"""What a recorded log is to the rest: topics with numeric fields, each sample with its stamp.
+"""A recorded log in any format: topics with numbers, images and point clouds, each sample with its stamp.
 
-What a log with cameras and LiDARs offers, whatever its format; `offpiste.logs.sensor_log` reads it through a rig.
+A format is one class: a subclass of `Log` that registers itself in `LOG_FORMATS`. `offpiste.logs.formats` has those
+that ship, `examples/extending/euroc_like.py` shows one added from outside.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.errors import LogError
+from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
+from offpiste.rig.rig import Clock
+
+LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
+"""Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """What a log holds under one name, known before its samples are read.
+    """A named stream of samples, described before its samples are read.
 
     Attributes:
         type: message type, or the kind of file.
@@ -42,55 +49,6 @@ class Samples:
 
     time: Float[np.ndarray, " n"]
     values: Float[np.ndarray, "n k"]
-
-
-class Log(ABC):
-    """A recorded drive in any format. Readers are final; `offpiste.logs.open_log` chooses one.
-
-    Attributes:
-        warnings: what a damaged or ambiguous log made the reader leave out or guess, in words.
-    """
-
-    path: Path
-    warnings: tuple[str, ...] = ()
-
-    @property
-    @abstractmethod
-    def topics(self) -> dict[str, Topic]:
-        """Topics by name."""
-
-    @abstractmethod
-    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples: ...
-
-    def read(self, topic: str, fields: Sequence[str], *, stamps: str = "header") -> Samples:
-        """Samples of some fields of a topic.
-
-        Args:
-            topic: name in `topics`.
-            fields: names in the topic's `fields`.
-            stamps: "header" (a message's own stamp where it has one) or "receive"; readers without the two ignore it.
-
-        Raises:
-            LogError: no such topic or field, no sample in it, or the file is damaged there.
-        """
-        found = self._found(topic)
-        if found.count == 0:
-            raise LogError(f"topic '{topic}' is empty", where=self.path, how="declare its channels absent in the rig")
-        missing = [f for f in fields if f not in found.fields]
-        if missing:
-            raise LogError(
-                f"topic '{topic}' ({found.type}) has no field '{missing[0]}'",
-                where=self.path,
-                how=f"it has: {', '.join(found.fields[:40]) or 'no numeric field'}",
-            )
-        return self._read(found, fields, stamps)
-
-    def _found(self, topic: str) -> Topic:
-        found = self.topics.get(topic)
-        if found is None:
-            known = ", ".join(sorted(self.topics)) or "none"
-            raise LogError(f"no topic '{topic}'", where=self.path, how=f"it has: {known}")
-        return found
 
 
 @dataclass(frozen=True)
@@ -132,59 +90,146 @@ class RawCloud:
     points: np.ndarray
 
 
-class SensorSource(ABC):
-    """Cameras and LiDARs of one log. One entry a topic; streams hold one message at a time.
+class Log(ABC):
+    """A recorded drive; `offpiste.logs.open_log` chooses the format.
 
-    Args:
-        stamps: which clock counts (`offpiste.rig.rig.Clock`).
+    A format overrides `recognises`, `topics` and `_read`. One with cameras or LiDARs sets `has_sensors` and overrides
+    the methods about them; each message is read when its turn comes, so that memory does not grow with the log.
+
+    Attributes:
+        description: the format in messages, e.g. "a KITTI raw drive".
+        has_sensors: whether the format can hold images or point clouds.
+        has_messages: whether `messages` gives decoded ROS messages.
+        has_arrivals: whether samples carry their time of arrival beside their own stamp; `stamps` chooses one.
+        warnings: what a damaged or ambiguous log made the reader leave out or guess, in words.
     """
 
-    log: Log
+    description: ClassVar[str] = ""
+    has_sensors: ClassVar[bool] = False
+    has_messages: ClassVar[bool] = False
+    has_arrivals: ClassVar[bool] = False
+    path: Path
+    warnings: tuple[str, ...] = ()
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Whether a file or folder, which exists, has this format; quick."""
+        return False
+
+    @classmethod
+    def open(cls, path: Path, clock: Clock) -> "Log":
+        """A log of this format.
+
+        Args:
+            clock: the rig's; formats that know their clock ignore it.
+
+        Raises:
+            LogError: the log cannot be read.
+        """
+        return cls(path)  # type: ignore[call-arg]
+
+    @property
+    @abstractmethod
+    def topics(self) -> dict[str, Topic]:
+        """Topics by name."""
 
     @abstractmethod
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples: ...
+
+    def read(self, topic: str, fields: Sequence[str], *, stamps: str = "header") -> Samples:
+        """Samples of some fields of a topic.
+
+        Args:
+            topic: name in `topics`.
+            fields: names in the topic's `fields`.
+            stamps: "header" (a message's own stamp where it has one) or "receive"; ignored without `has_arrivals`.
+
+        Raises:
+            LogError: no such topic or field, no sample in it, or the file is damaged there.
+        """
+        found = self._found(topic)
+        if found.count == 0:
+            raise LogError(f"topic '{topic}' is empty", where=self.path, how="declare its channels absent in the rig")
+        missing = [f for f in fields if f not in found.fields]
+        if missing:
+            raise LogError(
+                f"topic '{topic}' ({found.type}) has no field '{missing[0]}'",
+                where=self.path,
+                how=f"it has: {', '.join(found.fields[:40]) or 'no numeric field'}",
+            )
+        return self._read(found, fields, stamps)
+
+    def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
+        """Stamps of all messages of a topic [s], in the order of the file, without decoding more than needed.
+
+        Raises:
+            LogError: as for `read`.
+        """
+        return self.read(topic, self._found(topic).fields[:1], stamps=stamps).time
+
+    def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
+        """Stamps [s] and decoded ROS messages of a topic, in the order of the file, one at a time.
+
+        Raises:
+            LogError: no such topic, a type that cannot be decoded, or the format has no messages.
+        """
+        raise LogError("this format holds no messages", where=self.path, how=f"give {_formats('has_messages')}")
+
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
         """Fixed transforms between frames; none where the log has none.
+
+        Args:
+            topics: those that carry them, where the format needs to know (`frames.topics` of the rig).
 
         Raises:
             LogError: the log is damaged there.
         """
+        return []
 
-    @abstractmethod
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """A lens, and `camera_from_image` (`offpiste.rig.camera.model_from_message`).
+        """Calibration of a camera, and `camera_from_image` (`offpiste.rig.camera.model_from_message`).
 
         Raises:
-            LogError: no calibration there, or one that is not read.
+            LogError: no calibration there, or one that is not supported.
         """
+        raise self.no_sensors()
 
-    @abstractmethod
     def frame(self, topic: str) -> str:
-        """The frame that a topic's first message names.
+        """Frame of a topic's first message.
 
         Raises:
             LogError: there is no message.
         """
+        raise self.no_sensors()
 
-    @abstractmethod
-    def stamps(self, topic: str) -> Float[np.ndarray, " n"]:
-        """Stamps of all messages [s], in the order of the file, without decoding them."""
-
-    @abstractmethod
-    def arrivals(self, topic: str) -> Float[np.ndarray, " n"] | None:
-        """When each message was recorded [s], by one clock for all topics; None where stamps are all there is."""
-
-    @abstractmethod
-    def images(self, topic: str) -> Iterator[RawImage]:
+    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
         """Images in the order of the file.
 
         Raises:
             LogError: the topic holds something else.
         """
+        raise self.no_sensors()
 
-    @abstractmethod
-    def clouds(self, topic: str) -> Iterator[RawCloud]:
-        """Clouds in the order of the file.
+    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
+        """Point clouds in the order of the file.
 
         Raises:
             LogError: the topic holds something else.
         """
+        raise self.no_sensors()
+
+    def no_sensors(self) -> LogError:
+        """Error of a log whose format has no images and no clouds."""
+        how = f"give {_formats('has_sensors')}"
+        return LogError("this format holds no images or clouds", where=self.path, how=how)
+
+    def _found(self, topic: str) -> Topic:
+        found = self.topics.get(topic)
+        if found is None:
+            known = ", ".join(sorted(self.topics)) or "none"
+            raise LogError(f"no topic '{topic}'", where=self.path, how=f"it has: {known}")
+        return found
+
+
+def _formats(capability: str) -> str:
+    return " or ".join(kind.description for _, kind in sorted(LOG_FORMATS.items()) if getattr(kind, capability))

@@ -1,40 +1,30 @@
-"""Choose the reader for a path."""
+"""Open a log: the format is recognised by its path."""
 
 from pathlib import Path
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log
+from offpiste.logs.log import LOG_FORMATS, Log
+from offpiste.rig.rig import Clock
 
 
-def open_log(path: str | Path, *, clock_column: str = "", clock_unit: str = "s") -> Log:
-    """Open a recorded drive of any known format.
+def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
+    """Open a recorded drive of any registered format.
 
     Args:
-        path: TartanDrive or KITTI raw folder, ROS 1 `.bag`, ROS 2 `.mcap` or `.db3` or the folder of one, `.csv`,
-            `.parquet`.
-        clock_column, clock_unit: a table's time column and its unit; without a name it is guessed.
+        path: file or folder; a message lists the formats when none fits.
+        clock: time column of a table and its unit; without one the column is guessed.
 
     Raises:
         LogError: no such path, unknown format, or a file that cannot be read.
     """
-    from offpiste.logs.bag import BagLog
-    from offpiste.logs.kitti import KittiLog
-    from offpiste.logs.table import TableLog
-    from offpiste.logs.tartandrive import TartanDriveLog
-
     path = Path(path)
     if not path.exists():
         raise LogError("no such file or folder", where=path)
-    if KittiLog.recognises(path):
-        return KittiLog(path)
-    if TartanDriveLog.recognises(path):
-        return TartanDriveLog(path)
-    if TableLog.recognises(path):
-        return TableLog(path, clock_column=clock_column, clock_unit=clock_unit)
-    if BagLog.recognises(path):
-        return BagLog(path)
-    raise LogError(
-        "no known log format",
-        where=path,
-        how="give a .bag, .mcap, .db3, .csv, .parquet, a ROS 2 bag folder, a TartanDrive 2 folder or a KITTI raw drive",
-    )
+    formats = [kind for _, kind in sorted(LOG_FORMATS.items())]
+    # Formats from outside come first, and bags last: a folder of another format may hold a bag as well.
+    shipped = [kind for kind in formats if kind.__module__.startswith("offpiste.")]
+    for kind in (*(kind for kind in formats if kind not in shipped), *reversed(shipped)):
+        if kind.recognises(path):
+            return kind.open(path, clock or Clock())
+    how = f"give {', '.join(kind.description for kind in formats)}"
+    raise LogError("no known log format", where=path, how=how)

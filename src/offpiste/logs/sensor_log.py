@@ -9,10 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.bag import BagLog, BagSensors
 from offpiste.logs.coverage import DRIFT_LIMIT, clock_difference, clock_note, jump_note, span_notes
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.log import Log, RawCloud, RawImage, SensorSource, Transform
+from offpiste.logs.log import Log, RawCloud, RawImage, Transform
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.poses import Poses, between, poses_from_drive
 from offpiste.rig.camera import model_from_intrinsics
@@ -34,16 +33,16 @@ class SensorLog:
 
     def __init__(
         self,
-        source: SensorSource,
+        log: Log,
         rig: Rig,
         cameras: dict[str, Camera],
         lidars: dict[str, Lidar],
         poses: Poses,
         notes: list[str],
     ) -> None:
-        self.path, self.rig = source.log.path, rig
+        self.path, self.rig = log.path, rig
         self.cameras, self.lidars, self.poses = cameras, lidars, poses
-        self._source, self._notes = source, notes
+        self._log, self._notes = log, notes
         self._read: Counter[str] = Counter()
         self._dropped: Counter[tuple[str, str]] = Counter()
 
@@ -75,7 +74,7 @@ class SensorLog:
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
         """Times of a sensor's messages in the order of the file [s], without decoding them."""
         source = self._sensor(name).source
-        return self._source.stamps(source.topic) - source.delay
+        return self._log.stamps(source.topic, stamps=self.rig.clock.stamps) - source.delay
 
     def coverage(self) -> tuple[str, ...]:
         """Poses that jump, sensors that start late, stop early or pause, clocks that drift, in words; reads all stamps.
@@ -95,11 +94,12 @@ class SensorLog:
 
     def _clock(self, name: str, stamps: Float[np.ndarray, " n"]) -> list[str]:
         """What its clock does against that of the poses."""
-        position = self.rig.channels["position"]
-        arrivals, pose_arrivals = (self._source.arrivals(t) for t in (self._sensor(name).source.topic, position.topic))
-        if arrivals is None or pose_arrivals is None:
+        position, topic = self.rig.channels["position"], self._sensor(name).source.topic
+        recorded = self._log.has_arrivals and self.rig.clock.stamps == "header"
+        if not recorded or position.topic not in self._log.topics:
             return []
-        pose_stamps = self._source.stamps(position.topic) - position.delay
+        arrivals, pose_arrivals = (self._log.stamps(t, stamps="receive") for t in (topic, position.topic))
+        pose_stamps = self._log.stamps(position.topic) - position.delay
         found = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
         if found is None:
             return []
@@ -122,14 +122,17 @@ class SensorLog:
                 raise LogError(f"{what} {size}", where=self.path, how="give the calibration of these images in the rig")
             return Image(raw.time - camera.source.delay, camera.name, raw.pixels)
 
-        return self._converted(camera.name, self._source.images(camera.source.topic), convert)
+        return self._converted(
+            camera.name, self._log.images(camera.source.topic, stamps=self.rig.clock.stamps), convert
+        )
 
     def _clouds(self, lidar: Lidar) -> Iterator[Cloud]:
         def convert(raw: RawCloud) -> Cloud | str:
             cloud = cloud_from_records(raw, lidar)
             return cloud if len(cloud.points) else "clouds have no usable point and were dropped"
 
-        return self._converted(lidar.name, self._source.clouds(lidar.source.topic), convert)
+        raw = self._log.clouds(lidar.source.topic, stamps=self.rig.clock.stamps)
+        return self._converted(lidar.name, raw, convert)
 
     def _converted(
         self, name: str, raw: Iterator[RawImage] | Iterator[RawCloud], convert: Callable[..., _T | str]
@@ -166,7 +169,9 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
         LogError: the log's format has no images or clouds, or it lacks a topic, a calibration or a transform.
         RigError: the rig names no sensors, or its channels give no full poses.
     """
-    source, absent = sensor_source(log, rig), []
+    if not log.has_sensors:
+        raise log.no_sensors()
+    absent = []
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
     present: dict[str, CameraSource | LidarSource] = {}
     for name, entry in entries.items():
@@ -182,48 +187,33 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
         raise LogError(
             f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="mend the rig"
         )
-    transforms = source.transforms(rig.frames.topics)
-    cameras = {n: _camera(source, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
-    lidars = {n: _lidar(source, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
+    transforms = log.transforms(rig.frames.topics)
+    cameras = {n: _camera(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
+    lidars = {n: _lidar(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
     known = poses or poses_from_drive(drive_from_log(log, rig))
     notes = [f"no messages of {', '.join(absent)}: the log is read without"] if absent else []
-    return SensorLog(source, rig, cameras, lidars, known, notes)
+    return SensorLog(log, rig, cameras, lidars, known, notes)
 
 
-def sensor_source(log: Log, rig: Rig) -> SensorSource:
-    """What reads the sensors of a log's format.
-
-    Raises:
-        LogError: that format has none.
-    """
-    from offpiste.logs.kitti import KittiLog, KittiSensors
-
-    if isinstance(log, BagLog):
-        return BagSensors(log, rig.clock.stamps)
-    if isinstance(log, KittiLog):
-        return KittiSensors(log)
-    raise LogError("this format holds no images or clouds", where=log.path, how="give a ROS bag or a KITTI drive")
-
-
-def _camera(source: SensorSource, rig: Rig, name: str, entry: CameraSource, transforms: list[Transform]) -> Camera:
+def _camera(log: Log, rig: Rig, name: str, entry: CameraSource, transforms: list[Transform]) -> Camera:
     camera_from_image = np.eye(4)
     if entry.intrinsics is not None:
         model = model_from_intrinsics(entry.intrinsics)
-    elif entry.info not in source.log.topics:
+    elif entry.info not in log.topics:
         what = f"'{name}': images without calibration: no topic '{entry.info}'"
-        raise LogError(what, where=source.log.path, how=f"give cameras.{name}.intrinsics in the rig")
+        raise LogError(what, where=log.path, how=f"give cameras.{name}.intrinsics in the rig")
     else:
-        model, camera_from_image = source.camera_model(entry.info, rectified=entry.rectified)
-    mounting = _mounted(source, rig, entry, entry.body_from_camera, transforms)
+        model, camera_from_image = log.camera_model(entry.info, rectified=entry.rectified)
+    mounting = _mounted(log, rig, entry, entry.body_from_camera, transforms)
     return Camera(name, model, mounting @ camera_from_image, entry)
 
 
-def _lidar(source: SensorSource, rig: Rig, name: str, entry: LidarSource, transforms: list[Transform]) -> Lidar:
-    return Lidar(name, _mounted(source, rig, entry, entry.body_from_lidar, transforms), entry)
+def _lidar(log: Log, rig: Rig, name: str, entry: LidarSource, transforms: list[Transform]) -> Lidar:
+    return Lidar(name, _mounted(log, rig, entry, entry.body_from_lidar, transforms), entry)
 
 
 def _mounted(
-    source: SensorSource,
+    log: Log,
     rig: Rig,
     entry: CameraSource | LidarSource,
     given: Mounting | None,
@@ -231,7 +221,7 @@ def _mounted(
 ) -> Float[np.ndarray, "4 4"]:
     if given is not None:
         return given.matrix()
-    return between(transforms, rig.frames.body, entry.frame or source.frame(entry.topic), path=source.log.path)
+    return between(transforms, rig.frames.body, entry.frame or log.frame(entry.topic), path=log.path)
 
 
 def _between(measured: Iterator[Image] | Iterator[Cloud], start: float, end: float) -> Iterator[Image | Cloud]:

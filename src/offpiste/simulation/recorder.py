@@ -11,10 +11,11 @@ from jaxtyping import Float
 
 from offpiste.conventions import GRAVITY
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.logs.grid_map import grid_map_from_layers
 from offpiste.logs.ground_truth import MAP_TOPIC, WHEEL, WHEELS_TOPIC
-from offpiste.logs.measurements import message_from_points
-from offpiste.logs.writer import McapWriter, header, make, quaternion, vector
+from offpiste.logs.ros.grid_map import grid_map_from_layers
+from offpiste.logs.ros.messages import header, make, quaternion, vector
+from offpiste.logs.ros.point_cloud import message_from_points
+from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.sensors.imperfections import Drift, Imperfections, Noise, misaligned, with_noise
 from offpiste.simulation.sensors.messages import Mounting, mountings_message

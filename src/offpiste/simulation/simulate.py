@@ -10,7 +10,7 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.errors import OffpisteError
-from offpiste.logs.writer import McapWriter
+from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
 from offpiste.simulation.drive import Commander, Replay, Start, drive, on_other_ground, with_driver
 from offpiste.simulation.driver.driver import DriverSettings

@@ -13,7 +13,7 @@ from offpiste.errors import DatasetError, LogError, RigError
 from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
-from offpiste.rig.rig import load_rig
+from offpiste.rig.rig import Clock, load_rig
 from offpiste.visualization.drives import view_dataset
 from offpiste.visualization.view_log import view_log
 
@@ -71,7 +71,7 @@ def view(
         raise _without_rig(path)
     vehicle = load_rig(rig)
     extractor = load_feature_extractor(pca, device) if pca is not None else None
-    log = _open(path, clock_column=vehicle.clock.column, clock_unit=vehicle.clock.unit)
+    log = _open(path, vehicle.clock)
     return view_log(log, vehicle, out, extractor=extractor, stretch=stretch, rrd=rrd)
 
 
@@ -80,11 +80,11 @@ def _without_rig(path: Path) -> RigError:
     return RigError("a log is viewed through its rig", where=path, how="give --rig; `offpiste inspect` drafts one")
 
 
-def _open(path: Path, *, clock_column: str = "", clock_unit: str = "s") -> Log:
+def _open(path: Path, clock: Clock | None = None) -> Log:
     if path.is_dir() and not any(path.iterdir()):
         raise LogError("an empty folder, neither a log nor a dataset", where=path)
     try:
-        return open_log(path, clock_column=clock_column, clock_unit=clock_unit)
+        return open_log(path, clock=clock)
     except LogError as error:
         if error.what != "no known log format":
             raise

@@ -1,8 +1,8 @@
 import cv2
 import numpy as np
 
-from offpiste.logs.measurements import points_from_message
-from offpiste.logs.writer import message_types
+from offpiste.logs.ros.messages import message_types
+from offpiste.logs.ros.point_cloud import points_from_message
 from offpiste.simulation.sensors.messages import camera_info_message, image_message, points_message
 
 STAMP = 1_700_000_000_250_000_000

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
 from offpiste.logs import open_log, read_drive
-from offpiste.logs.kitti import KittiLog, pose_from_oxts, time_in_sweep
+from offpiste.logs.formats.kitti import KittiLog, pose_from_oxts, time_in_sweep
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.rig.rig import load_rig

@@ -1,7 +1,4 @@
-"""ROS 1 and ROS 2 bags, without ROS.
-
-Cameras and LiDARs of a ROS bag.
-"""
+"""ROS 1 and ROS 2 bags, without ROS: numbers, images, point clouds, calibrations and transforms."""
 
 import functools
 import weakref
@@ -10,30 +7,33 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.logs.bag_files import (
-    MAGIC,
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic, Transform
+from offpiste.logs.ros.bag_files import MAGIC, open_readers, reported, storage_files
+from offpiste.logs.ros.decoding import (
     MakeDecoder,
     field_getter,
     fields_of,
     headers_only,
-    open_readers,
-    reported,
     stamp_of,
-    storage_files,
     typestore_of,
     whole_messages,
 )
-from offpiste.logs.log import Log, RawCloud, RawImage, Samples, SensorSource, Topic, Transform
-from offpiste.logs.measurements import points_from_message
+from offpiste.logs.ros.image import decompressed, pixels
+from offpiste.logs.ros.point_cloud import points_from_message
 from offpiste.rig.camera import CameraModel, model_from_message
 
+_IMAGES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+_CLOUDS: Final = ("sensor_msgs/msg/PointCloud2",)
+_CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
+_TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
+
+@LOG_FORMATS.register("bag")
 class BagLog(Log):
     """A ROS 1 `.bag`, a ROS 2 `.mcap` or `.db3`, or the folder of one; message definitions come from the bag.
 
@@ -45,6 +45,9 @@ class BagLog(Log):
     Raises:
         LogError: the bag is empty, damaged, or something else than its ending says.
     """
+
+    description = "a ROS bag (.bag, .mcap, .db3, or the folder of one)"
+    has_sensors = has_messages = has_arrivals = True
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -71,27 +74,13 @@ class BagLog(Log):
         return self._topics
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
-        """Stamps [s] and decoded messages of a topic, in the order of the file, one at a time: for bulk data.
-
-        Args:
-            stamps: as for `read`.
-
-        Raises:
-            LogError: no such topic, a type that cannot be decoded, or the file is damaged there.
-        """
+        """Stamps [s] and decoded messages of a topic, in the order of the file, one at a time (see `Log`)."""
         found = self._found(topic)
         for received, message in self._messages(found.name, found.type):
             yield stamp_of(received, message, stamps), message
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
-        """Stamps of all messages of a topic [s], in the order of the file; no more than their headers is decoded.
-
-        Args:
-            stamps: as for `read`.
-
-        Raises:
-            LogError: no such topic, a type that cannot be decoded, or the file is damaged there.
-        """
+        """Stamps of all messages of a topic [s], in the order of the file; no more than their headers is decoded."""
         found = self._found(topic)
         return np.array(
             [stamp_of(at, head, stamps) for at, head in self._messages(found.name, found.type, headers_only)]
@@ -145,85 +134,49 @@ class BagLog(Log):
             )
         return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(getters)))
 
-
-_IMAGES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
-_CHANNELS: Final = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3} | {
-    f"bayer_{pattern}8": 1 for pattern in ("rggb", "bggr", "gbrg", "grbg")
-}
-_TO_RGB: Final[dict[str, int]] = {
-    "bgr8": cv2.COLOR_BGR2RGB,
-    "8UC3": cv2.COLOR_BGR2RGB,
-    "rgba8": cv2.COLOR_RGBA2RGB,
-    "bgra8": cv2.COLOR_BGRA2RGB,
-    "mono8": cv2.COLOR_GRAY2RGB,
-    "8UC1": cv2.COLOR_GRAY2RGB,
-    # OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
-    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,
-    "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
-    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
-    "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
-}
-
-
-class BagSensors(SensorSource):
-    """Images, PointCloud2, CameraInfo and TF of ROS 1 and ROS 2 bags."""
-
-    def __init__(self, log: BagLog, stamps: str) -> None:
-        self.log: BagLog = log
-        self._stamps = stamps
-
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
-        """Of tf2_msgs/TFMessage; the first of each pair of frames."""
+        """Transforms of tf2_msgs/TFMessage: the first of each pair of frames."""
         found: dict[tuple[str, str], Transform] = {}
         for topic in topics:
-            if topic in self.log.topics:
-                for _, message in self._messages(topic, ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")):
+            if topic in self.topics:
+                for _, message in self._typed(topic, _TRANSFORMS):
                     for transform in map(_transform, message.transforms):
                         found.setdefault((transform.parent, transform.child), transform)
         return list(found.values())
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """Of the topic's first CameraInfo."""
-        first = next(self._messages(topic, ("sensor_msgs/msg/CameraInfo",)), None)
+        """Calibration by the topic's first CameraInfo."""
+        first = next(self._typed(topic, _CALIBRATIONS), None)
         if first is None:
             how = "give the camera's intrinsics in the rig"
-            raise LogError(f"topic '{topic}' is empty: images without calibration", where=self.log.path, how=how)
+            raise LogError(f"topic '{topic}' is empty: images without calibration", where=self.path, how=how)
         return model_from_message(first[1], topic, rectified=rectified)
 
     def frame(self, topic: str) -> str:
-        """Of the first message's header."""
-        _, message = next(self.log.messages(topic, stamps=self._stamps), (0.0, None))
+        """Frame in the first message's header."""
+        _, message = next(self.messages(topic), (0.0, None))
         if message is None:
-            raise LogError(f"topic '{topic}' is empty", where=self.log.path, how="remove the sensor from the rig")
+            raise LogError(f"topic '{topic}' is empty", where=self.path, how="remove the sensor from the rig")
         return _frame(message)
 
-    def stamps(self, topic: str) -> Float[np.ndarray, " n"]:
-        """Of headers, or of arrival."""
-        return self.log.stamps(topic, stamps=self._stamps)
-
-    def arrivals(self, topic: str) -> Float[np.ndarray, " n"] | None:
-        """By the recorder's clock; None where that is what counts already, or there is no such topic."""
-        if self._stamps == "receive" or topic not in self.log.topics:
-            return None
-        return self.log.stamps(topic, stamps="receive")
-
-    def images(self, topic: str) -> Iterator[RawImage]:
-        """Of sensor_msgs/CompressedImage and Image."""
-        for time, message in self._messages(topic, _IMAGES):
-            decoded = _decompressed(message) if hasattr(message, "format") else _pixels(message, topic)
+    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
+        """Images of sensor_msgs/CompressedImage and Image."""
+        for time, message in self._typed(topic, _IMAGES, stamps):
+            decoded = decompressed(message) if hasattr(message, "format") else pixels(message, topic)
             yield RawImage(time, _frame(message), decoded)
 
-    def clouds(self, topic: str) -> Iterator[RawCloud]:
-        """Of sensor_msgs/PointCloud2."""
-        for time, message in self._messages(topic, ("sensor_msgs/msg/PointCloud2",)):
+    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
+        """Point clouds of sensor_msgs/PointCloud2."""
+        for time, message in self._typed(topic, _CLOUDS, stamps):
             yield RawCloud(time, _frame(message), points_from_message(message))
 
-    def _messages(self, topic: str, types: Sequence[str]) -> Iterator[tuple[float, Any]]:
-        found = self.log.topics.get(topic)
+    def _typed(self, topic: str, types: Sequence[str], stamps: str = "header") -> Iterator[tuple[float, Any]]:
+        """Messages of a topic that has to be of one of these types."""
+        found = self.topics.get(topic)
         if found is not None and found.type not in types:
             wanted = " or ".join(types)
-            raise LogError(f"topic '{topic}' is {found.type}, not {wanted}", where=self.log.path, how="mend the rig")
-        return self.log.messages(topic, stamps=self._stamps)
+            raise LogError(f"topic '{topic}' is {found.type}, not {wanted}", where=self.path, how="fix the rig")
+        return self.messages(topic, stamps=stamps)
 
 
 def _transform(message: Any) -> Transform:
@@ -237,36 +190,3 @@ def _transform(message: Any) -> Transform:
 
 def _frame(message: Any) -> str:
     return str(message.header.frame_id).lstrip("/")
-
-
-def _decompressed(message: Any) -> UInt8[np.ndarray, "h w 3"] | None:
-    """JPEG, PNG and whatever else OpenCV reads."""
-    data = np.asarray(message.data, np.uint8)
-    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    if decoded is None:
-        return None
-    return _to_rgb(np.asarray(decoded, np.uint8), cv2.COLOR_BGR2RGB)
-
-
-def _pixels(message: Any, topic: str) -> UInt8[np.ndarray, "h w 3"] | None:
-    """RGB of a sensor_msgs/Image; None where its sizes do not fit its data.
-
-    Raises:
-        LogError: an encoding that is not read.
-    """
-    channels = _CHANNELS.get(message.encoding)
-    if channels is None:
-        what = f"topic '{topic}' holds images encoded as '{message.encoding}', which are not read"
-        raise LogError(what, how=f"record one of: {', '.join(_CHANNELS)}, or compressed")
-    height, width, step = message.height, message.width, message.step
-    data = np.asarray(message.data, np.uint8)
-    if step < width * channels or data.size < height * step or not height * width:
-        return None
-    pixels = data[: height * step].reshape(height, step)[:, : width * channels]
-    pixels = pixels.reshape((height, width, channels) if channels > 1 else (height, width))
-    code = _TO_RGB.get(message.encoding)
-    return pixels.copy() if code is None else _to_rgb(pixels, code)
-
-
-def _to_rgb(pixels: np.ndarray, code: int) -> UInt8[np.ndarray, "h w 3"]:
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code), np.uint8)

@@ -7,14 +7,17 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log, Samples, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 
 
+@LOG_FORMATS.register("tartandrive")
 class TartanDriveLog(Log):
     """A drive in the post-processed layout of TartanDrive 2.0 (Sivaprakasam et al. 2024).
 
     Fields are column numbers of the array, "0", "1", ...; a folder without an array has no fields.
     """
+
+    description = "a TartanDrive 2 folder"
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -25,7 +28,8 @@ class TartanDriveLog(Log):
     @staticmethod
     def recognises(path: Path) -> bool:
         """Whether a folder has this layout."""
-        return path.is_dir() and any(path.glob("*/timestamps.txt"))
+        # Folders of KITTI have stamps as well, and keep their files in `data`.
+        return any(not (stamps.parent / "data").is_dir() for stamps in path.glob("*/timestamps.txt"))
 
     @property
     def topics(self) -> dict[str, Topic]:

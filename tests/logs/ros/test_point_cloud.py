@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from offpiste.errors import LogError
-from offpiste.logs.measurements import message_from_points, points_from_message
-from offpiste.logs.writer import header, make, message_types
+from offpiste.logs.ros.messages import header, make, message_types
+from offpiste.logs.ros.point_cloud import message_from_points, points_from_message
 
 PACKED = np.dtype([("x", "<f4"), ("ring", "<u2"), ("y", "<f8"), ("flag", "i1")])
 

@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from offpiste.errors import LogError
-from offpiste.logs.table import TableLog
+from offpiste.logs.formats.table import TableLog
 
 DART = {
     "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,

@@ -12,7 +12,7 @@ from rosbags.rosbag2.enums import StoragePlugin
 
 from made_bags import mcap_file, ros1_bag, ros2_folder, speeds, twists
 from offpiste.errors import LogError
-from offpiste.logs.bag import BagLog
+from offpiste.logs.formats.bag import BagLog
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

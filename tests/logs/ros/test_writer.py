@@ -12,8 +12,9 @@ from rosbags.highlevel import AnyReader
 
 from offpiste.errors import LogError
 from offpiste.logs import open_log
-from offpiste.logs.bag import BagLog
-from offpiste.logs.writer import McapWriter, header, make, message_types
+from offpiste.logs.formats.bag import BagLog
+from offpiste.logs.ros.messages import header, make, message_types
+from offpiste.logs.ros.writer import McapWriter
 
 START = 1_700_000_000 * 10**9
 PERIOD = 20_000_000
@@ -107,7 +108,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def full(_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("offpiste.logs.writer.Writer.flush", full)
+    monkeypatch.setattr("offpiste.logs.ros.writer.Writer.flush", full)
     with pytest.raises(LogError, match=r"drive\.mcap: cannot be written: No space left on device; make room"):
         write(tmp_path / "drive.mcap", 200)
 

@@ -1,6 +1,6 @@
 """KITTI raw drives: a folder `DATE_drive_NUMBER_sync` of images, Velodyne scans and OXTS rows (Geiger et al. 2013).
 
-Cameras and the Velodyne of a KITTI raw drive, with its day's calibration files.
+The day's calibration files are expected in the folder above.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log, RawCloud, RawImage, Samples, SensorSource, Topic, Transform
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic, Transform
 from offpiste.rig.camera import CameraModel
 
 # fmt: off
@@ -28,15 +28,24 @@ _EARTH_RADIUS: Final = 6378137.0
 """Of the devkit's sphere [m]."""
 
 
+POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("time", "<f4")])
+"""`time` [s] counts from the scan's stamp, when the Velodyne faces ahead."""
+
+
+@LOG_FORMATS.register("kitti")
 class KittiLog(Log):
     """A drive of KITTI's raw data, synchronised or not.
 
     Topics: `oxts`, whose fields are its columns and a pose (x, y, z, qx, qy, qz, qw) made of them; and one, without
     fields, for each folder of images (`image_02`) or scans (`velodyne_points`), frames of which may be missing.
+    Frames are `oxts` (the body), `velodyne_points`, and `image_00` ... `image_03` for rectified images.
     """
 
+    description = "a KITTI raw drive"
+    has_sensors = True
+
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self._day = path, path.resolve().parent
         self._topics = {"oxts": Topic("oxts", "OXTS rows", len(self.files("oxts")), (*_OXTS, *_POSE))}
         for folder in sorted(path.iterdir()):
             if folder.name.startswith(("image_", "velodyne_points")) and (folder / "data").is_dir():
@@ -100,6 +109,64 @@ class KittiLog(Log):
         names = (*_OXTS, *_POSE)
         return Samples(self.frame_times("oxts"), table[:, [names.index(field) for field in fields]])
 
+    def transforms(self, topics: Sequence[str]) -> list[Transform]:
+        """Transforms of calib_imu_to_velo.txt, calib_velo_to_cam.txt and calib_cam_to_cam.txt."""
+        velodyne_from_body = _rigid(_calibration(self._day / "calib_imu_to_velo.txt"))
+        reference_from_velodyne = _rigid(_calibration(self._day / "calib_velo_to_cam.txt"))
+        cameras = self._cameras()
+        rectified_from_reference = np.eye(4)
+        rectified_from_reference[:3, :3] = _numbers(cameras, "R_rect_00", (3, 3))
+        velodyne_from_rectified = np.linalg.inv(rectified_from_reference @ reference_from_velodyne)
+        found = [Transform("oxts", "velodyne_points", np.linalg.inv(velodyne_from_body))]
+        for name in sorted(self.topics):
+            if name.startswith("image_"):
+                matrix, baseline = np.split(self._projection(name), (3,), axis=1)
+                shift = np.eye(4)
+                shift[:3, 3:] = -np.linalg.solve(matrix, baseline)
+                found.append(Transform("velodyne_points", name, velodyne_from_rectified @ shift))
+        return found
+
+    def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
+        """Calibration of the rectified images (P_rect); `transforms` has their positions already."""
+        if not rectified:
+            what = f"'{topic}': distorted images of KITTI are not supported"
+            raise LogError(what, where=self.path, how="take a _sync drive, and set rectified = true")
+        width, height = _numbers(self._cameras(), f"S_rect_{topic[-2:]}", (2,))
+        return CameraModel(int(width), int(height), self._projection(topic)[:, :3]), np.eye(4)
+
+    def frame(self, topic: str) -> str:
+        """The folder's name."""
+        return topic
+
+    def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
+        """Stamps of those frames of a folder that there are files of [s]."""
+        return self.frame_times(topic)
+
+    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
+        """Images of PNG or JPEG files."""
+        for time, path in zip(self.stamps(topic), self.files(topic).values(), strict=True):
+            data = np.fromfile(path, np.uint8)
+            decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+            pixels = None if decoded is None else np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), np.uint8)
+            yield RawImage(float(time), topic, pixels)
+
+    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
+        """Scans (.bin, or .txt in unsynchronised drives), each point with its time by its azimuth."""
+        begins, ends = (self.frame_times(topic, f"timestamps_{edge}.txt") for edge in ("start", "end"))
+        files = self.files(topic).values()
+        for time, begin, end, path in zip(self.stamps(topic), begins, ends, files, strict=True):
+            values = _scan(path)
+            points = np.zeros(len(values), POINT)
+            points["x"], points["y"], points["z"], points["intensity"] = values.T
+            points["time"] = time_in_sweep(values[:, :2], begin - time, end - time)
+            yield RawCloud(float(time), topic, points)
+
+    def _cameras(self) -> dict[str, Float[np.ndarray, " n"]]:
+        return _calibration(self._day / "calib_cam_to_cam.txt")
+
+    def _projection(self, topic: str) -> Float[np.ndarray, "3 4"]:
+        return _numbers(self._cameras(), f"P_rect_{topic[-2:]}", (3, 4))
+
 
 def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
     """Position and orientation (xyzw) of the OXTS unit: x east, y north, z up, from the first row's place [m].
@@ -130,80 +197,6 @@ def _row(path: Path) -> Float[np.ndarray, " 30"]:
     if len(row) != len(_OXTS):
         raise LogError(f"{len(row)} numbers, not {len(_OXTS)}", where=path, how="download the drive again")
     return row
-
-
-POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("time", "<f4")])
-"""`time` [s] counts from the scan's stamp, when the Velodyne faces ahead."""
-
-
-class KittiSensors(SensorSource):
-    """Frames are `oxts` (the body), `velodyne_points`, and `image_00` ... `image_03` for rectified images."""
-
-    def __init__(self, log: KittiLog) -> None:
-        self.log: KittiLog = log
-        self._day = log.path.resolve().parent
-
-    def transforms(self, topics: Sequence[str]) -> list[Transform]:
-        """Of calib_imu_to_velo.txt, calib_velo_to_cam.txt and calib_cam_to_cam.txt."""
-        velodyne_from_body = _rigid(_calibration(self._day / "calib_imu_to_velo.txt"))
-        reference_from_velodyne = _rigid(_calibration(self._day / "calib_velo_to_cam.txt"))
-        cameras = self._cameras()
-        rectified_from_reference = np.eye(4)
-        rectified_from_reference[:3, :3] = _numbers(cameras, "R_rect_00", (3, 3))
-        velodyne_from_rectified = np.linalg.inv(rectified_from_reference @ reference_from_velodyne)
-        found = [Transform("oxts", "velodyne_points", np.linalg.inv(velodyne_from_body))]
-        for name in sorted(self.log.topics):
-            if name.startswith("image_"):
-                matrix, baseline = np.split(self._projection(name), (3,), axis=1)
-                shift = np.eye(4)
-                shift[:3, 3:] = -np.linalg.solve(matrix, baseline)
-                found.append(Transform("velodyne_points", name, velodyne_from_rectified @ shift))
-        return found
-
-    def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """Of the rectified images (P_rect); where they were taken from is in their transforms already."""
-        if not rectified:
-            what = f"'{topic}': distorted images of KITTI are not read"
-            raise LogError(what, where=self.log.path, how="take a _sync drive, and set rectified = true")
-        width, height = _numbers(self._cameras(), f"S_rect_{topic[-2:]}", (2,))
-        return CameraModel(int(width), int(height), self._projection(topic)[:, :3]), np.eye(4)
-
-    def frame(self, topic: str) -> str:
-        """The folder's name."""
-        return topic
-
-    def stamps(self, topic: str) -> Float[np.ndarray, " n"]:
-        """Of frames that there are files of."""
-        return self.log.frame_times(topic)
-
-    def arrivals(self, topic: str) -> None:
-        """KITTI does not say."""
-        return None
-
-    def images(self, topic: str) -> Iterator[RawImage]:
-        """PNG or JPEG files."""
-        for time, path in zip(self.stamps(topic), self.log.files(topic).values(), strict=True):
-            data = np.fromfile(path, np.uint8)
-            decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-            pixels = None if decoded is None else np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), np.uint8)
-            yield RawImage(float(time), topic, pixels)
-
-    def clouds(self, topic: str) -> Iterator[RawCloud]:
-        """Scans (.bin, or .txt in unsynchronised drives), each point with its time by its azimuth."""
-        begins, ends = (self.log.frame_times(topic, f"timestamps_{edge}.txt") for edge in ("start", "end"))
-        files = self.log.files(topic).values()
-        for time, begin, end, path in zip(self.stamps(topic), begins, ends, files, strict=True):
-            values = _scan(path)
-            points = np.zeros(len(values), POINT)
-            points["x"], points["y"], points["z"], points["intensity"] = values.T
-            points["time"] = time_in_sweep(values[:, :2], begin - time, end - time)
-            yield RawCloud(float(time), topic, points)
-
-    def _cameras(self) -> dict[str, Float[np.ndarray, " n"]]:
-        return _calibration(self._day / "calib_cam_to_cam.txt")
-
-    def _projection(self, topic: str) -> Float[np.ndarray, "3 4"]:
-        return _numbers(self._cameras(), f"P_rect_{topic[-2:]}", (3, 4))
 
 
 def time_in_sweep(xy: Float[np.ndarray, "n 2"], begin: float, end: float) -> Float[np.ndarray, " n"]:

@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log, Samples, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
+from offpiste.rig.rig import Clock
 
 _SECONDS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units of time in one second."""
@@ -22,6 +23,7 @@ _TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time")
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 
 
+@LOG_FORMATS.register("table")
 class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
@@ -36,6 +38,8 @@ class TableLog(Log):
     Raises:
         LogError: the file is empty, damaged, or has no such clock column or unit.
     """
+
+    description = "a table (.csv, .parquet)"
 
     def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "s") -> None:
         if clock_unit not in _SECONDS:
@@ -54,6 +58,11 @@ class TableLog(Log):
     def recognises(path: Path) -> bool:
         """Whether a file has a table's ending."""
         return path.is_file() and path.suffix.lower() in (".csv", ".parquet")
+
+    @classmethod
+    def open(cls, path: Path, clock: Clock) -> Log:
+        """A table whose time is the clock's column."""
+        return cls(path, clock_column=clock.column, clock_unit=clock.unit)
 
     @property
     def topics(self) -> dict[str, Topic]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import LogError
-from offpiste.logs.tartandrive import TartanDriveLog
+from offpiste.logs.formats.tartandrive import TartanDriveLog
 
 
 def modality(drive: Path, name: str, array: np.ndarray, stamps: np.ndarray | None = None) -> Path:
