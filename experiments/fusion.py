@@ -18,7 +18,7 @@ from rich.table import Table
 
 from experiments.command import run
 from experiments.sensor_faults import stretch
-from offpiste.conventions import FEATURE_SETS, GROUND_KINDS
+from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, differences, feature_range, valid_rates, within_reach
 from offpiste.dataset.passes import Passes, find_passes
@@ -27,7 +27,7 @@ from offpiste.dataset.rows import Rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.files import write_text
 from offpiste.logs import read_drive
-from offpiste.logs.ground_truth import read_truth_map
+from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.pipeline import MapSettings

@@ -76,5 +76,5 @@ def driven_dataset(
 
 
 def oracle_dataset(logs: Sequence[Path], split: str, out: Path) -> Dataset:
-    """The true properties of the ground under the wheels of the same drives (`conventions.GROUND_PROPERTIES`)."""
+    """The true properties of the ground under the wheels of the same drives (`logs.ground_truth.GROUND_PROPERTIES`)."""
     return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth")

@@ -11,13 +11,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from experiments.sensor_faults import Flaw, perturbed, stretch
-from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES, WHEELS
+from offpiste.conventions import WHEELS
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.files import write_whole
 from offpiste.logs import read_drive
-from offpiste.logs.ground_truth import read_truth_map
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import ReplaySettings

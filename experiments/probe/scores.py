@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, Int
 
 from experiments.probe.cells import SeenCells
 from experiments.ridge import Ridge, Score, fit_ridge, score
-from offpiste.conventions import FEATURE_SETS, GROUND_KINDS, GROUND_PROPERTIES
+from offpiste.conventions import FEATURE_SETS
 from offpiste.evaluation.intervals import Resampling, blocks, resampling
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 
 TARGETS = ("friction", "rolling_resistance")
 

@@ -25,13 +25,6 @@ WHEELS: Final = ("front-left", "front-right", "rear-left", "rear-right")
 FEATURE_SETS: Final = ("hindsight", "-20", "-10", "0", "10", "20", "30", "40")
 """Views of a map cell by the vehicle's distance to it [m]; negative once driven past."""
 
-GROUND_PROPERTIES: Final = ("friction", "cornering_stiffness", "rolling_resistance", "sinkage_drag")
-"""What simulated ground does to a tyre: largest horizontal force over load [1], lateral force over load at small slip
-angles [1/rad], resistance over load [1], further resistance over load at full wheel slip [1]."""
-
-GROUND_KINDS: Final = ("packed_sand", "loose_sand", "dirt_trail", "gravel", "mud", "dry_grass", "wet_grass")
-"""What simulated ground is of."""
-
 MIN_EVALUATION_SPEED: Final = 1.5
 """Judged windows start above this speed [m/s]."""
 

@@ -11,9 +11,9 @@ from experiments.closed_loop_table.drives import NEEDED
 from offpiste.closed_loop.courses import CourseSettings, lay_course, surprise_along, traction_along
 from offpiste.closed_loop.drive_course import CourseDrive, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
-from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.errors import OffpisteError, RunError
 from offpiste.logs.drive import read_drive
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

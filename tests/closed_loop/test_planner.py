@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from offpiste.closed_loop.planner import load_planner
-from offpiste.conventions import CONTROL, GROUND_PROPERTIES
+from offpiste.conventions import CONTROL
 from offpiste.dynamics import Vehicle
 from offpiste.errors import RunError
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones.backbone import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.training.checkpoint import save_json, save_tensors

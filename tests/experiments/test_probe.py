@@ -12,9 +12,9 @@ from experiments.probe.__main__ import Probe
 from experiments.probe.cells import GROUND, SeenCells, load_cells, save_cells, see_cells, with_colour
 from experiments.probe.scores import INPUTS, NEARBY, drawn_blocks, fit_probe, judge, judged, pool, probe_rows
 from experiments.sensor_faults import Flaw
-from offpiste.conventions import FEATURE_SETS, GROUND_PROPERTIES
+from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import PerceptionError
-from offpiste.logs.ground_truth import read_truth
+from offpiste.logs.ground_truth import GROUND_PROPERTIES, read_truth
 from offpiste.perception.backbones.backbone import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit, save_pca

@@ -18,7 +18,7 @@ from offpiste.reproduction.settings import (
     sized,
     usual,
 )
-from offpiste.simulation.world.world import load_preset
+from offpiste.simulation.world.preset import find_world_preset
 
 sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
 
@@ -30,7 +30,7 @@ def test_every_drive_has_a_world_and_a_seed_of_its_own(size):
     assert len({drive.settings.world.seed for drive in drives}) == len(drives)
     assert {drive.part for drive in drives} == set(PARTS)
     for drive in drives:
-        assert load_preset(drive.settings.world.preset) is not None
+        assert find_world_preset(drive.settings.world.preset) is not None
         assert size.shortest <= drive.settings.seconds <= size.longest
         assert drive.settings.sensors == "light"
 

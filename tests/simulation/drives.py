@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
-from offpiste.simulation.world.world import GROUND_KINDS, Bushes, Trees, World, WorldSettings
+from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
 
 PLAIN = (0.6, 6.0, 0.05, 0.02)
 """Friction, cornering stiffness, rolling resistance, sinkage drag."""

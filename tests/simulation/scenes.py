@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from offpiste.simulation.world.world import GROUND_KINDS, Bushes, Trees, World, WorldSettings
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
 
 NO_TREES = Trees(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
 NO_BUSHES = Bushes(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))

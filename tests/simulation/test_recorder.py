@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from offpiste.conventions import GRAVITY, GROUND_KINDS, GROUND_PROPERTIES
+from offpiste.conventions import GRAVITY
 from offpiste.errors import LogError
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.logs import Drive, open_log, read_drive
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.ground_truth import read_truth
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth
 from offpiste.logs.ros.messages import header
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.rig.rig import load_rig

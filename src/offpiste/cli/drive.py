@@ -17,7 +17,7 @@ class Drive:
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """A folder that `train` wrote; one trained on ground-truth features is given the ground's true properties."""
     world: str = "mojave"
-    """Name of a world; an unknown name lists those there are."""
+    """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
     seed: int = 0
     """Seed of the world, the course, the noise and the sampled controls."""
     seconds: float = 40.0

@@ -15,7 +15,7 @@ class Simulate:
     out: Path = Path("drive.mcap")
     """The log; twins are written beside it."""
     world: str = "mojave"
-    """Name of a world; an unknown name lists those there are."""
+    """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
     seconds: float = 60.0
     """Length of the drive [s]; one that rolls over or gets stuck ends early."""
     seed: int = 0

@@ -7,8 +7,9 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from offpiste.conventions import GRAVITY, GROUND_PROPERTIES
+from offpiste.conventions import GRAVITY
 from offpiste.errors import OffpisteError
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.cost_map import Course
 from offpiste.simulation.drive import Start
 from offpiste.simulation.driver.lookahead import Country

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import load_run

@@ -8,11 +8,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.rows import Rows
 from offpiste.errors import LogError
-from offpiste.logs.ground_truth import read_truth_map
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.mapping.terrain_lookup import look_up, stack_maps
 from offpiste.mapping.terrain_map import TerrainMap, wheel_places
 from offpiste.rig.rig import Rig

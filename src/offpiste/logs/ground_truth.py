@@ -2,16 +2,23 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.conventions import GROUND_PROPERTIES
 from offpiste.errors import LogError
 from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
 from offpiste.logs.ros.grid_map import MapLayers, layers_from_grid_map
 from offpiste.logs.ros.point_cloud import points_from_message
+
+GROUND_PROPERTIES: Final = ("friction", "cornering_stiffness", "rolling_resistance", "sinkage_drag")
+"""What simulated ground does to a tyre: largest horizontal force over load [1], lateral force over load at small slip
+angles [1/rad], rolling resistance over load [1], further resistance over load at full wheel slip [1]."""
+
+GROUND_KINDS: Final = ("packed_sand", "loose_sand", "dirt_trail", "gravel", "mud", "dry_grass", "wet_grass")
+"""Kinds of simulated ground; their properties are listed in simulation/world/grounds.toml."""
 
 WHEELS_TOPIC, MAP_TOPIC = "/truth/wheels", "/truth/map"
 
@@ -28,7 +35,7 @@ class Truth:
     Attributes:
         time: header stamps [s].
         contact: where the wheels touch the ground, in the world frame [m].
-        properties: of the ground there (`conventions.GROUND_PROPERTIES`).
+        properties: of the ground there (`GROUND_PROPERTIES`).
         kind: of the ground there.
         load: normal load [N].
         slip_ratio: limited to [-1, 1].

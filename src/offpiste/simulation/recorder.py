@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import GRAVITY
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.logs.ground_truth import MAP_TOPIC, WHEEL, WHEELS_TOPIC
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, MAP_TOPIC, WHEEL, WHEELS_TOPIC
 from offpiste.logs.ros.grid_map import grid_map_from_layers
 from offpiste.logs.ros.messages import header, make, quaternion, vector
 from offpiste.logs.ros.point_cloud import message_from_points
@@ -19,7 +19,7 @@ from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.sensors.imperfections import Drift, Imperfections, Noise, misaligned, with_noise
 from offpiste.simulation.sensors.messages import Mounting, mountings_message
-from offpiste.simulation.world.world import GROUND_KINDS, GROUND_PROPERTIES, World
+from offpiste.simulation.world.world import World
 
 START_NS = 1_700_000_000 * 10**9
 """The stamp of a drive's time 0: always the same, so that files are."""

@@ -78,8 +78,8 @@ class WheelTruth:
 
     Attributes:
         contact: where the wheels touch the ground, in the world frame [m].
-        properties: of the ground there (`world.GROUND_PROPERTIES`).
-        kind: the ground's main kind there (index into `world.GROUND_KINDS`).
+        properties: of the ground there (`logs.ground_truth.GROUND_PROPERTIES`).
+        kind: the ground's main kind there (index into `logs.ground_truth.GROUND_KINDS`).
         load: normal load [N].
         slip_ratio: (wheel speed - ground speed) / ground speed, limited to [-1, 1].
         slip_angle: [rad].

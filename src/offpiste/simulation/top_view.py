@@ -35,7 +35,7 @@ def top_view(
     axes = figure.subplots()
     draw_top_view(world, axes, path, speed)
     settings = world.settings
-    axes.set_title(f"{settings.preset}, seed {settings.seed}", fontsize=10, loc="left")
+    axes.set_title(f"{settings.name}, seed {settings.seed}", fontsize=10, loc="left")
     return figure
 
 

@@ -5,9 +5,9 @@ import pytest
 from msgspec.structs import replace
 
 from offpiste.conventions import GRAVITY
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.ground import property_table
-from offpiste.simulation.world.world import GROUND_KINDS
 from simulation.drives import cruise, drive, flat_world, vehicle_on, yaw_of
 
 PARAMETERS = load_vehicle()

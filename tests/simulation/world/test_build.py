@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from offpiste.errors import OffpisteError
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.ground import property_table
+from offpiste.simulation.world.preset import WORLDS, find_world_preset
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.terrain import HALF_WIDTH, SPACING, curvature, distance_to_trails
 from offpiste.simulation.world.vegetation import BUSH_DRAG, CLEARANCE
-from offpiste.simulation.world.world import GROUND_KINDS, WorldSettings, load_preset, preset_names
+from offpiste.simulation.world.world import WorldSettings
 
 SMALL = WorldSettings(size=100.0, resolution=0.5)
 
@@ -19,7 +21,7 @@ def mojave():
     return make_world(WorldSettings(resolution=0.5))
 
 
-@pytest.fixture(scope="module", params=preset_names())
+@pytest.fixture(scope="module", params=list(WORLDS))
 def world(request):
     return make_world(WorldSettings(preset=request.param, seed=2, resolution=0.5))
 
@@ -75,7 +77,7 @@ def test_shares_sum_to_one_and_properties_stay_within_the_table(world):
 
 
 def test_a_preset_has_mostly_the_ground_it_lists(world):
-    preset = load_preset(world.settings.preset)
+    preset = find_world_preset(world.settings.preset)
     listed = {*preset.open_ground, *preset.trail_ground}
     absent = [k for k, kind in enumerate(GROUND_KINDS) if kind not in listed]
     assert world.kinds[absent].sum(axis=0).mean() < 0.01
@@ -143,7 +145,7 @@ def test_plants_stand_on_the_ground_and_trees_clear_of_trails(world):
     assert (near > 0.55 * HALF_WIDTH).all()
     assert (near < HALF_WIDTH + 1.5).any()  # some at the edge
     assert world.grass_height.min() == 0
-    assert world.grass_height.max() <= load_preset(world.settings.preset).grass_height + 1e-6
+    assert world.grass_height.max() <= find_world_preset(world.settings.preset).grass_height + 1e-6
     assert world.grass_height.max() > 0.1
 
 
@@ -156,7 +158,7 @@ def test_loops_turn_left_and_right(mojave):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"preset": "moon"}, "choose one of mojave"),
+        ({"preset": "moon"}, r"no world 'moon'; there are: .*mojave"),
         ({"size": 0.0}, "size is 0.0; choose 60 to 2000 m"),
         ({"size": float("nan")}, "size is nan"),
         ({"resolution": -0.25}, "resolution is -0.25"),

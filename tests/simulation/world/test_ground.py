@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.simulation.world.ground import colour_table, grounds, mix_properties, property_table
-from offpiste.simulation.world.world import GROUND_KINDS, GROUND_PROPERTIES
 
 K = len(GROUND_KINDS)
 

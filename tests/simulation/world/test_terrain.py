@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from offpiste.simulation.world.preset import find_world_preset
 from offpiste.simulation.world.terrain import _slump, carve_trails, distance_to_trails
-from offpiste.simulation.world.world import load_preset
 
 
 def test_a_cliff_slumps_to_the_allowed_rise():
@@ -27,7 +27,7 @@ def test_a_straight_trail_across_a_slope_is_level(axis):
     along = np.linspace(-30, 30, 121)
     line = np.stack((np.zeros(121), along) if axis == 0 else (along, np.zeros(121)), axis=1)
     distance = distance_to_trails((line,), np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(len(y), len(x))
-    carved = carve_trails(np.random.default_rng(0), load_preset("mojave"), x, y, hillside, (line,), distance)
+    carved = carve_trails(np.random.default_rng(0), find_world_preset("mojave"), x, y, hillside, (line,), distance)
     middle = carved[80] if axis == 0 else carved[:, 80]
     sides = np.abs(x) <= 1.5
     assert np.ptp(middle[sides]) < 0.15  # 0.6 m before; ruts and roughness are left

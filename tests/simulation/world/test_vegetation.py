@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.world.preset import find_world_preset
 from offpiste.simulation.world.vegetation import _apart, grow_grass, plant_bushes, plant_trees
-from offpiste.simulation.world.world import GROUND_KINDS, load_preset
 
 X = np.arange(-100.0, 101.0, 1.0)
 FLAT = np.zeros((len(X), len(X)), np.float32)
@@ -12,7 +13,7 @@ FAR = np.full_like(FLAT, 8.0)
 
 
 def _preset(**changes):
-    return msgspec.structs.replace(load_preset("halter-ranch"), **changes)
+    return msgspec.structs.replace(find_world_preset("halter-ranch"), **changes)
 
 
 def test_as_many_plants_a_hectare_as_the_preset_says():

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.rendering.own_body import BOXES
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.rendering.shading import (
@@ -34,7 +35,7 @@ from offpiste.simulation.rendering.shading import (
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.noise import WAVELENGTHS, octave_turns, random_lattice, smooth_noise, smooth_step
 from offpiste.simulation.world.surface import normals_of
-from offpiste.simulation.world.world import GROUND_KINDS, World
+from offpiste.simulation.world.world import World
 
 WARMER, GREENER = np.array((1.0, 0.0, -1.0)), np.array((-0.5, 1.0, -0.5))
 """How a camera's white balance errs: mostly along the colours of daylight."""

@@ -6,9 +6,10 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.simulation.world.ground import lay_grounds, mix_properties
+from offpiste.simulation.world.preset import find_world_preset
 from offpiste.simulation.world.terrain import carve_trails, distance_to_trails, make_hills, make_trails
 from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
-from offpiste.simulation.world.world import World, WorldSettings, load_preset
+from offpiste.simulation.world.world import World, WorldSettings
 
 MIN_SIZE = 60.0
 """A smaller square has no room for a trail [m]."""
@@ -23,9 +24,9 @@ def make_world(settings: WorldSettings) -> World:
     Raises:
         OffpisteError: a setting is out of its range, or there is no such preset.
     """
-    preset = load_preset(settings.preset)
+    preset = find_world_preset(settings.preset)
     _check(settings)
-    of_preset = zlib.crc32(settings.preset.encode())
+    of_preset = zlib.crc32(settings.name.encode())
     random = {part: np.random.default_rng([settings.seed, of_preset, i]) for i, part in enumerate(_PARTS)}
 
     # A square of nodes around the origin.

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.preset import WorldPreset
 from offpiste.simulation.world.terrain import HALF_WIDTH
-from offpiste.simulation.world.world import GROUND_KINDS, GROUND_PROPERTIES, Preset
 
 PATCH_GRAIN = 13.0
 """Grain of the patches [m]: one meets other ground every 8 to 25 m."""
@@ -70,7 +71,7 @@ def colour_table() -> Float[np.ndarray, "2 K 3"]:
 
 def lay_grounds(
     rng: np.random.Generator,
-    preset: Preset,
+    preset: WorldPreset,
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],
@@ -128,7 +129,7 @@ def weighted_sum(kinds: Float[np.ndarray, "K ny nx"], weights: Float[np.ndarray,
 
 def _water(
     rng: np.random.Generator,
-    preset: Preset,
+    preset: WorldPreset,
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],

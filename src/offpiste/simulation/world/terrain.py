@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from offpiste.compilation import PHYSICS
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
-from offpiste.simulation.world.world import Preset
+from offpiste.simulation.world.preset import WorldPreset
 
 SPACING = 0.5
 """Of the points of a centre line [m]."""
@@ -115,7 +115,7 @@ RUT_OFFSET = 0.65
 
 
 def make_hills(
-    rng: np.random.Generator, preset: Preset, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
+    rng: np.random.Generator, preset: WorldPreset, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
 ) -> Float[np.ndarray, "ny nx"]:
     """Elevation of the country before anyone drove there [m]."""
     elevation = np.zeros((len(y), len(x)), np.float32)
@@ -128,7 +128,7 @@ def make_hills(
 
 def carve_trails(
     rng: np.random.Generator,
-    preset: Preset,
+    preset: WorldPreset,
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],

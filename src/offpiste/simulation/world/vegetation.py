@@ -4,11 +4,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.ground import weighted_sum
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.preset import WorldPreset
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.terrain import HALF_WIDTH
-from offpiste.simulation.world.world import GROUND_KINDS, Bushes, Preset, Trees
+from offpiste.simulation.world.world import Bushes, Trees
 
 CLEARANCE = 3.0
 """Of tree trunks from the trail's edge [m]."""
@@ -24,7 +26,7 @@ _GRASSY = {"dry_grass": 1.0, "wet_grass": 1.0, "loose_sand": 0.15, "packed_sand"
 
 def plant_trees(
     rng: np.random.Generator,
-    preset: Preset,
+    preset: WorldPreset,
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],
@@ -47,7 +49,7 @@ def plant_trees(
 
 def plant_bushes(
     rng: np.random.Generator,
-    preset: Preset,
+    preset: WorldPreset,
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],
@@ -70,7 +72,7 @@ def plant_bushes(
 
 def grow_grass(
     rng: np.random.Generator,
-    preset: Preset,
+    preset: WorldPreset,
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
     kinds: Float[np.ndarray, "K ny nx"],

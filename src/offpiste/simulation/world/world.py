@@ -1,34 +1,23 @@
-"""What a world is to everything that drives on it or looks at it: grids of nodes, trails and plants.
+"""A world as the vehicle, its driver and its sensors know it: grids of nodes, trails and plants."""
 
-Presets of worlds, after the sites where the paper's vehicle drove (presets.toml).
-"""
-
-import tomllib
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
+from pathlib import Path
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
-
-from offpiste.conventions import GROUND_KINDS, GROUND_PROPERTIES
-from offpiste.errors import OffpisteError
-
-__all__ = ["GROUND_KINDS", "GROUND_PROPERTIES", "Bushes", "Trees", "World", "WorldSettings"]
 
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """What a world is made from; the same settings make the same world.
+    """Settings of a world; the same settings make the same world.
 
     Attributes:
-        preset: name of a preset (`offpiste.simulation.world.world`).
-        seed: of everything random in it.
+        preset: a world's name (`preset.WORLDS`), or the path of a TOML file.
+        seed: seed of everything random in it.
         grip_contrast: 1: ground as in grounds.toml; 0: all of it drives like the mean; between, in proportion.
         appearance_noise: how far light, shade, colour and texture vary for reasons that have nothing to do with grip.
-        size: of the square [m].
-        resolution: distance of the nodes [m].
+        size: side of the square [m].
+        resolution: distance between nodes [m].
     """
 
     preset: str = "mojave"
@@ -38,10 +27,15 @@ class WorldSettings:
     size: float = 320.0
     resolution: float = 0.25
 
+    @property
+    def name(self) -> str:
+        """The world's name: that of its preset, or its file's without folder and suffix."""
+        return Path(self.preset).stem if self.preset.endswith(".toml") else self.preset
+
 
 @dataclass(frozen=True)
 class Trees:
-    """Obstacles.
+    """Trees: obstacles.
 
     Attributes:
         foot: where the trunk leaves the ground, in the world frame [m].
@@ -56,12 +50,12 @@ class Trees:
 
 @dataclass(frozen=True)
 class Bushes:
-    """Plants that a vehicle can drive over at the price of a little drag.
+    """Bushes: plants that a vehicle can drive through with a little drag.
 
     Attributes:
-        foot: in the world frame [m].
+        foot: where they stand, in the world frame [m].
         radius, height: [m].
-        drag: force on a vehicle that drives through [N].
+        drag: force on a vehicle that drives through one [N].
     """
 
     foot: Float[np.ndarray, "n 3"]
@@ -72,16 +66,16 @@ class Bushes:
 
 @dataclass(frozen=True)
 class World:
-    """A square of ground. Node [j, i] of a grid lies at (origin[0] + i resolution, origin[1] + j resolution).
+    """A square of ground; node [j, i] of its grids lies at (origin[0] + i resolution, origin[1] + j resolution).
 
     Attributes:
         origin: x, y of node [0, 0] in the world frame [m].
-        resolution: distance of the nodes [m].
-        elevation: [m].
-        kinds: share of each of `GROUND_KINDS`; sums to 1.
+        resolution: distance between nodes [m].
+        elevation: height of the ground [m].
+        kinds: share of each of `logs.ground_truth.GROUND_KINDS`; they sum to 1.
         wetness: 0 dry ... 1 wet.
-        properties: of `GROUND_PROPERTIES`, mixed from kinds and wetness, contrast applied.
-        grass_height: of tall grass, 0 where there is none [m].
+        properties: values of `logs.ground_truth.GROUND_PROPERTIES`, mixed from kinds and wetness, contrast applied.
+        grass_height: height of tall grass, 0 where there is none [m].
         trails: centre lines, in the order of driving [m].
     """
 
@@ -96,68 +90,3 @@ class World:
     trees: Trees
     bushes: Bushes
     trails: tuple[Float[np.ndarray, "_ 2"], ...]
-
-
-class Preset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A kind of country.
-
-    Attributes:
-        hills: (grain [m], height [m]) of layers of smooth noise; a bump is about three grains wide.
-        dunes: height of ridges with sharp crests [m].
-        bank: height of steep steps in the open ground [m].
-        ditch: depth of the ditches beside trails [m].
-        rut: depth of the ruts [m].
-        roughness: of the open ground [m].
-        open_ground, trail_ground: shares of the kinds, about; they need not sum to 1.
-        wetness: on average, 0..1.
-        wetness_spread: its standard deviation, about.
-        trees, bushes: a hectare.
-        tree_height: (lowest, highest) [m].
-        grass: share of the grassy ground with tall grass.
-        grass_height: where it is tallest [m].
-        grip: multiplies the grip contrast; 0: ground looks different but drives the same.
-    """
-
-    hills: tuple[tuple[float, float], ...]
-    dunes: float
-    bank: float
-    ditch: float
-    rut: float
-    roughness: float
-    open_ground: dict[str, float]
-    trail_ground: dict[str, float]
-    wetness: float
-    wetness_spread: float
-    trees: float
-    bushes: float
-    tree_height: tuple[float, float]
-    grass: float
-    grass_height: float
-    grip: float = 1.0
-
-    def __post_init__(self) -> None:
-        unknown = {*self.open_ground, *self.trail_ground} - {*GROUND_KINDS}
-        if unknown:
-            raise ValueError(f"unknown ground {', '.join(sorted(unknown))}")
-
-
-def load_preset(name: str) -> Preset:
-    """A preset by its name.
-
-    Raises:
-        OffpisteError: there is none with this name.
-    """
-    if name not in _presets():
-        raise OffpisteError(f"there is no world '{name}'", how=f"choose one of {', '.join(_presets())}")
-    return _presets()[name]
-
-
-def preset_names() -> tuple[str, ...]:
-    """Names of all presets."""
-    return tuple(_presets())
-
-
-@cache
-def _presets() -> dict[str, Preset]:
-    text = resources.files("offpiste.simulation.world").joinpath("presets.toml").read_text(encoding="utf-8")
-    return msgspec.convert(tomllib.loads(text), dict[str, Preset])

@@ -1,0 +1,10 @@
+"""A world with a name of its own: `OFFPISTE_EXTENSIONS=salt_flat offpiste simulate --world salt-flat`.
+
+Worlds that differ in numbers only need no Python: `offpiste simulate --world salt_flat.toml` reads the file itself.
+"""
+
+from pathlib import Path
+
+from offpiste.simulation.world.preset import WORLDS, read_world_preset
+
+WORLDS.register("salt-flat")(read_world_preset(Path(__file__).with_suffix(".toml")))

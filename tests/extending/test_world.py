@@ -1,0 +1,56 @@
+"""A world from outside the package: by its file, and by a name that an extension registers."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from offpiste.errors import OffpisteError
+from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
+from offpiste.simulation.world.preset import find_world_preset
+
+FOLDER = Path(__file__).parents[2] / "examples" / "extending"
+
+
+@pytest.mark.parametrize(("world", "extensions"), [(str(FOLDER / "salt_flat.toml"), ""), ("salt-flat", "salt_flat")])
+def test_a_drive_is_simulated_in_an_added_world(world, extensions, tmp_path):
+    path = os.pathsep.join((str(FOLDER), os.environ.get("PYTHONPATH", "")))
+    command = ("simulate", "--world", world, "--sensors", "none", "--seconds", "1", "--out", f"{tmp_path}/salt.mcap")
+    done = subprocess.run(
+        (sys.executable, "-m", "offpiste", *command),
+        env=os.environ | {"PYTHONPATH": path, "OFFPISTE_EXTENSIONS": extensions},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    layers = read_truth_map(tmp_path / "salt.mcap").layers
+    assert layers["elevation"].std() < 1.0  # hills of 0.3 m
+    mean = {kind: layers[kind].mean() for kind in GROUND_KINDS}
+    assert max(mean, key=mean.get) == "packed_sand"
+
+
+def test_an_unknown_world_is_refused_with_the_names_of_all():
+    with pytest.raises(OffpisteError, match=r"no world 'moon'; there are: .*dunes.*mojave"):
+        find_world_preset("moon")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "cannot read the world: No such file or directory"),
+        ("hills = [", "not TOML"),
+        ("hills = []", "missing required field `dunes`"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line_that_names_it(text, message, tmp_path):
+    file = tmp_path / "moon.toml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(OffpisteError, match=message) as caught:
+        find_world_preset(str(file))
+    assert str(file) in str(caught.value)
+    assert "\n" not in str(caught.value)
