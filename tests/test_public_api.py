@@ -1,0 +1,61 @@
+"""`import offpiste`: every public name is there, nothing heavy is loaded before it is used."""
+
+import ast
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import offpiste
+
+STUB = Path(offpiste.__file__).with_suffix(".pyi")
+
+
+def public_names() -> list[str]:
+    """Names in the stub, in its order."""
+    imports = [node for node in ast.parse(STUB.read_text()).body if isinstance(node, ast.ImportFrom)]
+    return [alias.asname or "" for node in imports for alias in node.names]
+
+
+def test_every_public_name_can_be_imported_and_is_listed() -> None:
+    names = public_names()
+    assert len(names) == len(set(names)), "each is written once"
+    assert all(getattr(offpiste, name) is not None for name in names)
+    assert sorted(names) == sorted(dir(offpiste)) == sorted(offpiste.__all__)
+    assert offpiste.__version__ == version("offpiste")
+
+
+def test_every_stage_is_reachable_as_a_submodule() -> None:
+    folders = {path.parent.name for path in STUB.parent.glob("*/__init__.py")} - {"cli"}
+    assert folders <= {name for name in dir(offpiste) if isinstance(getattr(offpiste, name), ModuleType)}
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = offpiste.nothing
+
+
+def test_types_are_shipped() -> None:
+    assert (STUB.parent / "py.typed").exists()
+
+
+@pytest.mark.parametrize("module", ["offpiste", "offpiste.cli"])
+def test_importing_loads_nothing_heavy(module: str) -> None:
+    code = f"import sys, {module}; print(*{{'torch', 'numpy', 'scipy', 'numba', 'matplotlib'}} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+def test_the_help_loads_nothing_heavy_and_names_every_command() -> None:
+    code = (
+        "import sys, atexit\n"
+        "atexit.register(lambda: print(*{'torch', 'numpy', 'scipy', 'numba'} & set(sys.modules), file=sys.stderr))\n"
+        "from offpiste.cli import main; main(['--help'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "\n"
+    commands = ["demo", "simulate", "inspect", "view", "fit-pca", "extract", "train", "evaluate", "reproduce", "drive"]
+    places = [done.stdout.index(f"• {command} ") for command in commands]
+    assert places == sorted(places), "in the order in which a log goes through them"
