@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from offpiste.simulation.rendering.meshes import SURFACES, box_mesh
 from offpiste.simulation.rendering.scene import Scene, cast_rays, nearest, world_scene
-from offpiste.simulation.world.meshes import SURFACES, box_mesh
 from simulation import scenes
 
 

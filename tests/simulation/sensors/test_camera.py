@@ -6,6 +6,7 @@ import pytest
 
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.rendering.appearance import make_appearance
+from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.rendering.shading import FINE, GLOSS, HIGH, LOW, SUN
 from offpiste.simulation.sample import Pose, standing
@@ -13,7 +14,6 @@ from offpiste.simulation.sensors.camera import Camera, CameraSettings, pixel_ray
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
 from offpiste.simulation.sensors.suite import full_suite, mounted, sensor_suite
 from offpiste.simulation.top_view import overlay, project
-from offpiste.simulation.world.meshes import SURFACES
 from simulation import scenes
 
 SETTINGS = CameraSettings("camera", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True))

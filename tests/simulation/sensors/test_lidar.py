@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sample import Motion, Pose, standing
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, lost_share
 from offpiste.simulation.sensors.suite import mounted, sensor_suite
-from offpiste.simulation.world.meshes import SURFACES
 from simulation import scenes
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])

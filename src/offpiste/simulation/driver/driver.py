@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.conventions import GRAVITY
-from offpiste.simulation.driver.behaviour import Feeling, Foot, Mood, Stall
+from offpiste.simulation.driver.intent import Feeling, Mood
 from offpiste.simulation.driver.lookahead import Country, Prospect, sample_terrain
 from offpiste.simulation.driver.route import Route
+from offpiste.simulation.driver.stuck import Stall
+from offpiste.simulation.driver.traction_control import Foot
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.world import World

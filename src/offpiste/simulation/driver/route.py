@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from offpiste.compilation import PHYSICS
 from offpiste.simulation.driver.lookahead import Country
-from offpiste.simulation.world.terrain import SPACING
+from offpiste.simulation.world.trails import SPACING
 
 _STRETCH = (40.0, 140.0)
 """How long a trail is followed at a time [m]."""

@@ -32,8 +32,9 @@ from offpiste.simulation.rendering.shading import (
     TRAIL_REACH,
     Ground,
 )
+from offpiste.simulation.rendering.texture_noise import WAVELENGTHS, octave_turns, random_lattice
 from offpiste.simulation.world.ground import colour_table
-from offpiste.simulation.world.noise import WAVELENGTHS, octave_turns, random_lattice, smooth_noise, smooth_step
+from offpiste.simulation.world.noise import smooth_noise, smooth_step
 from offpiste.simulation.world.surface import normals_of
 from offpiste.simulation.world.world import World
 

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.simulation.rendering.meshes import box_mesh
 from offpiste.simulation.rendering.scene import Hits, Scene, cast_rays
-from offpiste.simulation.world.meshes import box_mesh
 
 BOXES: Final[dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]] = {
     "chassis": ((-1.25, -0.45, -0.05), (1.30, 0.45, 0.25)),

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import RAYS
 from offpiste.extras import extra
-from offpiste.simulation.world import meshes
-from offpiste.simulation.world.meshes import SURFACES, Mesh
+from offpiste.simulation.rendering import meshes
+from offpiste.simulation.rendering.meshes import SURFACES, Mesh
 from offpiste.simulation.world.world import World
 
 with extra("sim"):

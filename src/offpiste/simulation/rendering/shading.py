@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from offpiste.compilation import RAYS
-from offpiste.simulation.world.noise import hashed, octaves, pebbles, value_noise
+from offpiste.simulation.rendering.texture_noise import hashed, octaves, pebbles, value_noise
 
 SKY, GROUND, TRUNK, CROWN, BUSH, GRASS, BODY = range(7)
 

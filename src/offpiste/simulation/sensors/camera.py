@@ -12,8 +12,8 @@ from offpiste.simulation.rendering.appearance import Appearance
 from offpiste.simulation.rendering.own_body import body_hits
 from offpiste.simulation.rendering.scene import Hits, Scene, cast_rays, nearest
 from offpiste.simulation.rendering.shading import shade_rays
+from offpiste.simulation.rendering.texture_noise import hashed
 from offpiste.simulation.sample import Pose
-from offpiste.simulation.world.noise import hashed
 
 LENS_BLUR = 0.6
 """Standard deviation of the lens's and the demosaicing's blur [px]."""

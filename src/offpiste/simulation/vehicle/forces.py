@@ -12,23 +12,9 @@ from offpiste.compilation import PHYSICS
 from offpiste.conventions import GRAVITY
 from offpiste.simulation.vehicle.chassis import chassis_forces
 from offpiste.simulation.vehicle.drivetrain import braked_pressure, shifted_ratio, spin, steered, wheel_angles
-from offpiste.simulation.vehicle.tyre import (
-    add,
-    axes,
-    brush_force,
-    contact_axes,
-    cross,
-    dot,
-    ground_under,
-    limit_deflection,
-    limit_force,
-    normal_load,
-    relax,
-    standstill_fade,
-    suspension_force,
-    touch,
-    turned,
-)
+from offpiste.simulation.vehicle.tyre import brush_force, limit_deflection, limit_force, relax, standstill_fade
+from offpiste.simulation.vehicle.vectors import add, axes, cross, dot, turned
+from offpiste.simulation.vehicle.wheel_contact import contact_axes, ground_under, normal_load, touch
 from offpiste.simulation.world.surface import properties_at
 
 RATIO, PRESSURE, STEER, STEER_RATE = range(4)
@@ -165,6 +151,25 @@ def _react(q, i, angle, body, qvel, acceleration, speed, body_forces):  # type: 
     gyroscopic = cross(rates, axle)
     for k in range(3):
         body_forces[2 + i, 3 + k] -= q.wheel_inertia * (acceleration * axle[k] + speed * gyroscopic[k])
+
+
+@PHYSICS.entry
+def suspension_force(travel, rate, other, spring, damper, anti_roll, load, p):  # type: ignore[no-untyped-def]
+    """Force of spring, damper, anti-roll bar and stops that pushes a wheel down and the chassis up [N].
+
+    Args:
+        travel: of the wheel from rest, + up [m]; rate: [m/s].
+        other: travel of the wheel across the axle [m].
+        load: of the spring at rest [N].
+    """
+    damping = damper * (1.0 - p.damper_asymmetry if rate > 0.0 else 1.0 + p.damper_asymmetry)
+    force = max(load + spring * travel, 0.0) + damping * rate + anti_roll * (travel - other)
+    over, under = travel - p.bump_travel, -p.droop_travel - travel
+    if over > 0.0:
+        force += max(p.stop_stiffness * over + p.stop_damping * rate, 0.0)
+    if under > 0.0:
+        force -= max(p.stop_stiffness * under - p.stop_damping * rate, 0.0)
+    return force
 
 
 @PHYSICS.entry

@@ -1,5 +1,5 @@
 from offpiste.conventions import DT
-from offpiste.simulation.driver.behaviour import Foot
+from offpiste.simulation.driver.traction_control import Foot
 
 
 def test_without_spin_it_does_what_is_asked():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from offpiste.conventions import DT
-from offpiste.simulation.driver.behaviour import Stall
+from offpiste.simulation.driver.stuck import Stall
 
 
 def stand(stall: Stall, seconds: float, *, at_rest: bool = False) -> None:

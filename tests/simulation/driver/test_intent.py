@@ -1,6 +1,6 @@
 import numpy as np
 
-from offpiste.simulation.driver.behaviour import Mood
+from offpiste.simulation.driver.intent import Mood
 
 
 def feelings(seed: int, count: int):
