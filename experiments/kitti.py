@@ -25,7 +25,7 @@ from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.open import open_log
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.motion_compensation import points_in_world
 from offpiste.perception.pca import save_pca
 from offpiste.rig.rig import load_rig

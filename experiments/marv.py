@@ -27,7 +27,7 @@ from offpiste.errors import LogError
 from offpiste.logs.measurements import Camera
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.perception.backbones.backbone import Backbone, open_backbone
+from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.motion_compensation import transformed

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from experiments.command import run
 from offpiste.errors import PerceptionError
-from offpiste.perception.backbones.backbone import Backbone, open_backbone
+from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit
 from offpiste.progress import track

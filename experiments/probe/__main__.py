@@ -25,7 +25,8 @@ from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
 from offpiste.errors import PerceptionError
 from offpiste.files import write_bytes, write_text
-from offpiste.perception.backbones.backbone import FILTERBANK, open_backbone
+from offpiste.perception.backbones import open_backbone
+from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
 from offpiste.progress import track

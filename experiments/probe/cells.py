@@ -22,7 +22,7 @@ from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import ReplaySettings
 from offpiste.mapping.terrain_map import wheel_places
-from offpiste.perception.backbones.backbone import Backbone
+from offpiste.perception.backbones import Backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents
 from offpiste.rig.rig import Rig

@@ -61,7 +61,7 @@ from .mapping.terrain_lookup import MapTerrain as MapTerrain
 from .mapping.terrain_lookup import stack_maps as stack_maps
 from .mapping.terrain_map import TerrainLayers as TerrainLayers
 from .mapping.terrain_map import TerrainMap as TerrainMap
-from .perception.backbones.backbone import open_backbone as open_backbone
+from .perception.backbones import open_backbone as open_backbone
 from .perception.feature_extractor import load_feature_extractor as load_feature_extractor
 
 # Planning.

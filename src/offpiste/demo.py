@@ -32,7 +32,7 @@ from offpiste.files import write_bytes
 from offpiste.inspection.inspect import inspect_log, render
 from offpiste.logs import open_log
 from offpiste.parallel import usable_cores
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.data import Recording, simulate_all
 from offpiste.reproduction.pieces import claim_folder

@@ -11,7 +11,7 @@ from offpiste.conventions import CONTROL
 from offpiste.dynamics import Vehicle
 from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.training.checkpoint import save_json, save_tensors
 from offpiste.training.config import Weights

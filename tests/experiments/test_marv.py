@@ -6,7 +6,7 @@ import pytest
 from experiments.map_picture import map_picture
 from experiments.marv import CAMERAS, Frame, edge_scores, fit_extractor, overlays, read_frame, terrain
 from offpiste.errors import LogError
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.projection import project
 
 FRONT, LEFT = CAMERAS.index("camera_front"), CAMERAS.index("camera_left")

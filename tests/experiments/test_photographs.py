@@ -6,7 +6,7 @@ from scipy.stats import mannwhitneyu
 
 from experiments.photographs import fit_on_photographs, main, read_photographs
 from offpiste.errors import PerceptionError
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 
 TRAIL = {

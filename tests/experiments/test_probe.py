@@ -15,7 +15,7 @@ from experiments.sensor_faults import Flaw
 from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import PerceptionError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES, read_truth
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit, save_pca
 from offpiste.rig.rig import load_rig

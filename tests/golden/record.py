@@ -52,7 +52,7 @@ from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.settings import VoxelSettings
 from offpiste.mapping.terrain_lookup import MapTerrain
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
 from offpiste.planning.cost_map import Hazards

@@ -39,7 +39,7 @@ class FitPca:
         """Choose images, fit, write."""
         from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
-        from offpiste.perception.backbones.backbone import open_backbone
+        from offpiste.perception.backbones import open_backbone
         from offpiste.perception.pca import save_pca
         from offpiste.rig.rig import load_rig
 

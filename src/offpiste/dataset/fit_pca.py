@@ -24,7 +24,7 @@ from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
 from offpiste.parallel import Report
-from offpiste.perception.backbones.backbone import Backbone
+from offpiste.perception.backbones import Backbone
 from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
 from offpiste.progress import shares

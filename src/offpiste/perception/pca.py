@@ -19,7 +19,7 @@ from torch import Tensor
 
 from offpiste.errors import PerceptionError
 from offpiste.files import write_whole
-from offpiste.perception.backbones.backbone import Backbone
+from offpiste.perception.backbones import Backbone
 
 COMPONENTS = 40
 """As in the paper."""

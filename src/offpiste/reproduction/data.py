@@ -22,7 +22,7 @@ from offpiste.dataset.store import Dataset, drive_names, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
 from offpiste.parallel import Report, run_all, usable_cores
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.pieces import Piece
 from offpiste.reproduction.settings import PCA_SWEPT, Reproduction, Size

@@ -108,7 +108,7 @@ class Reproduction:
         size: how large.
         out: folder for everything.
         dataset: with visual features, to take instead of simulating.
-        backbone: of the visual features (`offpiste.perception.backbones.backbone.open_backbone`).
+        backbone: of the visual features (`offpiste.perception.backbones.open_backbone`).
         split: "drives": tests on drives of their own; "blocks": on stretches of the same logs, as the paper does.
         contrast: of grip in the simulated worlds.
         device: that backbone and models run on.

@@ -6,7 +6,7 @@ import torch
 from transformers import Dinov2Config, Dinov2Model
 
 from offpiste.errors import PerceptionError
-from offpiste.perception.backbones.backbone import Backbone, open_backbone
+from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.backbones.filterbank import Filterbank
 from offpiste.perception.backbones.vision_transformer import VisionTransformer
 
@@ -96,6 +96,12 @@ def test_fingerprints_tell_weights_and_kinds_apart():
 
 def test_the_filterbank_is_opened_by_its_name_only():
     assert isinstance(open_backbone("filterbank"), Filterbank)
+
+
+@pytest.mark.parametrize("name", ["dinov2", "no such thing"])
+def test_an_unknown_name_is_refused_with_the_names_that_there_are(name: str):
+    with pytest.raises(PerceptionError, match=rf"^no backbone '{name}'; give .*filterbank.*, or a vision transformer"):
+        open_backbone(name)
 
 
 @pytest.mark.parametrize("device", ["cuda:99", "tpu"])

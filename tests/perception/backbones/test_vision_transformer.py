@@ -21,7 +21,7 @@ from transformers import (
 )
 
 from offpiste.errors import PerceptionError
-from offpiste.perception.backbones.backbone import open_backbone
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.backbones.vision_transformer import VisionTransformer, weights_hash
 
 SMALL = {"hidden_size": 384, "num_attention_heads": 6, "image_size": 518, "patch_size": 14}
@@ -235,8 +235,8 @@ class TestWeights:
             open_backbone(str(folder))
 
     def test_a_name_that_is_none(self):
-        with pytest.raises(PerceptionError, match=r"^no such thing: neither a folder nor a model's name"):
-            open_backbone("no such thing")
+        with pytest.raises(PerceptionError, match=r"^no/such thing: neither a folder nor a model's name"):
+            open_backbone("no/such thing")
 
     def test_no_network_and_no_cache(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
         def refuse(*_: object, **__: object) -> None:

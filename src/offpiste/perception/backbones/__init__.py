@@ -1,1 +1,148 @@
-"""Backbones: RGB images in, one feature vector a patch out."""
+"""Backbones by name: RGB images in, one feature vector a patch out.
+
+A backbone is one module here, or one of an extension, that registers itself in `BACKBONES`.
+"""
+
+import hashlib
+import json
+import os
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, Final, Literal, Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+
+from offpiste.errors import PerceptionError
+from offpiste.perception.patch_grid import PatchGrid
+from offpiste.registry import Registry
+
+DINOV2_SMALL: Final = "facebook/dinov2-small"
+"""DINOv2 ViT-S/14, the paper's backbone and the default."""
+
+Precision = Literal["fp32", "bf16"]
+
+
+class Backbone(ABC):
+    """Turns images into feature images.
+
+    Attributes:
+        name: the name that `open_backbone` was given; a PCA keeps it.
+        patch: size of a patch [px].
+        channels: C, length of a feature vector.
+    """
+
+    name: str
+    patch: int
+    channels: int
+
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Everything its features depend on, weights as a hash; not precision and device."""
+
+    @abstractmethod
+    def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
+        """Features of images in [0, 1] on the backbone's device, whose sides are multiples of the patch."""
+
+    @property
+    @abstractmethod
+    def device(self) -> torch.device:
+        """Device it computes on."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of `settings`: backbones of one fingerprint give the same features."""
+        return hashlib.sha256(json.dumps(self.settings(), sort_keys=True).encode()).hexdigest()[:16]
+
+    def grid(self, width: int, height: int) -> PatchGrid:
+        """Patches of an image of this size [px].
+
+        Raises:
+            PerceptionError: the image is smaller than one patch.
+        """
+        return PatchGrid(width, height, self.patch)
+
+    def __call__(self, images: Shaped[np.ndarray | Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns C"]:
+        """Feature images, float32, on the backbone's device.
+
+        Args:
+            images: RGB, uint8 in [0, 255] or floats in [0, 1]; cropped as `grid` says.
+
+        Raises:
+            PerceptionError: images of another type, smaller than a patch, or not finite; features not finite.
+        """
+        pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.require(images, requirements=["C", "W"]))
+        _, height, width, _ = pixels.shape
+        rows, columns = self.grid(width, height).crop
+        with torch.no_grad():
+            features = self._features(_unit_range(pixels[:, rows, columns].to(self.device)))
+            finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
+        if not finite:
+            raise PerceptionError(
+                "features are not finite", where=self.name, how="its weights may be broken: fetch them again"
+            )
+        return features
+
+
+def _unit_range(pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B 3 h w"]:
+    """Planes of float32 in [0, 1]."""
+    planes = pixels.permute(0, 3, 1, 2)
+    if pixels.dtype == torch.uint8:
+        return planes.float() / 255
+    if not pixels.is_floating_point():
+        raise PerceptionError(f"images of type {pixels.dtype}", how="give uint8, or floats in [0, 1]")
+    planes = planes.float()
+    low, high = (float(limit) for limit in torch.aminmax(planes))
+    if not (low >= 0.0 and high <= 1.0):
+        raise PerceptionError(
+            f"pixels from {low:g} to {high:g}, not in [0, 1]", how="give uint8, or finite floats in [0, 1]"
+        )
+    return planes
+
+
+class MakeBackbone(Protocol):
+    """Makes a backbone that needs no files; a class whose `__init__` takes the device does."""
+
+    def __call__(self, *, device: torch.device) -> Backbone:
+        """The backbone, ready to use."""
+
+
+BACKBONES: Final[Registry[MakeBackbone]] = Registry("backbone", package=__name__, error=PerceptionError)
+"""Backbones that have a name of their own; vision transformers go by that of their weights."""
+
+
+def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu", precision: Precision = "fp32") -> Backbone:
+    """A backbone by name.
+
+    Args:
+        name: of `BACKBONES`; or a vision transformer: a folder with config.json and model.safetensors, or `owner/model`
+            on the Hugging Face hub.
+        device: "cpu", "cuda", "cuda:1" ...
+        precision: of a transformer's matrix products; features are always given as float32.
+
+    Raises:
+        PerceptionError: no such backbone, weights that cannot be had, a model of another family, or a device that is
+            not there.
+    """
+    place = _device(device)
+    if name in BACKBONES:
+        return BACKBONES[name](device=place)
+    if "/" not in name and os.sep not in name and not Path(name).is_dir():
+        known = ", ".join(sorted(BACKBONES))
+        how = f"give {known}, or a vision transformer: its folder, or owner/model as in {DINOV2_SMALL}"
+        raise PerceptionError(f"no backbone '{name}'", how=how)
+    from offpiste.perception.backbones.vision_transformer import load_vision_transformer
+
+    return load_vision_transformer(name, device=place, precision=precision)
+
+
+def _device(name: str) -> torch.device:
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise PerceptionError(f"no such device: {name!r}", how="give cpu or cuda") from error
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise PerceptionError(f"no device {name!r} here", how="give cpu")
+    return device

@@ -7,14 +7,16 @@ so it is a constant there, which differences and the image's own median take out
 """
 
 import math
-from typing import Any, final
+from typing import Any, Final, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from offpiste.perception.backbones.backbone import FILTERBANK, Backbone
+from offpiste.perception.backbones import BACKBONES, Backbone
+
+FILTERBANK: Final = "filterbank"
 
 ORIENTATIONS = 4
 SCALES = (1.0, 2.0, 4.0)
@@ -33,9 +35,10 @@ _WEIGHTS = {"brightness": 0.45, "colour": 4.0, "spread": 0.7, "texture": 0.35}
 """Bring the groups to variances of one size, so that a PCA starts with none of them alone."""
 
 
+@BACKBONES.register(FILTERBANK)
 @final
 class Filterbank(Backbone):
-    """The stand-in; its patches are DINOv2's."""
+    """Colours and oriented edges of each patch; patches as large as DINOv2's [px]."""
 
     name = FILTERBANK
     patch = 14
@@ -49,11 +52,11 @@ class Filterbank(Backbone):
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """Device it computes on."""
         return self._device
 
     def settings(self) -> dict[str, Any]:
-        """Of the filters."""
+        """Settings of the filters."""
         return {
             "kind": FILTERBANK,
             "version": 1,

@@ -15,20 +15,20 @@ from torch import Tensor
 
 from offpiste.errors import PerceptionError
 from offpiste.extras import extra
-from offpiste.perception.backbones.backbone import DINOV2_SMALL, FILTERBANK, Backbone, Precision
+from offpiste.perception.backbones import DINOV2_SMALL, Backbone, Precision
 
 if TYPE_CHECKING:
     from transformers import PreTrainedModel
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
-"""Of RGB in [0, 1] over ImageNet; what DINOv2 was trained with, and what is used where a model does not say."""
+"""Mean and standard deviation of RGB in [0, 1] over ImageNet: DINOv2's, and the default of other models."""
 
 FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
 """`model_type` of the configurations whose tokens are known to be: class, registers, patches row after row."""
 
 _FILES = ("config.json", "preprocessor_config.json", "model.safetensors")
-_OTHERWISE = f"use the backbone {FILTERBANK!r}, which needs no weights"
+_OTHERWISE = "use the backbone 'filterbank', which needs no weights"
 _INSTEAD = f"or {_OTHERWISE}"
 
 
@@ -65,7 +65,7 @@ class VisionTransformer(Backbone):
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """Device it computes on."""
         return self._device
 
     def settings(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class VisionTransformer(Backbone):
 
 
 def weights_hash(model: torch.nn.Module) -> str:
-    """Of a model's parameters, whatever they are called: names change between versions of transformers."""
+    """Hash of a model's parameters, not of their names, which change between versions of transformers."""
     parameters = (parameter.detach().float().cpu().contiguous() for parameter in model.parameters())
     digests = sorted(hashlib.sha256(parameter.numpy().tobytes()).hexdigest() for parameter in parameters)
     return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
