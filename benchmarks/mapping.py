@@ -1,4 +1,4 @@
-"""The map: insertion, flattening and lookup, against plain NumPy or torch and against copying the bytes touched.
+"""The map: insertion and flattening, against plain NumPy and against copying the bytes touched; and torch's lookups.
 
 `python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m between scans of
 100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m in cells of 0.2 m.
@@ -18,7 +18,7 @@ import torch
 import mapping_reference
 from offpiste.mapping.flatten import Flattener
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.terrain_lookup import look_up, look_up_wheels, stack_maps
+from offpiste.mapping.terrain_lookup import look_up, stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.voxel_map import VoxelMap
 
@@ -97,10 +97,10 @@ def mapping(channels: int, threads: int) -> None:
     report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
     print(summary("insert + flatten", both))
-    wheels(layers, channels, threads)
+    wheels(layers)
 
 
-def wheels(layers: TerrainLayers, channels: int, threads: int) -> None:
+def wheels(layers: TerrainLayers) -> None:
     """The ground under four wheels of 1024 x 250 poses."""
     rng = np.random.default_rng(1)
     stack = stack_maps([layers.terrain_map()])
@@ -109,12 +109,9 @@ def wheels(layers: TerrainLayers, channels: int, threads: int) -> None:
     corner = np.array([[1.0, 0.7], [1.0, -0.7], [-1.0, 0.7], [-1.0, -0.7]])
     place = torch.as_tensor((pose + corner).reshape(-1, 2), dtype=torch.float32)
     number, offset = torch.zeros(len(place), dtype=torch.long), torch.zeros(len(place), 2, dtype=torch.float64)
-    found = look_up_wheels(stack, 0, place, offset[0], threads=threads)
-    again = partial(look_up_wheels, stack, 0, place, offset[0], threads=threads, out=found)
-    times = [timed(again) for _ in range(9)]
-    plain = np.min([timed(partial(look_up, stack, number, place, offset)) for _ in range(3)], axis=0)
-    touched = len(place) * (8 + 12 + 2 + 2 * 4 * channels + 32)
-    report("look up 1024 x 250 x 4", times, plain, touched)
+    sample = partial(look_up, stack, number, place, offset)
+    sample()
+    print(summary("look up 1024 x 250 x 4", [timed(sample) for _ in range(5)]))
 
 
 def main() -> None:

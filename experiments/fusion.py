@@ -33,7 +33,7 @@ from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import ReplaySettings
 from offpiste.mapping.settings import RULES, VoxelSettings
-from offpiste.mapping.terrain_map import wheel_places
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
@@ -158,7 +158,7 @@ def _first(rows: Rows, sensors: SensorLog, seconds: float) -> tuple[Rows, Sensor
 
 def _passes(rows: Rows, sensors: SensorLog, rig: Rig, resolution: float) -> tuple[Passes, Float[np.ndarray, "N 2"]]:
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
-    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
+    wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     return find_passes(rows.time, xy, wheels, resolution=resolution, jumps=sensors.poses.jumps), xy
 
 

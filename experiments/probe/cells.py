@@ -21,7 +21,7 @@ from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_tru
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import ReplaySettings
-from offpiste.mapping.terrain_map import wheel_places
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents
@@ -113,7 +113,7 @@ def see_cells(
     seen = with_visual_features(rows, sensors, rig, with_colour(extractor), settings).cells
     assert seen is not None
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
-    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions()).reshape(-1, 2)
+    wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions()).reshape(-1, 2)
     cell, contact = np.unique(seen.index, return_index=True)
     contact = contact[cell >= 0]
     size = settings.map.voxels.size

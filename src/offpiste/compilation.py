@@ -85,7 +85,11 @@ FUSED: Final = frozenset({"contract"})
 MAPPING: Final = Compiler(("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False)
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
 KERNELS: Final = Compiler(("dynamics/kernels",), FUSED, loops_make_arrays=False)
-PLANNING: Final = Compiler(("dynamics/kernels", "planning"), FUSED, loops_make_arrays=False)
+PLANNING: Final = Compiler(
+    ("dynamics/kernels", "planning", "mapping/map_cells.py", "mapping/wheel_positions.py"),
+    FUSED,
+    loops_make_arrays=False,
+)
 PHYSICS: Final = Compiler(("simulation",))
 """The simulated vehicle: functions of scalars for Python and for each other, without any liberty."""
 RAYS: Final = Compiler(("simulation",), frozenset({"contract", "nsz", "arcp"}))

@@ -13,7 +13,8 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.errors import DatasetError, RunError
-from offpiste.mapping.terrain_map import TerrainMap, wheel_places
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.training.run import build, vehicle_of
 from offpiste.training.terrain_sources import encoded, on_map
 
@@ -41,7 +42,7 @@ def test_cells_are_those_under_the_wheels_each_once():
     rows, rig = circle_rows(600), small_rig()
     grounded = with_ground_truth(rows, truth(), rig)
     cells = grounded.rows.cells
-    places = wheel_places(rows.state[:, :2] + rows.origin, rows.state[:, 2], rig.wheel_positions())
+    places = wheel_positions(rows.state[:, :2] + rows.origin, rows.state[:, 2], rig.wheel_positions())
     wanted = np.round((places - truth().origin) / truth().resolution)
     np.testing.assert_array_equal(cells.features[0, cells.index, :2], wanted)
     assert len(np.unique(cells.features[0], axis=0)) == cells.features.shape[1]

@@ -19,7 +19,7 @@ from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.terrain_lookup import MapTerrain
-from offpiste.mapping.terrain_map import wheel_places
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.perception.pca import load_pca
 from offpiste.rig.rig import load_rig
@@ -102,7 +102,7 @@ def test_ground_that_no_camera_sees_any_more_stays_as_it_was(dataset: Dataset) -
 def test_elevation_and_normals_are_those_of_the_world(dataset: Dataset, folder: Path) -> None:
     rows, rig = dataset.drives[0].rows, dataset.rig
     truth = read_truth_map(folder / "drive.mcap")
-    places = wheel_places(rows.state[:, :2] + rows.origin, rows.state[:, 2].astype(float), rig.wheel_positions())
+    places = wheel_positions(rows.state[:, :2] + rows.origin, rows.state[:, 2].astype(float), rig.wheel_positions())
     under = rows.cells.index
     here = rows.cells.elevation[0][under]
     known = (under >= 0) & np.isfinite(here)

@@ -1,7 +1,5 @@
 """From voxels to layers, each rule alone, with answers worked out by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 
 from offpiste.mapping.flatten import Flattener, flatten, neighbour_offsets
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.terrain_lookup import MapTerrain, look_up, look_up_wheels, stack_maps
+from offpiste.mapping.terrain_lookup import MapTerrain, look_up, stack_maps
 from offpiste.mapping.voxel_map import VoxelMap
 
 SMALL = VoxelSettings(reach=6.0, capacity=20_000)
@@ -316,25 +314,3 @@ def test_a_vehicle_turned_by_90_degrees_reads_what_lies_under_its_own_wheels():
     assert found.latent[0, :, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
     lean = torch.tensor([-(0.5**0.5), 0.0, 0.5**0.5], dtype=torch.float64)
     torch.testing.assert_close(found.normal[0], lean.expand(4, 3), atol=2e-5, rtol=0)
-
-
-@pytest.mark.parametrize("channels", [0, 4])
-def test_the_loop_over_wheels_says_what_look_up_says(channels):
-    layers = flatten(ground(0.3, -0.2, scatter=0.09, keep=0.3, channels=channels))
-    stack = stack_maps([layers.terrain_map(), replace(layers, origin=layers.origin + 1).terrain_map()])
-    rng = np.random.default_rng(0)
-    place = torch.as_tensor(rng.uniform(-8, 8, (5000, 2)), dtype=torch.float32)
-    place[::50] = torch.nan
-    place[1::50, 1] = torch.inf
-    offset = torch.tensor([0.4, 0.3], dtype=torch.float64)
-    number = torch.ones(len(place), dtype=torch.long)
-    wanted = look_up(stack, number, place, offset.expand(len(place), 2))
-    found = look_up_wheels(stack, 1, place, offset, threads=2)
-    found = look_up_wheels(stack, 1, place, offset, out=found)
-    assert 0.05 < wanted.known.float().mean() < 0.9
-    assert torch.equal(found.known, wanted.known)
-    assert torch.equal(found.valid, wanted.valid)
-    torch.testing.assert_close(found.normal, wanted.normal, atol=1e-6, rtol=0)
-    assert torch.equal(found.features[found.valid], wanted.features[wanted.valid])
-    with pytest.raises(ValueError, match="use look_up"):
-        look_up_wheels(stack, 1, place.double(), offset)

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.mapping.terrain_lookup import MapTerrain, look_up, stack_maps
-from offpiste.mapping.terrain_map import TerrainMap, wheel_places
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.wheel_positions import wheel_positions
 
 WHEELS = np.array([[1.0, 0.7], [1.0, -0.7], [-1.2, 0.6], [-1.2, -0.6]])
 
@@ -111,12 +112,12 @@ def test_wheels_of_the_predicted_state_are_looked_up():
         lambda features, valid: features.double(),
     )
     ground = source.at(3, state)
-    places = wheel_places(state[:, :2].numpy() + offset, state[:, 2].numpy(), WHEELS)
+    places = wheel_positions(state[:, :2].numpy() + offset, state[:, 2].numpy(), WHEELS)
     wanted = np.round((places - terrain.origin) / terrain.resolution)
     np.testing.assert_array_equal(ground.latent, wanted)
     assert ground.normal.shape == (8, 4, 3)
 
 
 def test_wheels_stand_where_a_turned_vehicle_has_them():
-    places = wheel_places(np.array([[3.0, 4.0]]), np.array([np.pi / 2]), WHEELS)
+    places = wheel_positions(np.array([[3.0, 4.0]]), np.array([np.pi / 2]), WHEELS)
     np.testing.assert_allclose(places[0], [[2.3, 5.0], [3.7, 5.0], [2.4, 2.8], [3.6, 2.8]])

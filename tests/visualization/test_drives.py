@@ -16,7 +16,7 @@ from offpiste.dataset.cells import Cells
 from offpiste.dataset.passes import find_passes
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import parse_split
-from offpiste.mapping.terrain_map import wheel_places
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.visualization.coverage import covered, passes_of
 from offpiste.visualization.drives import DRIVES_A_PAGE, pages
 from offpiste.visualization.page import house_style
@@ -28,7 +28,7 @@ SETS = len(FEATURE_SETS)
 def with_features(rows: Rows, *, shift: int = 0) -> Rows:
     """Features that grow by 0.1 with every set, valid in every second cell from 0 m on."""
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
-    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), small_rig().wheel_positions())
+    wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), small_rig().wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=0.2)
     count = len(passes.cell)
     valid = np.ones((SETS, count), bool)

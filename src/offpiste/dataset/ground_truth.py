@@ -13,7 +13,8 @@ from offpiste.dataset.rows import Rows
 from offpiste.errors import LogError
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.mapping.terrain_lookup import look_up, stack_maps
-from offpiste.mapping.terrain_map import TerrainMap, wheel_places
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.rig.rig import Rig
 
 REACH = 75.0
@@ -67,7 +68,7 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     ground = replace(ground, features=ground.features.astype(np.float16))
     ny, nx = ground.elevation.shape
 
-    places = wheel_places(np.where(known[:, None], xy, np.inf), rows.state[:, 2], rig.wheel_positions())
+    places = wheel_positions(np.where(known[:, None], xy, np.inf), rows.state[:, 2], rig.wheel_positions())
     found = look_up(
         stack_maps([ground]),
         torch.zeros(places.shape[:2], dtype=torch.long),

@@ -13,7 +13,8 @@ from offpiste.dataset.rows import Rows
 from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
-from offpiste.mapping.terrain_map import TerrainLayers, wheel_places
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
@@ -65,7 +66,7 @@ def with_visual_features(
     settings = settings or ReplaySettings()
     grid = settings.map.voxels
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
-    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
+    wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=grid.size, jumps=log.poses.jumps)
     feature_sets_recorder = FeatureSetRecorder(
         passes, resolution=grid.size, reach=grid.reach, features=extractor.channels

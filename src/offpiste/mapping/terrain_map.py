@@ -39,20 +39,6 @@ class TerrainMap:
         return TerrainMap(origin, self.resolution, self.elevation[rows, columns], self.features[rows, columns], rise)
 
 
-def wheel_places(
-    xy: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"], wheels: Float[np.ndarray, "4 2"]
-) -> Float[np.ndarray, "N 4 2"]:
-    """Horizontal places of the wheels in the world frame [m], for a vehicle that stands level.
-
-    Args:
-        xy, yaw: of the pose point.
-        wheels: in the body frame, from the pose point.
-    """
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = wheels.T
-    return np.stack((xy[:, :1] + cos * x - sin * y, xy[:, 1:] + sin * x + cos * y), axis=-1)
-
-
 @dataclass(frozen=True)
 class TerrainLayers:
     """Layers of the ground around the vehicle; row j lies at y = origin[1] + j resolution, column i alike in x.

@@ -20,7 +20,7 @@ from offpiste.dataset.passes import Passes, find_passes
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.evaluation.tables import number
 from offpiste.mapping.settings import VoxelSettings
-from offpiste.mapping.terrain_map import wheel_places
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.rig.rig import Rig
 
 STRIDE = 5
@@ -107,7 +107,7 @@ def passes_of(drive: StoredDrive, rig: Rig) -> Passes | None:
     """The passes that a drive's cells stand for, found again; None where they are not those of the usual map."""
     rows = drive.rows
     xy = path_of(drive)
-    wheels = wheel_places(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
+    wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=VoxelSettings().size)
     same = rows.cells is not None and np.array_equal(passes.index, rows.cells.index)
     return passes if same else None

@@ -16,7 +16,7 @@ from offpiste.files import write_bytes
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
-from offpiste.mapping.terrain_map import wheel_places
+from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.progress import track
 from offpiste.rig.rig import Rig
@@ -156,7 +156,7 @@ def _three(spread: Float[np.ndarray, " n"]) -> Float[np.ndarray, " 3"]:
 def _wheels(poses: Float[np.ndarray, "N 4 4"], rig: Rig) -> Float[np.ndarray, "N 4 3"]:
     """Places of the wheels at the height of the pose point."""
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
-    places = wheel_places(poses[:, :2, 3], yaw, rig.wheel_positions())
+    places = wheel_positions(poses[:, :2, 3], yaw, rig.wheel_positions())
     return np.concatenate((places, np.repeat(poses[:, None, 2:3, 3], 4, axis=1)), axis=2)
 
 

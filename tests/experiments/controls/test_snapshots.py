@@ -12,7 +12,8 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.mapping.terrain_map import TerrainMap, wheel_places
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.wheel_positions import wheel_positions
 from seen_drives import FEATURES, seen_dataset
 
 ROWS = (20, 75, 300, 880)
@@ -71,7 +72,7 @@ def test_a_snapshot_is_read_under_the_recorded_wheels(dataset: Dataset) -> None:
     assert len(cells.features) == 1
     for row in (0, 10, 200):
         state = source.rows.state[75 - 10 + row].astype(np.float64)
-        places = wheel_places(state[None, :2] + source.rows.origin, state[None, 2], dataset.rig.wheel_positions())[0]
+        places = wheel_positions(state[None, :2] + source.rows.origin, state[None, 2], dataset.rig.wheel_positions())[0]
         column, line = np.round((places - terrain.origin) / terrain.resolution).astype(int).T
         found = cells.features[0, cells.index[row]]
         np.testing.assert_allclose(found, terrain.features[line, column], atol=2e-3)
