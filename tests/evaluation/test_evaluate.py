@@ -72,6 +72,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 class Slipping(Kinematic):
     """`kinematic` that is too slow by a share of its speed: known to be worse, and by how much."""
 
+    reads_terrain = True
+
     def __init__(self, share: float) -> None:
         super().__init__(COMMANDED)
         self.share = share

@@ -68,7 +68,7 @@ from offpiste.state import History, ModelState, RecordedTerrain, Terrain
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
 from offpiste.training.run import build, load_run
-from offpiste.training.terrain_sources import encoded, encoder_of
+from offpiste.training.terrain_sources import encoded
 from offpiste.training.train import predict, standardise, train
 from planning_grounds import layers, situation
 from runtime.stream import parametric, settings
@@ -518,7 +518,7 @@ def plan() -> Results:
         dynamics = made(name, replace(vehicle, features=2)).eval().requires_grad_(False)
         standardised_for_plans(dynamics)
         past = carry_at(dynamics, at.state)
-        encoder = encoder_of(dynamics)
+        encoder = dynamics.encoder
         codes = encode_map(at.ground, encoder)
         costs = {
             "fused": fused_costs(dynamics, past, at, weights, codes),
@@ -551,7 +551,7 @@ def carry_at(dynamics: Dynamics, state: torch.Tensor) -> ModelState:
     """After a fifth of a second at the same state."""
     present = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
     actuators = torch.where(present, torch.tensor([0.1, 0.05, 0.0, 1.5]), torch.nan)
-    codes = encoder_of(dynamics).missing() if encoder_of(dynamics) is not None else torch.zeros(0)
+    codes = dynamics.encoder.missing() if dynamics.encoder is not None else torch.zeros(0)
     flat = torch.tensor([0.0, 0.0, 1.0]).expand(1, 10, 4, 3)
     history = History(
         state.expand(1, 10, 6),

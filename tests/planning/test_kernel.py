@@ -54,7 +54,7 @@ def model(kind, vehicle=COMMANDED):
         "parametric": Parametric(vehicle),
         "b": Hybrid(vehicle),
         "dc": coded(vehicle, 3),
-        "hold": Hybrid(vehicle, encoder=Identity(2), holds=True),
+        "hold": Hybrid(vehicle, encoder=Identity(2), holds_codes=True),
     }[kind]
     if isinstance(made, Hybrid):
         torch.nn.init.normal_(made.compensator.output[-1].weight, std=0.1)

@@ -149,7 +149,7 @@ def test_a_folder_with_a_run_is_not_overwritten(dataset: Dataset, run: Path) -> 
 
 
 def test_an_unknown_model_is_named(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="no model 'bb'; models are: ctrv"):
+    with pytest.raises(RunError, match="no model 'bb'; there are: ctrv"):
         train(dataset, replace(QUICK, model="bb"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

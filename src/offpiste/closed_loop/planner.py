@@ -12,7 +12,6 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import load_run
-from offpiste.training.terrain_sources import encoder_of
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Planner:
     @property
     def told(self) -> bool:
         """Whether it knows the ground's true properties."""
-        return self.extractor is None and encoder_of(self.dynamics) is not None
+        return self.extractor is None and self.dynamics.encoder is not None
 
 
 def load_planner(folder: Path, pca: Path | None = None) -> Planner:
@@ -57,7 +56,7 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
             how="give a run trained on commands of both",
         )
     weights = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()[:16]
-    if encoder_of(run.dynamics) is None:
+    if run.dynamics.encoder is None:
         return Planner(run.model, folder, run.dynamics, weights=weights)
     identity = run.pca or _pca_of_dataset(folder)
     if identity is None:

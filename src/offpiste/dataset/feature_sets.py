@@ -2,7 +2,7 @@
 
 What the map held of passed cells when the vehicle was at given distances from them (paper, "Dataset Extraction").
 
-Which feature sets a model reads while it trains (paper, "Distance-Independent Training"), by its name.
+Which feature sets a model reads while it trains (paper, "Distance-Independent Training").
 """
 
 from collections.abc import Callable
@@ -167,7 +167,3 @@ def per_step(rng: np.random.Generator, count: int, horizon: int, stored: int) ->
 def masked(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
     """`cf-masked`: what would be missing from a drawn distance is, but the rest is as in hindsight."""
     return FeatureSetChoice(rng.integers(0, stored, (count, 1)), flags_only=True)
-
-
-DRAWS: dict[str, Draw] = {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}
-"""Models that are not trained on hindsight alone."""

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.conventions import DT
-from offpiste.dynamics.base import Vehicle
 from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History
 
 

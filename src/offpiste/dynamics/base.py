@@ -2,57 +2,60 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.bicycle import BicycleConstants
+from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState, Terrain, TerrainSource, Trajectory
 
 Step = Callable[[ModelState, Tensor, Terrain], ModelState]
 
 
-@dataclass(frozen=True)
-class Vehicle:
-    """What a model must know of the vehicle and of its log.
+class KernelParts(NamedTuple):
+    """Parts of a model that the generated kernels step, besides its actuators.
 
     Attributes:
-        mass: [kg].
-        wheelbase: [m].
-        max_steer: road-wheel angle at a steering command of 1 [rad].
-        control: names (of `conventions.CONTROL`) that the log has.
-        actuators: names (of `conventions.ACTUATORS`) that the log has; "steer" only together with "steer_rate".
-        rear_axle: how far behind the pose point the rear axle lies [m].
-        features: how many terrain features the dataset has under each wheel.
-        pca: how many of them a model reads, the first ones; 0: all.
-        codes: length of the code that an encoder makes of them.
+        bicycle: constants of the parametric bicycle.
+        compensator: network that corrects the bicycle's forces; None without.
+        force_scale: units of the network's outputs.
     """
 
-    mass: float
-    wheelbase: float
-    max_steer: float
-    control: tuple[str, ...]
-    actuators: tuple[str, ...]
-    rear_axle: float = 0.0
-    features: int = 0
-    pca: int = 0
-    codes: int = 4
-
-    def __post_init__(self) -> None:
-        if "steer" in self.actuators and "steer_rate" not in self.actuators:
-            raise ValueError("a steering angle needs its rate: the delay model has both as its state")
-
-    @property
-    def read(self) -> int:
-        """How many terrain features a model reads."""
-        return self.pca or self.features
+    bicycle: BicycleConstants
+    compensator: Compensator | None = None
+    force_scale: Float[Tensor, " 4"] | None = None
 
 
 class Dynamics(nn.Module, ABC):
-    """A model of how the vehicle moves. Subclasses are final; all are batched and run on any device and float type."""
+    """A model of how the vehicle moves, batched, on any device and in any float type. Subclasses are final.
+
+    What a model can do, and what others must do for it, it declares here; the defaults are those of a model without
+    networks, features and kernels.
+
+    Attributes:
+        encoder: turns terrain features into the codes that the model reads; None if it reads no features.
+        actuators: delay models, fitted before the model itself; None if it has none.
+        reads_terrain: whether predictions depend on the ground at all.
+        holds_codes: whether the codes at the start of a prediction stay for all of it.
+    """
 
     vehicle: Vehicle
+    encoder: FeatureEncoder | None
+    actuators: Actuators | None
+    reads_terrain: ClassVar[bool] = True
+    holds_codes: bool = False
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
+        self.vehicle = vehicle
+        self.encoder = None
+        self.actuators = None
 
     @abstractmethod
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
@@ -76,6 +79,30 @@ class Dynamics(nn.Module, ABC):
         """
         return self.stepper()(model_state, control, terrain)
 
+    @property
+    def codes(self) -> int:
+        """Length of the code that the model reads under each wheel."""
+        return self.encoder.size if self.encoder is not None else 0
+
+    @property
+    def recurrent_size(self) -> int:
+        """Hidden units of all its networks: the width of `ModelState.hidden` and `ModelState.cell`."""
+        return self.actuators.hidden if self.actuators is not None else 0
+
+    def kernel_parts(self) -> KernelParts | None:
+        """Parts that the generated kernels step; None if they cannot step this model."""
+        return None
+
+    def physics(self) -> "Dynamics | None":
+        """The same model without networks, which is fitted first; None if there is nothing to fit first."""
+        return None
+
+    def adopt_physics(self, fitted: "Dynamics") -> None:
+        """Take over the parameters of what `physics` returned, once they are fitted."""
+
+    def standardise_on(self, history: History) -> None:
+        """Set mean and scale of the inputs of the model's networks from training windows, their codes included."""
+
 
 def rollout(
     dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T 3"], source: TerrainSource
@@ -83,7 +110,7 @@ def rollout(
     """Predict T steps.
 
     Args:
-        carry: from `dynamics.start`.
+        model_state: from `dynamics.start`.
         controls: as commanded during each step.
         source: asked for the ground under the wheels before each step.
     """
@@ -99,7 +126,7 @@ def rollout(
 def as_callable(
     dynamics: Dynamics, source: TerrainSource
 ) -> Callable[[Float[Tensor, "B P"], Float[Tensor, "B 3"], int], Float[Tensor, "B P"]]:
-    """The model as `f(packed carry, control, t) -> packed carry`, as pytorch_mppi and similar planners want it."""
+    """The model as pytorch_mppi and similar planners want it: `f(packed model state, control, t)` -> the next one."""
     step = dynamics.stepper()
 
     def call(packed: Float[Tensor, "B P"], control: Float[Tensor, "B 3"], t: int = 0) -> Float[Tensor, "B P"]:

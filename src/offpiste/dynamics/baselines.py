@@ -6,18 +6,19 @@ from torch import Tensor
 
 from offpiste.conventions import DT
 from offpiste.dynamics.actuators import Actuators
-from offpiste.dynamics.base import Dynamics, Step, Vehicle
+from offpiste.dynamics.base import Dynamics, Step
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.models import register_model
+from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState, Terrain
 
 
+@register_model("ctrv", baseline=True, colour="#8c8c8c")
 class ConstantMotion(Dynamics):
     """Constant turn rate and velocity (`ctrv`): vx, vy and yaw rate stay as they are."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__()
-        self.vehicle = vehicle
+    reads_terrain = False
 
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
         """Nothing but the state."""
@@ -38,6 +39,7 @@ class ConstantMotion(Dynamics):
         return step
 
 
+@register_model("kinematic", baseline=True, colour="#cc79a7")
 class Kinematic(Dynamics):
     """Bicycle at constant speed that turns by its geometry (`kinematic`): yaw rate = v tan(delta) / wheelbase,
     and the rear axle moves where it points.
@@ -45,9 +47,11 @@ class Kinematic(Dynamics):
     A steering angle that the log records follows its command through the fitted delay model, as in every other model.
     """
 
+    reads_terrain = False
+    actuators: Actuators
+
     def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__()
-        self.vehicle = vehicle
+        super().__init__(vehicle)
         self.actuators = Actuators(vehicle)
 
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
@@ -73,12 +77,14 @@ class Kinematic(Dynamics):
         return step
 
 
+@register_model("lstm", colour="#b8a400")
 class Recurrent(Dynamics):
     """An LSTM without physics (`lstm`): the same network as the hybrid's, but it predicts accelerations by itself."""
 
+    actuators: Actuators
+
     def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__()
-        self.vehicle = vehicle
+        super().__init__(vehicle)
         self.actuators = Actuators(vehicle)
         self.network = Compensator(3 + len(vehicle.actuators) + len(vehicle.control) + 3, 3)
 
@@ -105,6 +111,15 @@ class Recurrent(Dynamics):
             return ModelState(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
 
         return step
+
+    @property
+    def recurrent_size(self) -> int:
+        """Units of the network and of the actuators' residuals."""
+        return self.network.hidden + self.actuators.hidden
+
+    def standardise_on(self, history: History) -> None:
+        """Set mean and scale of the network's inputs."""
+        self.network.standardise_on(self.recorded_inputs(history).flatten(0, 1))
 
     def recorded_inputs(self, history: History) -> Float[Tensor, "B H I"]:
         """What the network would have seen at recorded rows."""

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from offpiste.conventions import DT, GRAVITY
-from offpiste.dynamics.base import Vehicle
+from offpiste.dynamics.vehicle import Vehicle
 
 Scalar = Any
 """A number, a tensor of any shape, or a symbol."""

@@ -5,21 +5,26 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import DT
+from offpiste.dataset.feature_sets import masked, per_step, per_trajectory
 from offpiste.dynamics.actuators import TORCH, Actuators
-from offpiste.dynamics.base import Dynamics, Step, Vehicle
+from offpiste.dynamics.base import Dynamics, KernelParts, Step
 from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
-from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.encoder import Compressor, FeatureEncoder, Identity
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.models import register_model
+from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState, Terrain
 
 
+@register_model("parametric", colour="#56b4e9")
 class Parametric(Dynamics):
     """Actuator lags and the bicycle, nothing learned but constants (`parametric`)."""
 
+    actuators: Actuators
+
     def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__()
-        self.vehicle = vehicle
+        super().__init__(vehicle)
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
 
@@ -44,7 +49,12 @@ class Parametric(Dynamics):
 
         return step
 
+    def kernel_parts(self) -> KernelParts:
+        """The bicycle."""
+        return KernelParts(self.bicycle)
 
+
+@register_model("b", colour="#0072b2")
 class Hybrid(Dynamics):
     """The paper's model without (`b`) or with encoded terrain features: the network sees the physics and corrects F.
 
@@ -53,26 +63,27 @@ class Hybrid(Dynamics):
 
     Args:
         encoder: of the terrain features; None for `b`.
-        holds: the codes of the start stay for the whole horizon (`hold`): what looking ahead is worth shows beside it.
+        holds_codes: the codes of the start stay for the whole horizon (`hold`), to show what reading ahead is worth.
         history: units of the networks that read the last 0.2 s.
         width: units of the layer that turns the LSTM's state and inputs into the compensation.
     """
+
+    actuators: Actuators
 
     def __init__(
         self,
         vehicle: Vehicle,
         *,
         encoder: FeatureEncoder | None = None,
-        holds: bool = False,
+        holds_codes: bool = False,
         history: int = 20,
         width: int = 20,
     ) -> None:
-        super().__init__()
-        self.vehicle, self.encoder, self.holds = vehicle, encoder, holds
-        self.codes = codes = encoder.size if encoder is not None else 0
+        super().__init__(vehicle)
+        self.encoder, self.holds_codes = encoder, holds_codes
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
-        inputs = 3 + len(vehicle.actuators) + len(vehicle.control) + 3 + 4 + 4 * codes
+        inputs = 3 + len(vehicle.actuators) + len(vehicle.control) + 3 + 4 + 4 * self.codes
         self.compensator = Compensator(inputs, 4, width=width, init_hidden=history, init_width=history)
         self.force_scale: Tensor
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
@@ -107,6 +118,29 @@ class Hybrid(Dynamics):
 
         return step
 
+    @property
+    def recurrent_size(self) -> int:
+        """Units of the network and of the actuators' residuals."""
+        return self.compensator.hidden + self.actuators.hidden
+
+    def standardise_on(self, history: History) -> None:
+        """Set mean and scale of the network's inputs."""
+        self.compensator.standardise_on(self.recorded_inputs(history).flatten(0, 1))
+
+    def kernel_parts(self) -> KernelParts:
+        """The bicycle, and what corrects its forces."""
+        return KernelParts(self.bicycle, self.compensator, self.force_scale)
+
+    def physics(self) -> Parametric:
+        """The bicycle alone, with the same actuators."""
+        return Parametric(self.vehicle)
+
+    def adopt_physics(self, fitted: Dynamics) -> None:
+        """Take over the bicycle's constants."""
+        parts = fitted.kernel_parts()
+        assert parts is not None
+        self.bicycle.load_state_dict(parts.bicycle.state_dict())
+
     def recorded_inputs(self, history: History) -> Float[Tensor, "B H I"]:
         """What the network would have seen at recorded rows."""
         normal = body_normal(history.terrain, history.state[..., 2])
@@ -127,6 +161,56 @@ class Hybrid(Dynamics):
         present = select_present(self.vehicle, actuators, control)
         columns = [state[..., 3:], present, normal, force]
         return torch.cat(columns + ([latent.flatten(-2)] if self.codes else []), dim=-1)
+
+
+def _compressing(vehicle: Vehicle, *, holds_codes: bool = False) -> Hybrid:
+    return Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes), holds_codes=holds_codes)
+
+
+@register_model("b-history", ablation=True)
+def with_longer_history(vehicle: Vehicle) -> Hybrid:
+    """`b` with networks for the last 0.2 s that are three times as wide."""
+    return Hybrid(vehicle, history=64)
+
+
+@register_model("b-wide", ablation=True)
+def with_more_parameters(vehicle: Vehicle) -> Hybrid:
+    """`b` with as many parameters as `dc`."""
+    return Hybrid(vehicle, history=34, width=96)
+
+
+@register_model("df", colour="#d55e00")
+def direct(vehicle: Vehicle) -> Hybrid:
+    """Terrain features straight in."""
+    return Hybrid(vehicle, encoder=Identity(vehicle.read))
+
+
+@register_model("cf", colour="#009e73")
+def compressed(vehicle: Vehicle) -> Hybrid:
+    """Compressed terrain features, trained on hindsight."""
+    return _compressing(vehicle)
+
+
+@register_model("dc", draw=per_trajectory, colour="#7b3fa0")
+def compressed_distance_independent(vehicle: Vehicle) -> Hybrid:
+    """Compressed terrain features, trained on a random feature set for each trajectory."""
+    return _compressing(vehicle)
+
+
+register_model("dc-step", draw=per_step, ablation=True)(_compressing)
+register_model("cf-masked", draw=masked, ablation=True)(_compressing)
+
+
+@register_model("hold", ablation=True)
+def held(vehicle: Vehicle) -> Hybrid:
+    """`df` that keeps the features of the start."""
+    return Hybrid(vehicle, encoder=Identity(vehicle.read), holds_codes=True)
+
+
+@register_model("dc-hold", draw=per_trajectory, ablation=True)
+def compressed_held(vehicle: Vehicle) -> Hybrid:
+    """`dc` that keeps the codes of the start."""
+    return _compressing(vehicle, holds_codes=True)
 
 
 def parametric_forces(

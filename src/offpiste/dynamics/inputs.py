@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import ACTUATORS, CONTROL
-from offpiste.dynamics.base import Vehicle
+from offpiste.dynamics.vehicle import Vehicle
 from offpiste.errors import DatasetError
 from offpiste.geometry import rotate_by_minus_yaw
 from offpiste.state import Terrain

@@ -19,7 +19,7 @@ from offpiste.dataset.splits import PARTS, Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, Track, predict, untracked
-from offpiste.evaluation.models import GROUND_BLIND, NO_READING, Judged, Reading, readings_of, splits_of, with_baselines
+from offpiste.evaluation.models import NO_READING, Judged, Reading, readings_of, splits_of, with_baselines
 from offpiste.evaluation.results import LossUnits, Metrics, WindowNumbers, provenance
 from offpiste.evaluation.tables import Case, Cases, Lookup, RunErrors, Sampling, Start, headlines, pooled, result_rows
 from offpiste.evaluation.worst_windows import WorstWindow, draw_worst, worst_windows
@@ -197,7 +197,7 @@ def _every_reading(
             windows = Windows(parted, part, start=start, device=device)
             for model in models:
                 if (model.split or dataset.split) == split:
-                    for lookup, chosen in (NO_READING,) if model.name in GROUND_BLIND else readings:
+                    for lookup, chosen in readings if model.dynamics.reads_terrain else (NO_READING,):
                         read = windows.reading(chosen) if chosen else windows
                         yield Case(model.name, model.variant, start, lookup, chosen), model, read
 

@@ -15,7 +15,6 @@ from offpiste.evaluation.tables import Lookup, Start, render_table
 from offpiste.progress import track
 from offpiste.training.cross_validation import fold_folders
 from offpiste.training.run import Run, load_run, refuse_seen, vehicle_of
-from offpiste.training.terrain_sources import encoder_of
 
 logger = logging.getLogger(__name__)
 
@@ -71,7 +70,7 @@ def evaluate_runs(
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
     """A model that reads features says nothing where all of them are missing."""
-    reading = [run for run in runs if encoder_of(run.dynamics) is not None]
+    reading = [run for run in runs if run.dynamics.encoder is not None]
     cells = [d.rows.cells for d in dataset.drives if d.rows.cells is not None]
     if reading and not any(bool(c.valid.any()) for c in cells):
         raise RunError(
@@ -83,7 +82,7 @@ def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
 
 def _refuse_unfit(run: Run, dataset: Dataset) -> None:
     needed, given = run.dynamics.vehicle, vehicle_of(dataset)
-    reads = encoder_of(run.dynamics) is not None
+    reads = run.dynamics.encoder is not None
     if reads and needed.features != given.features:
         raise RunError(
             f"reads {needed.features} terrain features; the dataset has {given.features}",

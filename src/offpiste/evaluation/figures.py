@@ -16,22 +16,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from offpiste.dynamics import MODELS
 from offpiste.evaluation.results import ResultRow
 
 RECORDED = "#000000"
 MEDIAN, MEAN = "#1a7f37", "#d95f02"
-_COLOURS = {
-    "ctrv": "#8c8c8c",
-    "kinematic": "#cc79a7",
-    "parametric": "#56b4e9",
-    "lstm": "#b8a400",
-    "b": "#0072b2",
-    "df": "#d55e00",
-    "cf": "#009e73",
-    "dc": "#7b3fa0",
-}
-"""Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can tell apart, and two more."""
 _SPARE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7b3fa0", "#56b4e9")
+"""Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can tell apart, and one more."""
 _LINES = ("-", "--", ":", "-.")
 SPEED_BINS = 6
 
@@ -190,7 +181,8 @@ def _legend_beside(axes: Axes, ends: Mapping[str, float] | None = None) -> None:
 def colour_of(label: str) -> str:
     """The colour of a model, whatever its variant."""
     name = label.split(" ")[0]
-    return _COLOURS.get(name) or _SPARE[sum(name.encode()) % len(_SPARE)]
+    declared = MODELS[name].colour if name in MODELS else ""
+    return declared or _SPARE[sum(name.encode()) % len(_SPARE)]
 
 
 Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]

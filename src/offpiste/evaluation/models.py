@@ -12,15 +12,11 @@ import torch
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import ConstantMotion, Dynamics, Kinematic
-from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.evaluation.results import label
-from offpiste.evaluation.tables import REFERENCE, Lookup
+from offpiste.evaluation.tables import Lookup
 from offpiste.training.run import vehicle_of
-
-GROUND_BLIND = ("ctrv", REFERENCE)
-"""Models that do not read the ground: there is nothing to look up."""
 
 Reading = tuple[Lookup | None, str | None]
 """Where a model reads the ground, and from which distance it was seen."""
@@ -85,7 +81,7 @@ def with_baselines(models: Sequence[Judged], dataset: Dataset, device: torch.dev
         RunError: models are to be judged under different splits, or two runs are the same one.
     """
     found = list(models)
-    for name in GROUND_BLIND:
+    for name in (name for name, model in MODELS.items() if model.baseline):
         if any(model.label == name for model in models):
             continue
         for split in dict.fromkeys(model.split for model in models) or {None: None}:
@@ -97,20 +93,18 @@ def with_baselines(models: Sequence[Judged], dataset: Dataset, device: torch.dev
 
 
 def _baseline(name: str, beside: Sequence[Judged], dataset: Dataset) -> Dynamics:
-    """A baseline; where the log records the steering angle, `kinematic` has the delay that a model beside it fitted."""
-    if name == "ctrv":
-        return ConstantMotion(vehicle_of(dataset))
-    kinematic = Kinematic(vehicle_of(dataset))
-    for model in beside:
-        lags = getattr(model.dynamics, "actuators", None)
-        if isinstance(lags, Actuators) and _channels(lags) == _channels(kinematic):
-            kinematic.actuators.load_state_dict(lags.state_dict())
-            break
-    return kinematic
+    """A baseline; its actuators, if it has any, have the delays that a model beside it fitted."""
+    vehicle = vehicle_of(dataset)
+    baseline = MODELS[name](vehicle)
+    fitted = [model.dynamics.actuators for model in beside if _channels(model.dynamics.vehicle) == _channels(vehicle)]
+    found = next((lags for lags in fitted if lags is not None), None)
+    if baseline.actuators is not None and found is not None:
+        baseline.actuators.load_state_dict(found.state_dict())
+    return baseline
 
 
-def _channels(model: Actuators | Kinematic) -> tuple[tuple[str, ...], ...]:
-    return model.vehicle.control, model.vehicle.actuators
+def _channels(vehicle: Vehicle) -> tuple[tuple[str, ...], ...]:
+    return vehicle.control, vehicle.actuators
 
 
 def _refuse_unlike(models: Sequence[Judged], dataset: Dataset) -> None:

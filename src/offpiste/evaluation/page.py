@@ -8,6 +8,7 @@ from string import Template
 
 import numpy as np
 
+from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.results import Headline, Metrics, Minus, ResultRow, pooled_rows, run_rows
@@ -143,7 +144,7 @@ def _distribution_table(rows: Sequence[ResultRow]) -> str:
 def _difference_table(rows: Sequence[ResultRow]) -> str:
     """Pairs as lines, each once; starts side by side."""
     found: dict[tuple[str, str], dict[str, Minus]] = {}
-    learned = [row for row in _at_the_end(rows) if row.model not in ("ctrv", REFERENCE)]
+    learned = [row for row in _at_the_end(rows) if not is_baseline(row.model)]
     order = list(dict.fromkeys(row.label for row in learned))
     for row in learned:
         for other, minus in row.minus.items():

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Int
 from rich.table import Table
 
+from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors
 from offpiste.evaluation.intervals import Resampling, blocks, paired, relative, resampling, summary
 from offpiste.evaluation.results import Headline, Minus, ResultRow, label, pooled_rows, reading
@@ -118,7 +119,7 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
     found = []
     for case, errors in together.items():
         reference = _counterpart(together, REFERENCE, case)
-        if case.model in ("ctrv", REFERENCE) or reference is None:
+        if is_baseline(case.model) or reference is None:
             continue
         ratio = relative(errors.distance(), reference.distance(), sampling.on(errors))
         found.append(

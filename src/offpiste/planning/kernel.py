@@ -15,12 +15,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT, GRAVITY
+from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.encoder import FeatureEncoder
-from offpiste.dynamics.hybrid import Hybrid, Parametric
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
-from offpiste.dynamics.kernels.model_arrays import constants, networks
-from offpiste.dynamics.kernels.network import weights as matrices
+from offpiste.dynamics.kernels.model_arrays import compensator_weights, constants, learned_constants, networks
 from offpiste.mapping.terrain_lookup import MapStack
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.kernel_rollout import KernelWeights, roll_out
@@ -84,13 +83,13 @@ def coded_map(maps: MapStack, encoder: FeatureEncoder) -> Codes:
 
 
 def fused_costs(
-    dynamics: Parametric | Hybrid, model_state: ModelState, situation: Situation, weights: Weights, codes: Codes
+    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: Weights, codes: Codes
 ) -> CostOf:
     """Costs of driving on the situation's map; the same as `rollouts.driving_costs`, up to rounding.
 
     Args:
-        dynamics: one that `dynamics.kernels.function.supports` is true for.
-        carry: the start, a batch of one.
+        dynamics: one that `dynamics.kernels.autograd.supports` is true for.
+        model_state: the start, a batch of one.
         codes: from `encode_map`.
 
     Raises:
@@ -105,7 +104,7 @@ def fused_costs(
 
 
 def fused_rollout(
-    dynamics: Parametric | Hybrid,
+    dynamics: Dynamics,
     model_state: ModelState,
     controls: Float[Tensor, "K T 3"],
     situation: Situation,
@@ -118,7 +117,7 @@ def fused_rollout(
 
 
 def kernel_model_state(
-    dynamics: Parametric | Hybrid,
+    dynamics: Dynamics,
     model_state: ModelState,
     controls: Float[Tensor, "T 3"],
     situation: Situation,
@@ -139,7 +138,7 @@ def kernel_model_state(
 
 @torch.no_grad()
 def _bind(
-    dynamics: Parametric | Hybrid,
+    dynamics: Dynamics,
     model_state: ModelState,
     situation: Situation,
     weights: Weights,
@@ -149,18 +148,16 @@ def _bind(
 ) -> Callable[[Tensor, Tensor], Tensor]:
     _check(dynamics, model_state, codes)
     vehicle = dynamics.vehicle
-    compensator = dynamics.compensator if isinstance(dynamics, Hybrid) else None
-    weighted = matrices(compensator, dynamics.force_scale if isinstance(dynamics, Hybrid) else None)
     recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
     given = (
         situation.control.float().numpy(),
         np.array(recorded),
-        constants(dynamics, torch.stack(dynamics.bicycle())),
-        networks(dynamics, weighted),
+        constants(dynamics, learned_constants(dynamics)),
+        networks(dynamics, compensator_weights(dynamics)),
         _ground(situation, codes),
         _cost_layers(situation),
         _kernel_weights(weights),
-        holds and isinstance(dynamics, Hybrid) and dynamics.holds,
+        holds and dynamics.holds_codes,
     )
     start = model_state.pack()[0].contiguous().numpy()
 
@@ -215,12 +212,11 @@ def _kernel_weights(w: Weights) -> KernelWeights:
     )
 
 
-def _check(dynamics: Parametric | Hybrid, model_state: ModelState, codes: Codes) -> None:
+def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
     """Refuse what the kernel would read out of bounds, or wrongly."""
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
-    wanted = dynamics.codes if isinstance(dynamics, Hybrid) else 0
-    units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
+    wanted, units = dynamics.codes, dynamics.recurrent_size
     if model_state.pack().shape != (1, 10 + 2 * units):
         raise ValueError(f"the start is {list(model_state.pack().shape)}; the kernel wants {[1, 10 + 2 * units]}")
     if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:

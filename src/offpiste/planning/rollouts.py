@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
-from offpiste.dynamics.hybrid import Hybrid
 from offpiste.mapping.terrain_lookup import Encode, HeldCodes, MapTerrain
 from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
@@ -20,7 +19,7 @@ def model_costs(
     """Costs of the trajectories that a model predicts.
 
     Args:
-        carry: the start, a batch of one.
+        model_state: the start, a batch of one.
         source: of the ground for K rollouts.
         cost: from predicted trajectories and their controls [K, T, 3] to costs [K], e.g. `costs.driving_cost`.
     """
@@ -37,7 +36,7 @@ def driving_costs(
     """Costs of driving on the situation's map.
 
     Args:
-        carry: the start, a batch of one, in `situation.state`.
+        model_state: the start, a batch of one, in `situation.state`.
         encode: of the map's features; None for models without features. `lookup.as_codes` where it holds codes.
     """
 
@@ -61,13 +60,13 @@ def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode:
     number = torch.zeros(samples, dtype=torch.long, device=situation.state.device)
     offset = situation.offset.expand(samples, 2)
     source = MapTerrain(situation.ground, number, offset, situation.wheels, encode)
-    if not (isinstance(dynamics, Hybrid) and dynamics.holds):
+    if not dynamics.holds_codes:
         return source
     return HeldCodes.of(source, situation.state.expand(samples, 6))
 
 
 def spread_model_state(model_state: ModelState, samples: int) -> ModelState:
-    """A carry of one, for as many samples."""
+    """The model state of one rollout, for as many samples."""
     return ModelState(
         *(
             part.expand(samples, -1)

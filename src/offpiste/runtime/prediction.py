@@ -5,7 +5,6 @@ What a model predicts on the ground that a plan can come to: by the kernel where
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import TypeGuard
 
 import numpy as np
 import torch
@@ -14,7 +13,6 @@ from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.encoder import FeatureEncoder
-from offpiste.dynamics.hybrid import Hybrid, Parametric
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.mapping.terrain_lookup import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -173,5 +171,5 @@ def _stepped(
         yield model_state
 
 
-def _by_kernel(model: Dynamics, model_state: ModelState) -> TypeGuard[Parametric | Hybrid]:
+def _by_kernel(model: Dynamics, model_state: ModelState) -> bool:
     return supports(model, model_state.state.device, model_state.state.dtype)

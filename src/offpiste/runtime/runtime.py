@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.hybrid import Hybrid
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.mapping.replay import ReplaySettings
@@ -133,7 +132,7 @@ class Runtime:
     ) -> None:
         self._settings = settings or RuntimeSettings()
         self._dynamics = dynamics.eval().requires_grad_(False)
-        self._encoder = dynamics.encoder if isinstance(dynamics, Hybrid) else None
+        self._encoder = dynamics.encoder
         self._ground = ground
         if self._encoder is not None and ground is None and sight.look is None:
             raise PlanningError("the model reads features, and no `look` gives any", how="give Sight(…, look=…)")

@@ -12,7 +12,7 @@ from torch import Tensor
 from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
-from offpiste.dynamics import MODELS, Dynamics, Hybrid, Vehicle
+from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_json, save_tensors
 from offpiste.training.config import TrainConfig, Weights
@@ -162,8 +162,7 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
     Raises:
         RunError: no model of that name, or none with so many features or so long a code.
     """
-    if model not in MODELS:
-        raise RunError(f"no model '{model}'", how=f"models are: {', '.join(MODELS)}")
+    make = MODELS[model]
     if vehicle.codes < 1:
         raise RunError(f"a code of length {vehicle.codes}", how="give --codes 1 or more")
     if vehicle.features and not 0 <= vehicle.pca <= vehicle.features:
@@ -172,8 +171,8 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
         )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        dynamics = MODELS[model](vehicle)
-    if isinstance(dynamics, Hybrid) and dynamics.encoder is not None and not vehicle.features:
+        dynamics = make(vehicle)
+    if dynamics.encoder is not None and not vehicle.features:
         raise RunError(
             f"model '{model}' reads terrain features and the dataset has none",
             how="extract with --pca (see fit-pca), or train b",

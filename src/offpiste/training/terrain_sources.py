@@ -11,8 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics, Hybrid
-from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics import Dynamics
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_lookup import HeldCodes, MapTerrain
 from offpiste.state import Terrain, TerrainSource
@@ -46,18 +45,13 @@ def path_terrain(windows: Windows, index: Int[np.ndarray, " B"]) -> PathTerrain:
     return PathTerrain(*windows.path(index))
 
 
-def encoder_of(dynamics: Dynamics) -> FeatureEncoder | None:
-    """The encoder of a model that reads terrain features."""
-    return dynamics.encoder if isinstance(dynamics, Hybrid) else None
-
-
 def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     """The batch with the codes of the recorded ground, as `dynamics` encodes it; each cell is encoded once.
 
     Raises:
         DatasetError: the model reads features and the dataset has none.
     """
-    encoder = encoder_of(dynamics)
+    encoder = dynamics.encoder
     if encoder is None:
         return batch
     if batch.ground is None:
@@ -66,7 +60,7 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
         )
     codes = encoder(batch.ground.features, batch.ground.valid).to(batch.state.dtype)
     ahead = batch.ground.ahead
-    if isinstance(dynamics, Hybrid) and dynamics.holds:
+    if dynamics.holds_codes:
         ahead = ahead[:, :1].expand_as(ahead)
     past = Terrain(batch.history.terrain.normal, codes[batch.ground.past])
     return replace(
@@ -96,8 +90,7 @@ def on_map(
         return batch, path_terrain(windows, index)
     source = map_terrain(dynamics, windows, index)
     batch = with_past_on(source, batch)
-    held = isinstance(dynamics, Hybrid) and dynamics.holds
-    return batch, HeldCodes.of(source, batch.state) if held else source
+    return batch, HeldCodes.of(source, batch.state) if dynamics.holds_codes else source
 
 
 def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:
@@ -115,7 +108,7 @@ def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B
         torch.as_tensor(number, device=windows.device),
         windows.places(index),
         windows.wheels,
-        encoder_of(dynamics),
+        dynamics.encoder,
     )
 
 

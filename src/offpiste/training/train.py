@@ -13,10 +13,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
-from offpiste.dataset.feature_sets import DRAWS, Draw
+from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics, Hybrid, Kinematic, Parametric, Recurrent, rollout
+from offpiste.dynamics import MODELS, Dynamics, Kinematic, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.state import RecordedTerrain, Trajectory
@@ -26,7 +26,7 @@ from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
 from offpiste.training.optimise import MEND, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.run import build, check_device, save_run, vehicle_of
-from offpiste.training.terrain_sources import encoded, encoder_of
+from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)
 
@@ -83,11 +83,12 @@ def train(
     def loss_of(model: Dynamics) -> Callable[[Batch], Float[Tensor, " B"]]:
         return lambda batch: summed_loss(_checked(predict(model, batch), batch).state, batch.target, scale, weights)
 
-    if isinstance(dynamics, Hybrid):
-        bicycle = Parametric(vehicle).to(config.device)
-        _freeze(bicycle, dynamics.actuators)
-        fit("bicycle", bicycle, loss_of(bicycle), config.bicycle_epochs)
-        dynamics.bicycle.load_state_dict(bicycle.bicycle.state_dict())
+    if (physics := dynamics.physics()) is not None:
+        physics = physics.to(config.device)
+        if dynamics.actuators is not None:
+            _freeze(physics, dynamics.actuators)
+        fit("bicycle", physics, loss_of(physics), config.bicycle_epochs)
+        dynamics.adopt_physics(physics)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
         fit("model", dynamics, loss_of(dynamics), config.epochs, draw)
@@ -116,7 +117,7 @@ def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig, data
             where=dataset.path,
             how="extract longer or more drives, or give a smaller --batch",
         )
-    if encoder_of(dynamics) is not None and not windows.features_at_starts()[1].any():
+    if dynamics.encoder is not None and not windows.features_at_starts()[1].any():
         raise DatasetError(
             "all terrain features are missing under the wheels where training windows start",
             where=dataset.path,
@@ -125,35 +126,32 @@ def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig, data
 
 
 def _draw(model: str, windows: Windows) -> Draw | None:
-    if model in DRAWS and windows.sets == 1:
+    draw = MODELS[model].draw
+    if draw is not None and windows.sets == 1:
         raise DatasetError(
             f"model '{model}' trains on views by distance and the dataset has none",
             how="extract visual features (`extract --pca`), or train `cf`",
         )
-    return DRAWS.get(model)
+    return draw
 
 
 def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
     """Roll out a batch of windows over its recorded terrain, by the kernels where they can."""
     batch = encoded(dynamics, batch)
     model_state = dynamics.start(batch.history, batch.state, batch.actuators)
-    if isinstance(dynamics, Parametric | Hybrid) and supports(dynamics, batch.state.device, batch.state.dtype):
+    if supports(dynamics, batch.state.device, batch.state.dtype):
         return rollout_recorded(dynamics, model_state, batch.control, batch.terrain)
     return rollout(dynamics, model_state, batch.control, RecordedTerrain(batch.terrain))
 
 
 def standardise(dynamics: Dynamics, windows: Windows) -> None:
     """Give the networks mean and scale of their inputs on training rows."""
-    if not isinstance(dynamics, Hybrid | Recurrent):
-        return
     index = windows.every(25) if len(windows.every(25)) else np.arange(len(windows))
     index = index[np.unique(np.linspace(0, len(index) - 1, min(len(index), STANDARDISED)).astype(int))]
     with torch.no_grad():
-        if (encoder := encoder_of(dynamics)) is not None:
-            encoder.fill_with(*windows.features_at_starts())
-        seen = dynamics.recorded_inputs(encoded(dynamics, windows.gather(index)).history).flatten(0, 1)
-    network = dynamics.compensator if isinstance(dynamics, Hybrid) else dynamics.network
-    network.standardise_on(seen)
+        if dynamics.encoder is not None:
+            dynamics.encoder.fill_with(*windows.features_at_starts())
+        dynamics.standardise_on(encoded(dynamics, windows.gather(index)).history)
 
 
 def kinematic_scale(kinematic: Kinematic, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
@@ -196,10 +194,9 @@ def _refuse_ground(batch: Batch) -> None:
 
 def _freeze(dynamics: Dynamics, fitted: nn.Module) -> None:
     """Put the fitted actuator models into a model and keep them from training."""
-    lags = getattr(dynamics, "actuators", None)
-    if isinstance(lags, nn.Module):
-        lags.load_state_dict(fitted.state_dict())
-        lags.requires_grad_(False)
+    if dynamics.actuators is not None:
+        dynamics.actuators.load_state_dict(fitted.state_dict())
+        dynamics.actuators.requires_grad_(False)
 
 
 def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:

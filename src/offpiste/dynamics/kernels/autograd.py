@@ -4,7 +4,7 @@ The first call compiles for some 20 seconds; the machine code is kept beside the
 written.
 """
 
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,23 +13,28 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.hybrid import Hybrid, Parametric
 from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.model_arrays import Given, constants, networks, record
-from offpiste.dynamics.kernels.network import weights
+from offpiste.dynamics.kernels.model_arrays import (
+    Given,
+    compensator_weights,
+    constants,
+    learned_constants,
+    networks,
+    record,
+)
 from offpiste.dynamics.kernels.rollout import backward, forward
 from offpiste.state import ModelState, Terrain, Trajectory
 from offpiste.threads import spread_threads
 
 
-def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> TypeGuard[Parametric | Hybrid]:
+def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
     """Whether `rollout_recorded` can roll this model out, here and in this type.
 
-    It can step `Parametric` and `Hybrid` on the CPU in float32; where gradients are wanted, only while the actuators'
+    It can step models with `kernel_parts` on the CPU in float32; where gradients are wanted, only while the actuators'
     models are frozen.
     """
-    if not isinstance(dynamics, Parametric | Hybrid) or device.type != "cpu" or dtype != torch.float32:
+    if dynamics.kernel_parts() is None or dynamics.actuators is None or device.type != "cpu" or dtype != torch.float32:
         return False
     if not all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters()):
         return False
@@ -38,16 +43,16 @@ def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> Ty
 
 
 def rollout_recorded(
-    dynamics: Parametric | Hybrid, model_state: ModelState, controls: Float[Tensor, "B T 3"], terrain: Terrain
+    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T 3"], terrain: Terrain
 ) -> Trajectory:
-    """`rollout(dynamics, carry, controls, RecordedTerrain(terrain))`, several times as fast.
+    """`rollout(dynamics, model_state, controls, RecordedTerrain(terrain))`, several times as fast.
 
     Gradients reach the bicycle's constants, the compensator, `model_state` and `terrain.latent`; not the actuators'
     models, controls or normals.
 
     Args:
         dynamics: one that `supports` is true for.
-        carry: from `dynamics.start`.
+        model_state: from `dynamics.start`.
         controls: as commanded during each step.
         terrain: under the recorded wheels at each step; fields are [B, T, 4, ...].
 
@@ -55,11 +60,10 @@ def rollout_recorded(
         ValueError: model, types or shapes that the kernels cannot take.
         DatasetError: there is neither a steering angle nor a steering command.
     """
-    compensator = dynamics.compensator if isinstance(dynamics, Hybrid) else None
-    latent = terrain.latent if isinstance(dynamics, Hybrid) and dynamics.codes else terrain.latent[..., :0]
+    latent = terrain.latent if dynamics.codes else terrain.latent[..., :0]
     _check(dynamics, model_state, controls, terrain.normal, latent)
-    start, codes, learned = model_state.pack(), latent.flatten(-2), torch.stack(dynamics.bicycle())
-    matrices = weights(compensator, dynamics.force_scale if isinstance(dynamics, Hybrid) else None)
+    start, codes, learned = model_state.pack(), latent.flatten(-2), learned_constants(dynamics)
+    matrices = compensator_weights(dynamics)
     tensors = (start, learned, codes, *matrices)
     given = Given(
         start=start.detach().contiguous().numpy(),
@@ -107,13 +111,10 @@ class _Rollout(torch.autograd.Function):
         return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
 
 
-def _check(
-    dynamics: Parametric | Hybrid, model_state: ModelState, controls: Tensor, normals: Tensor, latent: Tensor
-) -> None:
+def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, normals: Tensor, latent: Tensor) -> None:
     """Refuse what the kernels would read out of bounds, or wrongly."""
     batch, steps = controls.shape[:2]
-    codes = dynamics.codes if isinstance(dynamics, Hybrid) else 0
-    units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
+    codes, units = dynamics.codes, dynamics.recurrent_size
     expected = {
         "controls": (controls, (batch, steps, 3)),
         "normals": (normals, (batch, steps, 4, 3)),

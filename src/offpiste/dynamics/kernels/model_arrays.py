@@ -8,12 +8,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import ACTUATORS, CONTROL
-from offpiste.dynamics.base import Vehicle
-from offpiste.dynamics.hybrid import Hybrid, Parametric
+from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.base import Dynamics, KernelParts
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.network import Network, Weights, network, weights
 from offpiste.dynamics.kernels.rollout import Record
-from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.vehicle import Vehicle
 
 
 class Given(NamedTuple):
@@ -46,9 +46,32 @@ def record(
     return Record(controls.numpy(), normals.numpy(), codes.numpy(), np.array(recorded))
 
 
-def constants(dynamics: Parametric | Hybrid, learned: Float[Tensor, " K"]) -> np.ndarray:
+def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
+    """What the kernels step of a model.
+
+    Raises:
+        ValueError: they cannot step it.
+    """
+    parts = dynamics.kernel_parts()
+    if parts is None or dynamics.actuators is None:
+        raise ValueError("no kernels for this model; see `supports`")
+    return parts, dynamics.actuators
+
+
+def learned_constants(dynamics: Dynamics) -> Float[Tensor, " K"]:
+    """The bicycle's constants, differentiable (`layout.LEARNED`)."""
+    return torch.stack(kernel_parts(dynamics)[0].bicycle())
+
+
+def compensator_weights(dynamics: Dynamics) -> Weights:
+    """Weights of the network that corrects the forces, differentiable."""
+    parts, _ = kernel_parts(dynamics)
+    return weights(parts.compensator, parts.force_scale)
+
+
+def constants(dynamics: Dynamics, learned: Float[Tensor, " K"]) -> np.ndarray:
     """The vector of `layout.CONSTANTS`, from the bicycle's."""
-    vehicle = dynamics.vehicle
+    vehicle, (_, actuators) = dynamics.vehicle, kernel_parts(dynamics)
     switches = {
         "brake_measured": "brake" in vehicle.actuators,
         "steer_measured": "steer" in vehicle.actuators,
@@ -59,18 +82,18 @@ def constants(dynamics: Parametric | Hybrid, learned: Float[Tensor, " K"]) -> np
         "max_steer": vehicle.max_steer,
     }
     with torch.no_grad():
-        lags = torch.stack(dynamics.actuators.constants())
+        lags = torch.stack(actuators.constants())
     parts = learned.detach().numpy(), lags.numpy(), [switches[name] for name in layout.SWITCHES]
     return np.concatenate(parts, dtype=np.float32)
 
 
-def networks(dynamics: Parametric | Hybrid, compensator: Weights) -> tuple[Network, Network, Network]:
+def networks(dynamics: Dynamics, compensator: Weights) -> tuple[Network, Network, Network]:
     """The networks of the forces, the brake and the steering; their recurrent states follow each other in this order.
 
     Args:
         compensator: the first one's weights.
     """
-    vehicle = dynamics.vehicle
+    vehicle, (parts, actuators) = dynamics.vehicle, kernel_parts(dynamics)
     seen = [
         *layout.CARRIED[3:6],
         *(name for name in ACTUATORS if name in vehicle.actuators),
@@ -78,23 +101,21 @@ def networks(dynamics: Parametric | Hybrid, compensator: Weights) -> tuple[Netwo
         *layout.BODY_NORMAL,
         *layout.FORCE,
     ]
-    codes = dynamics.codes if isinstance(dynamics, Hybrid) else 0
     first = network(
-        dynamics.compensator if isinstance(dynamics, Hybrid) else None,
+        parts.compensator,
         compensator,
-        inputs=[*(layout.ROW[name] for name in seen), *range(len(layout.ROWS), len(layout.ROWS) + 4 * codes)],
+        inputs=[*(layout.ROW[name] for name in seen), *range(len(layout.ROWS), len(layout.ROWS) + 4 * dynamics.codes)],
         first_hidden=0,
         first_output=layout.ROW[layout.CORRECTION[0]],
     )
-    hidden = layout.HIDDEN if isinstance(dynamics, Hybrid) else 0
-    brake = _residual(dynamics, "brake", ("brake", "brake_command", "vx"), hidden)
+    hidden = layout.HIDDEN if parts.compensator is not None else 0
+    brake = _residual(actuators, "brake", ("brake", "brake_command", "vx"), hidden)
     hidden += layout.HIDDEN if len(brake.outer) else 0
-    return first, brake, _residual(dynamics, "steer", ("steer", "steer_rate", "steer_command", "vx"), hidden)
+    return first, brake, _residual(actuators, "steer", ("steer", "steer_rate", "steer_command", "vx"), hidden)
 
 
-def _residual(dynamics: Parametric | Hybrid, name: str, seen: tuple[str, ...], first_hidden: int) -> Network:
-    found = dict(dynamics.actuators.residuals.items()).get(name)
-    assert found is None or isinstance(found, Compensator)
+def _residual(actuators: Actuators, name: str, seen: tuple[str, ...], first_hidden: int) -> Network:
+    found = actuators.networks.get(name)
     return network(
         found,
         weights(found),
