@@ -2,6 +2,8 @@
 
 from typing import Final
 
+from offpiste import channels
+
 DT: Final = 0.02
 """Time step of rows and of forward Euler [s]."""
 
@@ -14,11 +16,11 @@ HISTORY_STEPS: Final = 10
 STATE: Final = ("px", "py", "yaw", "vx", "vy", "yaw_rate")
 """[m, m, rad, m/s, m/s, rad/s]; vx, vy: horizontal world velocity turned by minus yaw."""
 
-ACTUATORS: Final = ("brake", "steer", "steer_rate", "engine_rpm")
-"""[0..1 of full pressure, rad at the road wheel and + left, rad/s, 1000 rev/min]."""
+ACTUATORS: Final = tuple(actuator.name for actuator in channels.ACTUATORS)
+"""Columns of `actuators` that every dataset has; `offpiste.channels` has their units and signs."""
 
-CONTROL: Final = ("throttle", "brake", "steer")
-"""As commanded: [0..1, 0..1, -1..1 and + left]."""
+CONTROL: Final = tuple(control.name for control in channels.CONTROLS)
+"""Columns of `control` that every dataset has."""
 
 WHEELS: Final = ("front-left", "front-right", "rear-left", "rear-right")
 

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.conventions import ACTUATORS, STATE
+
 
 @dataclass(frozen=True)
 class Terrain:
@@ -28,14 +30,13 @@ class History:
 
     Attributes:
         state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
-        actuators: brake [0..1], steer [rad], steer rate [rad/s], engine [1000 rev/min]; NaN where absent.
-        control: throttle [0..1], brake [0..1], steer [-1..1]; NaN where absent.
+        actuators, control: in the columns of `Vehicle.actuator_columns` and `control_columns`; NaN where absent.
         extra: columns beyond these by name (`offpiste.dataset.columns`).
     """
 
     state: Float[Tensor, "B H 6"]
-    actuators: Float[Tensor, "B H 4"]
-    control: Float[Tensor, "B H 3"]
+    actuators: Float[Tensor, "B H A"]
+    control: Float[Tensor, "B H U"]
     terrain: Terrain
     extra: Mapping[str, Float[Tensor, "B H ..."]] = field(default_factory=dict)
 
@@ -46,25 +47,28 @@ class ModelState:
 
     Attributes:
         state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
-        actuators: brake [0..1], steer [rad], steer rate [rad/s], engine [1000 rev/min]; NaN where absent.
+        actuators: in the columns of `Vehicle.actuator_columns`; NaN where absent.
         hidden, cell: recurrent state.
     """
 
     state: Float[Tensor, "B 6"]
-    actuators: Float[Tensor, "B 4"]
+    actuators: Float[Tensor, "B A"]
     hidden: Float[Tensor, "B H"]
     cell: Float[Tensor, "B H"]
 
     def pack(self) -> Float[Tensor, "B P"]:
-        """All of it in one row of P = 10 + 2 H numbers, as planners of other people want it."""
+        """All of it in one row of P = 6 + A + 2 H numbers, for planners that carry a state vector."""
         return torch.cat((self.state, self.actuators, self.hidden, self.cell), dim=-1)
 
     @staticmethod
-    def unpack(packed: Float[Tensor, "B P"]) -> "ModelState":
-        """The inverse of `pack`."""
-        size = (packed.shape[-1] - 10) // 2
-        state, actuators, hidden, cell = packed.split((6, 4, size, size), dim=-1)
-        return ModelState(state, actuators, hidden, cell)
+    def unpack(packed: Float[Tensor, "B P"], actuators: int = len(ACTUATORS)) -> "ModelState":
+        """The inverse of `pack`.
+
+        Args:
+            actuators: A, columns of actuators.
+        """
+        size = (packed.shape[-1] - len(STATE) - actuators) // 2
+        return ModelState(*packed.split((len(STATE), actuators, size, size), dim=-1))
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Trajectory:
     """States and actuators after each step: index t holds time (t + 1) dt after the start."""
 
     state: Float[Tensor, "B T 6"]
-    actuators: Float[Tensor, "B T 4"]
+    actuators: Float[Tensor, "B T A"]
 
 
 @runtime_checkable

@@ -5,7 +5,6 @@ import pytest
 
 from factories import RIG, MemoryLog, small_rig
 from offpiste.conventions import DT
-from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows
 from offpiste.errors import LogError
@@ -62,8 +61,8 @@ def test_absent_channels_stay_unknown_and_do_not_make_rows_invalid():
     rows = extracted()
     assert np.isnan(rows.actuators).all()
     assert rows.valid.any()
-    assert present_actuators(small_rig()) == ()
-    assert present_control(small_rig()) == ("throttle", "brake", "steer")
+    assert small_rig().present_actuators == ()
+    assert small_rig().present_controls == ("throttle", "brake", "steer")
 
 
 def test_a_steering_rate_is_derived_from_the_angle():
@@ -71,7 +70,7 @@ def test_a_steering_rate_is_derived_from_the_angle():
     at = rows.time[rows.valid]
     np.testing.assert_allclose(rows.actuators[rows.valid, 1], 0.4 * np.sin(at), atol=1e-4)
     np.testing.assert_allclose(rows.actuators[rows.valid, 2], 0.4 * np.cos(at), atol=5e-3)
-    assert present_actuators(parse_rig(WITH_ANGLE, where="")) == ("steer", "steer_rate")
+    assert parse_rig(WITH_ANGLE, where="").present_actuators == ("steer", "steer_rate")
 
 
 @pytest.mark.parametrize("grade", [0.0, 0.2, -0.2])

@@ -8,8 +8,10 @@ import torch
 
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.conventions import DT
-from offpiste.dynamics.actuators import Actuators, brake_rate, engine_rate, steer_acceleration
+from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.bicycle import Elementary
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.lags import apply_release, second_order
 
 SCALARS = Elementary(math.sin, math.cos, math.tanh, math.atan, max)
 
@@ -26,10 +28,10 @@ def run(model: Actuators, actuators: list[float], control: list[float], steps: i
 
 
 def test_brake_applies_and_releases_at_its_own_speeds():
-    c = Actuators(VEHICLE).constants()._replace(brake_apply=5.0, brake_release=2.0)
-    assert brake_rate(0.25, 0.75, c, SCALARS) == pytest.approx(2.5)
-    assert brake_rate(0.75, 0.25, c, SCALARS) == pytest.approx(-1.0)
-    assert brake_rate(0.5, 0.5, c, SCALARS) == 0
+    c = {"apply": 5.0, "release": 2.0}
+    assert apply_release((0.25,), 0.75, 0.0, c, SCALARS)[0] == pytest.approx(2.5)
+    assert apply_release((0.75,), 0.25, 0.0, c, SCALARS)[0] == pytest.approx(-1.0)
+    assert apply_release((0.5,), 0.5, 0.0, c, SCALARS)[0] == 0
 
 
 def test_brake_follows_an_exponential_and_does_not_overshoot():
@@ -44,22 +46,23 @@ def test_steering_settles_at_gain_times_command_as_a_second_order_lag():
     assert steer[-1] == pytest.approx(-0.3, abs=1e-3)
     # 8 rad/s with damping 0.8: overshoot exp(-pi 0.8 / 0.6) = 1.5 %, a little more under Euler.
     assert -steer.min() / 0.3 - 1 == pytest.approx(0.015, abs=0.02)
-    c = model.constants()
-    assert steer_acceleration(0.1, 0.2, 0.6, c).item() == pytest.approx(64 * 0.2 - 2 * 0.8 * 8 * 0.2, rel=1e-5)
+    rate, acceleration = second_order((0.1, 0.2), 0.6, 0.0, model.constants()["steer"], SCALARS)
+    assert rate == 0.2
+    assert acceleration.item() == pytest.approx(64 * 0.2 - 2 * 0.8 * 8 * 0.2, rel=1e-5)
 
 
 def test_engine_settles_where_throttle_and_speed_ask():
     model = Actuators(VEHICLE).double()
-    engine = run(model, [0.0, 0.0, 0.0, 2.0], [0.5, 0.0, 0.0], 300, vx=-4.0)[:, 3]
-    assert engine[-1] == pytest.approx(1.0 + 3 * 0.5 + 0.1 * 4, abs=1e-3)
-    c = model.constants()
-    assert engine_rate(2.9, 0.5, -4.0, c, SCALARS).item() == pytest.approx(0.0, abs=1e-5)
+    revolutions = run(model, [0.0, 0.0, 0.0, 2.0], [0.5, 0.0, 0.0], 300, vx=-4.0)[:, 3]
+    assert revolutions[-1] == pytest.approx(1.0 + 3 * 0.5 + 0.1 * 4, abs=1e-3)
+    (change,) = engine((2.9,), 0.5, -4.0, model.constants()["engine"], SCALARS)
+    assert change.item() == pytest.approx(0.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("end", [-20.0, 20.0])
 def test_lags_are_stable_at_both_ends_of_all_ranges(end):
     model = Actuators(VEHICLE).double()
-    for i, name in enumerate(model.constants()._fields):
+    for i, name in enumerate(layout.LAG_CONSTANTS):
         model.raw.data[i] = end if name != "steer_damping" else -end
     rows = run(model, [0.3, 0.2, 1.0, 2.0], [0.5, 0.5, 0.5], 400, vx=5.0)
     assert (rows[200:].abs() < 20).all()

@@ -273,6 +273,8 @@ def test_the_table_has_a_line_a_way(evaluation: Evaluation) -> None:
 class Broken(ConstantMotion):
     """Diverges."""
 
+    reads_terrain = True
+
     def stepper(self):
         move = super().stepper()
 

@@ -246,7 +246,7 @@ def models() -> Results:
         found |= told(f"{label}.callable", torch.nan_to_num(packed), keep=60)
 
         dynamics, batch = dynamics.float(), as_type(batch, torch.float32)
-        if hasattr(dynamics, "actuators"):
+        if dynamics.actuators is not None:
             dynamics.actuators.requires_grad_(False)
         able = supports(dynamics, torch.device("cpu"), torch.float32)
         found[f"{label}.kernel"] = str(able)

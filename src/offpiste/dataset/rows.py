@@ -19,8 +19,7 @@ class Rows:
         time: [s], by the pose's clock.
         origin: what was subtracted from px, py [m], so that float32 is fine.
         state, state_causal: targets, and the estimate from the past only (`conventions.STATE`).
-        actuators: brake [0..1], steer [rad], steer rate [rad/s], engine [1000 rev/min]; NaN where absent.
-        control: throttle [0..1], brake [0..1], steer [-1..1]; NaN where absent.
+        actuators, control: in the columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
         normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel.
         valid: rows where nothing that the log should have is missing.
         cells: the ground cells under the wheels and their features, where a map gave them.
@@ -31,8 +30,8 @@ class Rows:
     origin: Float[np.ndarray, " 2"]
     state: Float[np.ndarray, "N 6"]
     state_causal: Float[np.ndarray, "N 6"]
-    actuators: Float[np.ndarray, "N 4"]
-    control: Float[np.ndarray, "N 3"]
+    actuators: Float[np.ndarray, "N A"]
+    control: Float[np.ndarray, "N U"]
     normal: Float[np.ndarray, "D N 4 3"]
     valid: Bool[np.ndarray, " N"]
     cells: Cells | None = None

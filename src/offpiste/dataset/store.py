@@ -15,10 +15,8 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
-from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.columns import COLUMNS
-from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.rows import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.snapshots import Snapshots, open_snapshots
 from offpiste.dataset.splits import Split, parse_split
@@ -92,8 +90,8 @@ def create(
         "split": split.text,
         "split_drives": [list(pair) for pair in split.drives],
         "absent": {
-            "control": [name for name in CONTROL if name not in present_control(rig)],
-            "actuators": [name for name in ACTUATORS if name not in present_actuators(rig)],
+            "control": [control.name for control in rig.controls if control.name not in rig.present_controls],
+            "actuators": [a.name for a in rig.actuators if a.name not in rig.present_actuators],
         },
         "features": list(features),
         "pca": pca,

@@ -13,7 +13,6 @@ from torch import Tensor
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.cells import CellTable, Normals, UnderWheels
 from offpiste.dataset.columns import COLUMNS, Column, Segment
-from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.rows import OWN_COLUMNS
 from offpiste.dataset.splits import PARTS
@@ -42,11 +41,11 @@ class Batch:
 
     history: History
     state: Float[Tensor, "B 6"]
-    actuators: Float[Tensor, "B 4"]
-    control: Float[Tensor, "B T 3"]
+    actuators: Float[Tensor, "B A"]
+    control: Float[Tensor, "B T U"]
     terrain: Terrain
     target: Float[Tensor, "B T 6"]
-    target_actuators: Float[Tensor, "B T 4"]
+    target_actuators: Float[Tensor, "B T A"]
     ground: UnderWheels | None = None
     extra: Mapping[str, Mapping[Segment, Tensor]] = field(default_factory=dict)
 
@@ -117,7 +116,7 @@ class Windows:
         self._cells = CellTable(cells, self.device) if dataset.features else None
         self.sets = self._cells.sets if self._cells is not None else 1
         self._set = set_number(feature_set, self.sets)
-        self.control, self.actuators = present_control(dataset.rig), present_actuators(dataset.rig)
+        self.control, self.actuators = dataset.rig.present_controls, dataset.rig.present_actuators
 
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
         starts, drives = [], []

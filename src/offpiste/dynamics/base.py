@@ -58,7 +58,7 @@ class Dynamics(nn.Module, ABC):
         self.actuators = None
 
     @abstractmethod
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """What the model remembers at the start of a prediction.
 
         Args:
@@ -70,11 +70,11 @@ class Dynamics(nn.Module, ABC):
     def stepper(self) -> Step:
         """A step with everything that does not change along a rollout computed once."""
 
-    def step(self, model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+    def step(self, model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
         """One step of `conventions.DT`.
 
         Args:
-            control: throttle, brake, steer as commanded during the step.
+            control: as commanded during the step (`Vehicle.control_columns`).
             terrain: under each wheel now; fields are [B, 4, ...].
         """
         return self.stepper()(model_state, control, terrain)
@@ -105,7 +105,7 @@ class Dynamics(nn.Module, ABC):
 
 
 def rollout(
-    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T 3"], source: TerrainSource
+    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], source: TerrainSource
 ) -> Trajectory:
     """Predict T steps.
 
@@ -125,12 +125,12 @@ def rollout(
 
 def as_callable(
     dynamics: Dynamics, source: TerrainSource
-) -> Callable[[Float[Tensor, "B P"], Float[Tensor, "B 3"], int], Float[Tensor, "B P"]]:
+) -> Callable[[Float[Tensor, "B P"], Float[Tensor, "B U"], int], Float[Tensor, "B P"]]:
     """The model as pytorch_mppi and similar planners want it: `f(packed model state, control, t)` -> the next one."""
     step = dynamics.stepper()
 
-    def call(packed: Float[Tensor, "B P"], control: Float[Tensor, "B 3"], t: int = 0) -> Float[Tensor, "B P"]:
-        model_state = ModelState.unpack(packed)
+    def call(packed: Float[Tensor, "B P"], control: Float[Tensor, "B U"], t: int = 0) -> Float[Tensor, "B P"]:
+        model_state = ModelState.unpack(packed, len(dynamics.vehicle.actuator_columns))
         return step(model_state, control, source.at(t, model_state.state)).pack()
 
     return call

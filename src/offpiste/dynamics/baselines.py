@@ -20,7 +20,7 @@ class ConstantMotion(Dynamics):
 
     reads_terrain = False
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """Nothing but the state."""
         nothing = state.new_zeros(len(state), 0)
         return ModelState(state, actuators, nothing, nothing)
@@ -28,7 +28,7 @@ class ConstantMotion(Dynamics):
     def stepper(self) -> Step:
         """Integrate the pose."""
 
-        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
             return ModelState(
                 _moved(model_state.state, model_state.state[:, 3:]),
                 model_state.actuators,
@@ -54,7 +54,7 @@ class Kinematic(Dynamics):
         super().__init__(vehicle)
         self.actuators = Actuators(vehicle)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """Only the actuators' residuals remember anything."""
         return ModelState(state, actuators, *self.actuators.start(history))
 
@@ -62,7 +62,7 @@ class Kinematic(Dynamics):
         """Integrate the pose along the steered arc."""
         lags = self.actuators.constants()
 
-        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
             steer = drive_train(self.vehicle, model_state.state, model_state.actuators, control).steer
             vx = model_state.state[:, 3]
             yaw_rate = vx * torch.tan(steer) / self.vehicle.wheelbase
@@ -88,7 +88,7 @@ class Recurrent(Dynamics):
         self.actuators = Actuators(vehicle)
         self.network = Compensator(3 + len(vehicle.actuators) + len(vehicle.control) + 3, 3)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """The LSTM's state comes from the last 0.2 s."""
         hidden, cell = self.network.start(self.recorded_inputs(history))
         others = self.actuators.start(history)
@@ -99,7 +99,7 @@ class Recurrent(Dynamics):
         lags = self.actuators.constants()
         sizes = [self.network.hidden, self.actuators.hidden]
 
-        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
             hidden, hidden_lags = model_state.hidden.split(sizes, dim=-1)
             cell, cell_lags = model_state.cell.split(sizes, dim=-1)
             seen = self._inputs(model_state.state, model_state.actuators, control, terrain)
@@ -128,8 +128,8 @@ class Recurrent(Dynamics):
     def _inputs(
         self,
         state: Float[Tensor, "*B 6"],
-        actuators: Float[Tensor, "*B 4"],
-        control: Float[Tensor, "*B 3"],
+        actuators: Float[Tensor, "*B A"],
+        control: Float[Tensor, "*B U"],
         terrain: Terrain,
     ) -> Float[Tensor, "*B I"]:
         present = select_present(self.vehicle, actuators, control)

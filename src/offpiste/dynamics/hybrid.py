@@ -28,7 +28,7 @@ class Parametric(Dynamics):
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """Only the actuators' residuals remember anything."""
         return ModelState(state, actuators, *self.actuators.start(history))
 
@@ -36,7 +36,7 @@ class Parametric(Dynamics):
         """Forces, then rates, then forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
 
-        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
             normal = body_normal(terrain, model_state.state[:, 2])
             force = parametric_forces(
                 self.vehicle, constants, model_state.state, model_state.actuators, control, normal
@@ -89,7 +89,7 @@ class Hybrid(Dynamics):
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
         self.register_buffer("force_scale", torch.tensor([vehicle.mass / 2, vehicle.mass, vehicle.mass, 1.0]))
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B 4"]) -> ModelState:
+    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """The LSTM's state comes from the last 0.2 s."""
         hidden, cell = self.compensator.start(self.recorded_inputs(history))
         others = self.actuators.start(history)
@@ -100,7 +100,7 @@ class Hybrid(Dynamics):
         lags, constants = self.actuators.constants(), self.bicycle()
         sizes = [self.compensator.hidden, self.actuators.hidden]
 
-        def step(model_state: ModelState, control: Float[Tensor, "B 3"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
             hidden, hidden_lags = model_state.hidden.split(sizes, dim=-1)
             cell, cell_lags = model_state.cell.split(sizes, dim=-1)
             normal = body_normal(terrain, model_state.state[:, 2])
@@ -152,8 +152,8 @@ class Hybrid(Dynamics):
     def _inputs(
         self,
         state: Float[Tensor, "*B 6"],
-        actuators: Float[Tensor, "*B 4"],
-        control: Float[Tensor, "*B 3"],
+        actuators: Float[Tensor, "*B A"],
+        control: Float[Tensor, "*B U"],
         normal: Float[Tensor, "*B 3"],
         force: Float[Tensor, "*B 4"],
         latent: Float[Tensor, "*B 4 E"],
@@ -217,8 +217,8 @@ def parametric_forces(
     vehicle: Vehicle,
     constants: Constants,
     state: Float[Tensor, "*B 6"],
-    actuators: Float[Tensor, "*B 4"],
-    control: Float[Tensor, "*B 3"],
+    actuators: Float[Tensor, "*B A"],
+    control: Float[Tensor, "*B U"],
     normal: Float[Tensor, "*B 3"],
 ) -> Float[Tensor, "*B 4"]:
     """The force vector F (eq. 1) on batches."""
@@ -234,8 +234,8 @@ def advance(
     vehicle: Vehicle,
     constants: Constants,
     state: Float[Tensor, "B 6"],
-    actuators: Float[Tensor, "B 4"],
-    control: Float[Tensor, "B 3"],
+    actuators: Float[Tensor, "B A"],
+    control: Float[Tensor, "B U"],
     normal: Float[Tensor, "B 3"],
     force: Float[Tensor, "B 4"],
 ) -> Float[Tensor, "B 6"]:

@@ -1,12 +1,14 @@
-"""What the physics and the networks read from a carry, with the reduced forms for channels that a log lacks."""
+"""What the physics and the networks read from a model state, with the reduced forms for channels that a log lacks."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.dynamics.actuators import TORCH
+from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.errors import DatasetError
 from offpiste.geometry import rotate_by_minus_yaw
@@ -16,47 +18,68 @@ REDUCED_ENGINE_SPEED = 10.0
 """Speed [m/s] that stands for 1 (1000 rev/min) where no engine speed is recorded."""
 
 
+Commands = Callable[[str], Scalar]
+"""The command of a control's name; zero where the log has none."""
+
+
 class DriveTrain(NamedTuple):
     """Inputs of the force vector, each [B]: throttle, brake, steer [rad], engine."""
 
-    throttle: Tensor
-    brake: Tensor
-    steer: Tensor
-    engine: Tensor
+    throttle: Scalar
+    brake: Scalar
+    steer: Scalar
+    engine: Scalar
+
+
+def reduced_throttle(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
+    """Without its position, the throttle's command acts at once."""
+    return commands("throttle")
+
+
+def reduced_brake(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
+    """Without brake pressure, the brake's command acts at once."""
+    return commands("brake")
+
+
+def reduced_steer(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
+    """Without a steering angle, the road wheels follow the command at once [rad]."""
+    return max_steer * commands("steer")
+
+
+def reduced_engine(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
+    """Without engine speed, the polynomial P(x_rpm) reads |vx| / (10 m/s)."""
+    return f.maximum(vx, -vx) / REDUCED_ENGINE_SPEED
+
+
+REDUCED: Final = DriveTrain(reduced_throttle, reduced_brake, reduced_steer, reduced_engine)
+"""What stands for each input where no actuator measures it."""
 
 
 def drive_train(
-    vehicle: Vehicle, state: Float[Tensor, "*B 6"], actuators: Float[Tensor, "*B 4"], control: Float[Tensor, "*B 3"]
+    vehicle: Vehicle, state: Float[Tensor, "*B 6"], actuators: Float[Tensor, "*B A"], control: Float[Tensor, "*B U"]
 ) -> DriveTrain:
-    """Throttle, brake, steering and engine as the bicycle reads them.
+    """Throttle, brake, steering and engine as the bicycle reads them: measured, or else their reduced form.
 
-    Reduced forms: without brake pressure the brake command acts at once; without a steering angle the road wheels
-    follow the command at once; without engine speed the polynomial P(x_rpm) reads |vx| / (10 m/s); without throttle or
-    any brake signal the term is zero. The slot of an absent channel is never read.
+    Without a throttle command, or any brake signal, that input is zero. The slot of an absent channel is never read.
 
     Raises:
         DatasetError: there is neither a steering angle nor a steering command.
     """
-    commands = dict(zip(CONTROL, control.unbind(-1), strict=True))
-    measured = dict(zip(ACTUATORS, actuators.unbind(-1), strict=True))
-    nothing = torch.zeros_like(state[..., 0])
-    if "steer" in vehicle.actuators:
-        steer = measured["steer"]
-    elif "steer" in vehicle.control:
-        steer = vehicle.max_steer * commands["steer"]
-    else:
+    if not vehicle.steers:
         raise DatasetError("neither a steering angle nor a steering command", how="give one of them in the rig")
-    if "brake" in vehicle.actuators:
-        brake = measured["brake"]
-    else:
-        brake = commands["brake"] if "brake" in vehicle.control else nothing
+    measured = dict(zip(vehicle.actuator_columns, actuators.unbind(-1), strict=True))
+    given = dict(zip(vehicle.control_columns, control.unbind(-1), strict=True))
+    measures = vehicle.measured_inputs
+    nothing = torch.zeros_like(state[..., 0])
+
+    def commands(name: str) -> Tensor:
+        return given[name] if name in vehicle.control else nothing
+
     return DriveTrain(
-        throttle=commands["throttle"] if "throttle" in vehicle.control else nothing,
-        brake=brake,
-        steer=steer,
-        engine=measured["engine_rpm"]
-        if "engine_rpm" in vehicle.actuators
-        else state[..., 3].abs() / REDUCED_ENGINE_SPEED,
+        *(
+            measured[measures[name]] if name in measures else reduced(commands, state[..., 3], vehicle.max_steer, TORCH)
+            for name, reduced in zip(DriveTrain._fields, REDUCED, strict=True)
+        )
     )
 
 
@@ -66,9 +89,9 @@ def body_normal(terrain: Terrain, yaw: Float[Tensor, "*B"]) -> Float[Tensor, "*B
 
 
 def select_present(
-    vehicle: Vehicle, actuators: Float[Tensor, "*B 4"], control: Float[Tensor, "*B 3"]
+    vehicle: Vehicle, actuators: Float[Tensor, "*B A"], control: Float[Tensor, "*B U"]
 ) -> Float[Tensor, "*B P"]:
     """The columns of actuators and control that the log has, in order; absent ones are not inputs at all."""
-    kept_actuators = [i for i, name in enumerate(ACTUATORS) if name in vehicle.actuators]
-    kept_control = [i for i, name in enumerate(CONTROL) if name in vehicle.control]
+    kept_actuators = [i for i, name in enumerate(vehicle.actuator_columns) if name in vehicle.actuators]
+    kept_control = [i for i, name in enumerate(vehicle.control_columns) if name in vehicle.control]
     return torch.cat((actuators[..., kept_actuators], control[..., kept_control]), dim=-1)

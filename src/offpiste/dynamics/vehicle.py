@@ -1,6 +1,9 @@
 """What a dynamics model must know of the vehicle and of its log."""
 
 from dataclasses import dataclass
+from functools import cached_property
+
+from offpiste.channels import actuator_columns, all_actuators, control_columns
 
 
 @dataclass(frozen=True)
@@ -10,9 +13,9 @@ class Vehicle:
     Attributes:
         mass: [kg].
         wheelbase: [m].
-        max_steer: road-wheel angle at a steering command of 1 [rad].
-        control: names (of `conventions.CONTROL`) that the log has.
-        actuators: names (of `conventions.ACTUATORS`) that the log has; "steer" only together with "steer_rate".
+        max_steer: road-wheel angle at a steering command of 1 [rad]; 0 where nothing steers.
+        control: names of controls (`offpiste.channels`) that the log has.
+        actuators: names of actuators that the log has; "steer" only together with "steer_rate".
         rear_axle: how far behind the pose point the rear axle lies [m].
         features: how many terrain features the dataset has under each wheel.
         pca: how many of them a model reads, the first ones; 0: all.
@@ -30,8 +33,30 @@ class Vehicle:
     codes: int = 4
 
     def __post_init__(self) -> None:
-        if "steer" in self.actuators and "steer_rate" not in self.actuators:
-            raise ValueError("a steering angle needs its rate: the delay model has both as its state")
+        for rate in all_actuators():
+            if rate.rate_of in self.actuators and rate.name not in self.actuators:
+                raise ValueError(f"{rate.rate_of} needs its rate ({rate.name}): the delay model has both as its state")
+
+    @cached_property
+    def control_columns(self) -> tuple[str, ...]:
+        """Columns of `control` in this vehicle's datasets, those that the log lacks included."""
+        return tuple(control.name for control in control_columns(self.control))
+
+    @cached_property
+    def actuator_columns(self) -> tuple[str, ...]:
+        """Columns of `actuators` in this vehicle's datasets, those that the log lacks included."""
+        return tuple(actuator.name for actuator in actuator_columns(self.actuators))
+
+    @cached_property
+    def measured_inputs(self) -> dict[str, str]:
+        """Inputs of the bicycle that an actuator measures (`Actuator.drives`), and the names of those actuators."""
+        present = (actuator for actuator in actuator_columns(self.actuators) if actuator.name in self.actuators)
+        return {actuator.drives: actuator.name for actuator in present if actuator.drives}
+
+    @property
+    def steers(self) -> bool:
+        """Whether the log has a steering angle or a steering command."""
+        return "steer" in self.actuators or "steer" in self.control
 
     @property
     def read(self) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import LogError, OffpisteError
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.driven_path import driven_path
@@ -19,7 +20,7 @@ from offpiste.inspection.signals import find_wrap
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Topic
-from offpiste.rig.rig import ACTUATOR_CHANNELS, CONTROL_CHANNELS, Rig, Wrap, parse_rig
+from offpiste.rig.rig import Rig, Wrap, parse_rig, undeclared
 
 _AXIS = re.compile(r"(?<![a-z])([pqvw]?)x(?![a-z])", re.IGNORECASE)
 _GROUPS: tuple[tuple[str, re.Pattern[str]], ...] = (
@@ -32,11 +33,16 @@ _NOT_GROUPS = re.compile(r"acc|magn|(?<![a-z])mag(?![a-z])|gravity|force|effort|
 _SCALARS: tuple[tuple[str, re.Pattern[str]], ...] = (
     ("yaw", re.compile(r"(?<![a-z])(yaw|heading|psi)$", re.IGNORECASE)),
     ("yaw_rate", re.compile(r"yaw_?rate|(^|[ ._])w( \(imu\))?$|gyro_?z", re.IGNORECASE)),
-    ("throttle", re.compile(r"throttle|accel(erator)?_?pedal|(^|[ ._/])gas", re.IGNORECASE)),
-    ("brake", re.compile(r"brake", re.IGNORECASE)),
-    ("steer", re.compile(r"steer", re.IGNORECASE)),
-    ("engine_rpm", re.compile(r"engine.*(rpm|speed)|^rpm", re.IGNORECASE)),
 )
+
+
+def _scalars() -> tuple[tuple[str, re.Pattern[str]], ...]:
+    """Channels of one number, with the names of fields that may hold them."""
+    controls = [(control.name, control.pattern) for control in all_controls() if control.pattern]
+    actuators = [(actuator.channel, actuator.pattern) for actuator in all_actuators() if actuator.pattern]
+    return (*_SCALARS, *((name, re.compile(pattern, re.IGNORECASE)) for name, pattern in controls + actuators))
+
+
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk", re.IGNORECASE)
 _TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "odometry.npy": (
@@ -79,7 +85,7 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         name = f"{topic.name}/{field}" if len(topic.fields) <= 2 else field
         if field in taken or field.endswith("]") or _NOT_SCALARS.search(name):
             continue
-        for channel, pattern in _SCALARS:
+        for channel, pattern in _scalars():
             if pattern.search(name):
                 yield Guess(channel, topic.name, (field,))
                 break
@@ -156,7 +162,7 @@ def _text(log: Log, frame: str) -> str:
             where=log.path,
             how=f"write a rig that names one; it has: {', '.join(log.topics) or 'no topic'}",
         )
-    absent = [name for name in (*CONTROL_CHANNELS, *ACTUATOR_CHANNELS) if name not in entries]
+    absent = undeclared(entries)
     name = log.path.resolve().name.split(".")[0]
     parts = [_HEADER.format(name=name, quoted=_toml(name), absent=_toml(absent))]
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []

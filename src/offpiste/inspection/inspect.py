@@ -12,6 +12,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from offpiste.channels import all_controls
 from offpiste.errors import OffpisteError
 from offpiste.inspection.clocks import check_clocks
 from offpiste.inspection.draft_rig import draft_rig
@@ -26,7 +27,7 @@ from offpiste.inspection.stamps import check_spans, check_stamps, timing
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.rig import CONTROL_CHANNELS, Clock, Rig, parse_rig
+from offpiste.rig.rig import Clock, Rig, parse_rig
 
 _LEAST_DRIVING = 6.0
 """A window and its history take 5.2 s; less driving than this holds none to learn from [s]."""
@@ -199,7 +200,7 @@ def _check_channels(drive: Drive, path: Path, recorded: dict[str, Recorded], *, 
         # Without a rig only names were guessed, and the topic may have another.
         findings.append(Finding("fatal" if given else "warning", "controls", what, said, mend, 1.0))
     if not steers and not drives:
-        present = [name for name in CONTROL_CHANNELS if name in drive.channels]
+        present = [control.name for control in all_controls() if control.name in drive.channels]
         what = "no control has any effect" if present else "there is no control channel"
         said = f"judged: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
         mend = "add [channels.steer] and [channels.throttle] with the topics that hold them"

@@ -4,21 +4,13 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert
 from offpiste.rig.rig import ChannelSource, Rig, unit_factor
 
-_LIMITS: dict[str, tuple[float, float]] = {
-    "throttle": (0.0, 1.0),
-    "brake": (0.0, 1.0),
-    "steer": (-1.0, 1.0),
-    "brake_pressure": (0.0, 1.0),
-    "steer_angle": (-1.0, 1.0),
-    "engine_rpm": (0.0, 15.0),
-}
-"""What a channel can be, in its own unit: 1, rad at the road wheel, 1000 rev/min."""
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
 _CLIPPED = 0.2
 
@@ -26,7 +18,7 @@ _CLIPPED = 0.2
 def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """Findings on controls and actuators that leave their limits, or that the rig clips there."""
     findings = []
-    for name, (low, high) in _LIMITS.items():
+    for name, low, high in _limits():
         source = rig.channels.get(name)
         r = recorded.get(source.topic) if source else None
         if source is None or r is None or source.fields[0] not in r.fields:
@@ -53,6 +45,13 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
             )
         )
     return findings
+
+
+def _limits() -> list[tuple[str, float, float]]:
+    """What controls and actuators can be, by channel, in offpiste's units."""
+    controls = [(control.name, control.low, control.high) for control in all_controls()]
+    actuators = [(a.channel, a.low, a.high) for a in all_actuators() if a.low is not None and a.high is not None]
+    return controls + actuators
 
 
 def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, " m"]:

@@ -9,7 +9,7 @@ from scipy.ndimage import median_filter
 from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert
-from offpiste.rig.rig import CHANNELS, ChannelSource, Rig, Wrap
+from offpiste.rig.rig import ChannelSource, Rig, Wrap, known_channels
 
 _PERIODS = (65536.0, 6553.6, 655.36)
 """A 16-bit counter, whole or in tenths or hundredths."""
@@ -17,7 +17,6 @@ _SPIKE = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
 _MAX_SPIKES = 0.02
 """More than this share of the samples are no isolated spikes."""
-_SCALARS = tuple(name for name, (_, widths) in CHANNELS.items() if widths == (1,) and name != "yaw")
 
 
 @dataclass(frozen=True)
@@ -218,7 +217,8 @@ def _limits(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> 
 
 
 def _dead(signals: list[Signal]) -> list[Finding]:
-    read = [s for s in signals if s.key.removeprefix("channels.") in _SCALARS]
+    scalars = [name for name, (_, widths) in known_channels().items() if widths == (1,) and name != "yaw"]
+    read = [s for s in signals if s.key.removeprefix("channels.") in scalars]
     other = [s for s in signals if not s.key]
     findings = [
         Finding(

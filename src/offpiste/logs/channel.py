@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from offpiste.errors import LogError, RigError
 from offpiste.logs.log import Log, Samples
-from offpiste.rig.rig import CHANNELS, ChannelSource, Rig, unit_factor
+from offpiste.rig.rig import ChannelSource, Rig, known_channels, unit_factor
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Channel:
     """Samples of one quantity, strictly increasing in time, all finite.
 
     Attributes:
-        unit: SI unit of the values (`offpiste.rig.rig.CHANNELS`).
+        unit: SI unit of the values (`offpiste.rig.rig.known_channels`).
         time: native stamps, the rig's delay removed [s].
         values: one column a component.
     """
@@ -94,7 +94,7 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
             where=path,
             how="mend its entry in the rig, or declare it absent",
         )
-    return Channel(name, CHANNELS[name][0], time, values), notes
+    return Channel(name, known_channels()[name][0], time, values), notes
 
 
 def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.channels import CONTROLS
 from offpiste.compilation import PLANNING
 from offpiste.threads import spread_threads
 
@@ -25,8 +26,12 @@ class Limits:
     rate: tuple[float, ...] | None = None
 
 
-PEDALS_AND_WHEEL = Limits(low=(0.0, 0.0, -1.0), high=(1.0, 1.0, 1.0), rate=(4.0, 8.0, 4.0))
-"""Of `conventions.CONTROL`: throttle, brake, steer [1, 1/s]."""
+PEDALS_AND_WHEEL = Limits(
+    low=tuple(control.low for control in CONTROLS),
+    high=tuple(control.high for control in CONTROLS),
+    rate=tuple(control.rate for control in CONTROLS),
+)
+"""Of the controls in `offpiste.channels.CONTROLS`."""
 
 
 def keep_within(

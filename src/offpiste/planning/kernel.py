@@ -162,8 +162,10 @@ def _bind(
     start = model_state.pack()[0].contiguous().numpy()
 
     def roll(controls: Tensor, states: Tensor) -> Tensor:
-        if controls.ndim != 3 or controls.shape[2] != 3 or controls.dtype != torch.float32 or controls.is_cuda:
-            raise ValueError(f"controls are {list(controls.shape)}, {controls.dtype}; [K, T, 3], float32 on the CPU")
+        width, wanted = len(CONTROL), (torch.float32, torch.device("cpu"))
+        if controls.ndim != 3 or controls.shape[2] != width or (controls.dtype, controls.device) != wanted:
+            found = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
+            raise ValueError(f"controls are {found}; the kernel wants [K, T, {width}], float32 on the CPU")
         costs = torch.empty(len(controls))
         blocks = -(-len(controls) // layout.LANES)
         spread_threads(blocks, roll_out, start, controls.contiguous().numpy(), *given, costs.numpy(), states.numpy())
@@ -217,7 +219,8 @@ def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
     wanted, units = dynamics.codes, dynamics.recurrent_size
-    if model_state.pack().shape != (1, 10 + 2 * units):
-        raise ValueError(f"the start is {list(model_state.pack().shape)}; the kernel wants {[1, 10 + 2 * units]}")
+    found, needed = list(model_state.pack().shape), [1, len(layout.CARRIED) + 2 * units]
+    if found != needed:
+        raise ValueError(f"the start is {found}; the kernel wants {needed}")
     if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:
         raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {wanted}")

@@ -12,6 +12,7 @@ from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import Lane, f4, maximum
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import (
+    ACTUATED,
     CODES,
     CONTROL_ROW,
     MOVED,
@@ -107,7 +108,7 @@ def command(
         for i in range(k * LANES, (k + 1) * LANES):
             cost = effort_term(after[i], effort) + jerk_term(after[i], before[i], kernel_weights.dt, jerk)
             total[i - k * LANES] += kernel_weights.dt * cost
-        if recorded[4 + k]:
+        if recorded[ACTUATED + k]:
             for i in range(k * LANES, (k + 1) * LANES):
                 w[CONTROL_ROW * LANES + i] = after[i]
 

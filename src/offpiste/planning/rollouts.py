@@ -24,7 +24,7 @@ def model_costs(
         cost: from predicted trajectories and their controls [K, T, 3] to costs [K], e.g. `costs.driving_cost`.
     """
 
-    def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
         return cost(rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source), controls)
 
     return cost_of
@@ -40,7 +40,7 @@ def driving_costs(
         encode: of the map's features; None for models without features. `lookup.as_codes` where it holds codes.
     """
 
-    def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
         source = ground_ahead(dynamics, situation, len(controls), encode)
 
         def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:

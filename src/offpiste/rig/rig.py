@@ -1,7 +1,7 @@
 """A vehicle and its log: geometry, and which topic or column feeds which channel, in what unit, sign and frame."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -10,7 +10,14 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.channels import (
+    Actuator,
+    Control,
+    actuator_columns,
+    all_actuators,
+    all_controls,
+    control_columns,
+)
 from offpiste.errors import RigError
 from offpiste.registry import load_extensions
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
@@ -25,29 +32,22 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 """Factors from the units a log may use to the one offpiste uses (the key)."""
 
-CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
+_OTHERS: dict[str, tuple[str, tuple[int, ...]]] = {
     "position": ("m", (2, 3)),
     "orientation": ("1", (4,)),
     "yaw": ("rad", (1,)),
     "linear_velocity": ("m/s", (2, 3)),
     "angular_velocity": ("rad/s", (3,)),
     "yaw_rate": ("rad/s", (1,)),
-    "throttle": ("1", (1,)),
-    "brake": ("1", (1,)),
-    "steer": ("1", (1,)),
-    "brake_pressure": ("1", (1,)),
-    "steer_angle": ("rad", (1,)),
-    "steer_rate": ("rad/s", (1,)),
-    "engine_rpm": ("1000 rev/min", (1,)),
     "wheel_speed": ("m/s", (1, 2, 4)),
 }
-"""Channel name -> (unit inside offpiste, allowed numbers of fields)."""
+"""Channels besides controls and actuators: name -> (unit inside offpiste, allowed numbers of fields)."""
 
 
 def declare_channel(
     name: str, *, unit: str, fields: tuple[int, ...] = (1,), units: Mapping[str, float] | None = None
 ) -> None:
-    """Let rigs name one more channel.
+    """Let rigs name one more channel; controls and actuators are declared in `offpiste.channels`.
 
     Args:
         unit: inside offpiste.
@@ -57,17 +57,18 @@ def declare_channel(
     Raises:
         RigError: there is a channel of this name.
     """
-    if name in CHANNELS:
+    if name in known_channels():
         raise RigError(f"there are two channels called '{name}'", how="give one of them another name")
-    CHANNELS[name] = unit, fields
+    _OTHERS[name] = unit, fields
     _UNITS.setdefault(unit, {unit: 1.0}).update(units or {})
 
 
-CONTROL_CHANNELS = CONTROL
-ACTUATOR_CHANNELS = ("brake_pressure", "steer_angle", "steer_rate", "engine_rpm")
-"""Channels behind the columns of `control` and `actuators`, in their order."""
-
-assert len(ACTUATOR_CHANNELS) == len(ACTUATORS)
+def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Every channel that a rig can give: name -> (unit inside offpiste, allowed numbers of fields)."""
+    single = (1,)
+    controls = {control.name: (control.unit, single) for control in all_controls()}
+    actuators = {actuator.channel: (actuator.unit, single) for actuator in all_actuators()}
+    return _OTHERS | controls | actuators
 
 
 class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -110,13 +111,13 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         wheel_positions: x forward, y left of the pose point [m]: front-left, front-right, rear-left, rear-right.
         pose_point: which point of the vehicle the pose is of, in words.
-        max_steer: road-wheel angle at a steering command of 1 [rad].
+        max_steer: road-wheel angle at a steering command of 1 [rad]; 0 for a vehicle that does not steer.
     """
 
     mass: float
     wheel_positions: tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
     pose_point: str
-    max_steer: float
+    max_steer: float = 0.0
     source: str = ""
 
     @property
@@ -189,6 +190,27 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cameras: dict[str, CameraSource] = {}
     lidars: dict[str, LidarSource] = {}
 
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        """The columns of `control` in datasets of this rig, those that its logs lack included."""
+        return control_columns(self.channels)
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """The columns of `actuators` in datasets of this rig, those that its logs lack included."""
+        return actuator_columns([a.name for a in all_actuators() if a.channel in self.channels])
+
+    @property
+    def present_controls(self) -> tuple[str, ...]:
+        """Names of the controls that this rig's logs have."""
+        return tuple(control.name for control in self.controls if control.name in self.channels)
+
+    @property
+    def present_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that this rig's logs have; a rate can be derived from what it is the rate of."""
+        have = {actuator.name for actuator in self.actuators if actuator.channel in self.channels}
+        return tuple(actuator.name for actuator in self.actuators if {actuator.name, actuator.rate_of} & have)
+
     def without_slope(self) -> "Rig":
         """The same rig with flat ground in place of the driven path's slope (an ablation)."""
         return msgspec.structs.replace(self, motion=msgspec.structs.replace(self.motion, normals="flat"))
@@ -204,11 +226,22 @@ def unit_factor(channel: str, unit: str) -> float:
     Raises:
         RigError: the unit does not measure this channel.
     """
-    own = CHANNELS[channel][0]
+    own = known_channels()[channel][0]
     known = _UNITS[own]
     if unit and unit not in known:
         raise RigError(f"unit '{unit}' does not measure {channel}", how=f"use one of: {', '.join(known)}")
     return known[unit or own]
+
+
+def undeclared(given: Collection[str]) -> list[str]:
+    """Channels of controls and actuators that a rig must declare absent, or give, besides those that it gives."""
+    names = [control.name for control in all_controls() if control.declared]
+    names += [
+        actuator.channel
+        for actuator in all_actuators()
+        if actuator.declared and not any(a.name == actuator.rate_of and a.channel in given for a in all_actuators())
+    ]
+    return [name for name in names if name not in given]
 
 
 def load_rig(name: str | Path) -> Rig:
@@ -257,10 +290,11 @@ def preset_names() -> list[str]:
 
 
 def _check(rig: Rig) -> None:
+    known = known_channels()
     for name, source in rig.channels.items():
-        if name not in CHANNELS:
-            raise RigError(f"unknown channel '{name}'", how=f"channels are: {', '.join(CHANNELS)}")
-        widths = CHANNELS[name][1]
+        if name not in known:
+            raise RigError(f"unknown channel '{name}'", how=f"channels are: {', '.join(known)}")
+        widths = known[name][1]
         if len(source.fields) not in widths:
             raise RigError(
                 f"channels.{name}.fields has {len(source.fields)} entries",
@@ -274,16 +308,15 @@ def _check(rig: Rig) -> None:
             )
         if name in rig.absent:
             raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")
-    unknown = set(rig.absent) - set(CHANNELS)
+    unknown = set(rig.absent) - set(known)
     if unknown:
-        raise RigError(f"absent: unknown channel '{min(unknown)}'", how=f"channels are: {', '.join(CHANNELS)}")
+        raise RigError(f"absent: unknown channel '{min(unknown)}'", how=f"channels are: {', '.join(known)}")
     if "position" not in rig.channels:
         raise RigError("channels.position is missing", how="every rig needs the vehicle's position")
     if not {"orientation", "yaw"} & set(rig.channels):
         raise RigError("channels.orientation or channels.yaw is missing", how="every rig needs the vehicle's heading")
-    for name in (*CONTROL_CHANNELS, *ACTUATOR_CHANNELS):
-        derived = name == "steer_rate" and "steer_angle" in rig.channels
-        if name not in rig.channels and name not in rig.absent and not derived:
+    for name in undeclared(rig.channels):
+        if name not in rig.absent:
             raise RigError(
                 f"channel '{name}' is neither given nor declared absent",
                 how=f"add [channels.{name}], or '{name}' to absent",
@@ -300,6 +333,7 @@ def _check(rig: Rig) -> None:
         raise RigError(f"vehicle.mass is {rig.vehicle.mass} kg", how="give the mass in kg")
     if not 0 < rig.vehicle.wheelbase < np.inf:
         raise RigError("the front wheels are not ahead of the rear wheels", how="mend vehicle.wheel_positions")
-    if not 0 < rig.vehicle.max_steer < np.pi / 2:
+    steers = "steer" in rig.channels or rig.vehicle.max_steer != 0
+    if steers and not 0 < rig.vehicle.max_steer < np.pi / 2:
         raise RigError(f"vehicle.max_steer is {rig.vehicle.max_steer} rad", how="give a road-wheel angle below pi/2")
     check_sensors(rig.cameras, rig.lidars)

@@ -63,7 +63,7 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
     return loss
 
 
-def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S 4"]:
+def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S A"]:
     """Predicted actuators at the first `FITTED_STEPS` rows after t, along the recorded speed."""
     constants = actuators.constants()
     hidden, cell = actuators.start(batch.history)

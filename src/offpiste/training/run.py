@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.dataset.columns.commands import present_actuators, present_control
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
@@ -147,8 +146,8 @@ def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
         mass=rig.vehicle.mass,
         wheelbase=rig.vehicle.wheelbase,
         max_steer=rig.vehicle.max_steer,
-        control=present_control(rig),
-        actuators=present_actuators(rig),
+        control=rig.present_controls,
+        actuators=rig.present_actuators,
         rear_axle=rig.vehicle.rear_axle,
         features=len(dataset.features),
         pca=config.pca,

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.channels import channel_of_rate
 from offpiste.errors import DatasetError, LogError
 from offpiste.geometry import local_polynomial
 from offpiste.logs.channel import Channel
@@ -42,8 +43,8 @@ class RowGrid:
     def channel(self, name: str) -> Float[np.ndarray, " N"]:
         """A channel of one field at the rows; NaN in gaps of the log, and everywhere if the log lacks it."""
         channel, window = self.drive.channels.get(name), self.drive.rig.motion.window
-        if channel is None and name == "steer_rate" and "steer_angle" in self.drive.channels:
-            channel = _derivative(self.drive.channels["steer_angle"], window=window)
+        if channel is None and (measured := channel_of_rate(name)) in self.drive.channels:
+            channel = _derivative(self.drive.channels[measured], window=window)
         if channel is None:
             return np.full(len(self.time), np.nan)
         source = self.drive.rig.channels.get(name)

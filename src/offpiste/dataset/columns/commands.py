@@ -4,33 +4,20 @@ import numpy as np
 
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dataset.columns import COLUMNS, Column
-from offpiste.rig.rig import ACTUATOR_CHANNELS, CONTROL_CHANNELS, Rig
-
-
-def present_control(rig: Rig) -> tuple[str, ...]:
-    """Names of `conventions.CONTROL` that a rig's logs have."""
-    return tuple(name for name, channel in zip(CONTROL, CONTROL_CHANNELS, strict=True) if channel in rig.channels)
-
-
-def present_actuators(rig: Rig) -> tuple[str, ...]:
-    """Names of `conventions.ACTUATORS` that a rig's logs have; a steering rate can be derived from the angle."""
-    have = set(rig.channels) | ({"steer_rate"} if "steer_angle" in rig.channels else set())
-    return tuple(name for name, channel in zip(ACTUATORS, ACTUATOR_CHANNELS, strict=True) if channel in have)
-
 
 COLUMNS.register("control")(
     Column(
-        read=lambda grid: np.column_stack([grid.channel(name) for name in CONTROL_CHANNELS]),
+        read=lambda grid: np.column_stack([grid.channel(control.name) for control in grid.drive.rig.controls]),
         shape=(len(CONTROL),),
-        present=lambda rig: [name in present_control(rig) for name in CONTROL],
+        present=lambda rig: [control.name in rig.present_controls for control in rig.controls],
         segments=("past", "ahead"),
     )
 )
 COLUMNS.register("actuators")(
     Column(
-        read=lambda grid: np.column_stack([grid.channel(name) for name in ACTUATOR_CHANNELS]),
+        read=lambda grid: np.column_stack([grid.channel(actuator.channel) for actuator in grid.drive.rig.actuators]),
         shape=(len(ACTUATORS),),
-        present=lambda rig: [name in present_actuators(rig) for name in ACTUATORS],
+        present=lambda rig: [actuator.name in rig.present_actuators for actuator in rig.actuators],
         segments=("past", "start", "target"),
     )
 )

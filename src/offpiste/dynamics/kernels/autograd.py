@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
@@ -31,10 +32,14 @@ from offpiste.threads import spread_threads
 def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
     """Whether `rollout_recorded` can roll this model out, here and in this type.
 
-    It can step models with `kernel_parts` on the CPU in float32; where gradients are wanted, only while the actuators'
-    models are frozen.
+    It can step models with `kernel_parts` on the CPU in float32, of vehicles with no other channels than `conventions`
+    lists; where gradients are wanted, only while the actuators' models are frozen.
     """
-    if dynamics.kernel_parts() is None or dynamics.actuators is None or device.type != "cpu" or dtype != torch.float32:
+    if dynamics.kernel_parts() is None or dynamics.actuators is None:
+        return False
+    if (dynamics.vehicle.actuator_columns, dynamics.vehicle.control_columns) != (ACTUATORS, CONTROL):
+        return False
+    if device.type != "cpu" or dtype != torch.float32:
         return False
     if not all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters()):
         return False
@@ -43,7 +48,7 @@ def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bo
 
 
 def rollout_recorded(
-    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T 3"], terrain: Terrain
+    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], terrain: Terrain
 ) -> Trajectory:
     """`rollout(dynamics, model_state, controls, RecordedTerrain(terrain))`, several times as fast.
 
@@ -80,12 +85,12 @@ class _Rollout(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, given: Given, *tensors: Tensor) -> tuple[Tensor, Tensor]:
-        """States [B, T, 6] and actuators [B, T, 4]; `tensors`, which `given` was made of, tie them to the graph."""
+        """States [B, T, 6] and actuators [B, T, A]; `tensors`, which `given` was made of, tie them to the graph."""
         batch, steps, _ = given.record.controls.shape
         blocks = -(-batch // layout.LANES)
         slots = steps + 1 if given.differentiate else 2
         tape = np.empty((blocks, slots, given.start.shape[1] * layout.LANES), np.float32)
-        states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (6, 4))
+        states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (len(STATE), len(ACTUATORS)))
         spread_threads(blocks, forward, *given[:4], tape, states.numpy(), actuators.numpy())
         ctx.given, ctx.tape = given, tape
         return states, actuators
@@ -116,11 +121,11 @@ def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, normal
     batch, steps = controls.shape[:2]
     codes, units = dynamics.codes, dynamics.recurrent_size
     expected = {
-        "controls": (controls, (batch, steps, 3)),
+        "controls": (controls, (batch, steps, len(CONTROL))),
         "normals": (normals, (batch, steps, 4, 3)),
         "latent": (latent, (batch, steps, 4, codes)),
-        "state": (model_state.state, (batch, 6)),
-        "actuators": (model_state.actuators, (batch, 4)),
+        "state": (model_state.state, (batch, len(STATE))),
+        "actuators": (model_state.actuators, (batch, len(ACTUATORS))),
         "hidden": (model_state.hidden, (batch, units)),
         "cell": (model_state.cell, (batch, units)),
     }

@@ -18,10 +18,9 @@ from typing import Final, NamedTuple
 
 import sympy as sp
 
-from offpiste.conventions import DT
-from offpiste.dynamics.actuators import LagConstants, brake_rate, engine_rate, steer_acceleration
+from offpiste.conventions import CONTROL, DT, STATE
 from offpiste.dynamics.bicycle import Constants, Elementary, Force, Scalar, forces, rates
-from offpiste.dynamics.inputs import REDUCED_ENGINE_SPEED, DriveTrain
+from offpiste.dynamics.inputs import REDUCED, DriveTrain
 from offpiste.dynamics.kernels import layout
 
 Definitions = list[tuple[sp.Symbol, sp.Expr]]
@@ -149,12 +148,15 @@ def drive_train(v: Values, f: Elementary) -> DriveTrain:
     def pick(switch: str, measured: Scalar, reduced: Scalar) -> Scalar:
         return v[switch] * measured + (1 - v[switch]) * reduced
 
-    return DriveTrain(
-        throttle=v["throttle"],
-        brake=pick("brake_measured", v["brake"], v["brake_command"]),
-        steer=pick("steer_measured", v["steer"], v["max_steer"] * v["steer_command"]),
-        engine=pick("engine_measured", v["engine_rpm"], f.maximum(v["vx"], -v["vx"]) / REDUCED_ENGINE_SPEED),
-    )
+    def command(name: str) -> Scalar:
+        return v[layout.CONTROLS[CONTROL.index(name)]]
+
+    found = []
+    for name, reduced_form in zip(DriveTrain._fields, REDUCED, strict=True):
+        reduced = reduced_form(command, v["vx"], v["max_steer"], f)
+        actuator = layout.MEASURED.get(name)
+        found.append(reduced if actuator is None else pick(f"{name}_measured", v[actuator], reduced))
+    return DriveTrain(*found)
 
 
 def body_normal(v: Values, f: Elementary) -> tuple[Scalar, Scalar, Scalar]:
@@ -178,19 +180,18 @@ def advance(v: Values, f: Elementary) -> Values:
     """Corrected forces to rates, actuators' lags, forward Euler."""
     normal = body_normal(v, f)
     constants = Constants(*(v[name] for name in Constants._fields))
-    lags = LagConstants(*(v[name] for name in LagConstants._fields))
     force = Force(*(v[name] + v[more] for name, more in zip(layout.FORCE, layout.CORRECTION, strict=True)))
     steer = drive_train(v, f).steer
     motion = rates(v["yaw"], v["vx"], v["vy"], v["yaw_rate"], steer, normal[0], normal[1], force, constants, f)
-    acceleration = steer_acceleration(v["steer"], v["steer_rate"], v["steer_command"], lags) + v["steer_residual"]
-    change = (
-        *motion,
-        v["brake_lags"] * (brake_rate(v["brake"], v["brake_command"], lags, f) + v["brake_residual"]),
-        v["steer_lags"] * v["steer_rate"],
-        v["steer_lags"] * acceleration,
-        v["engine_lags"] * engine_rate(v["engine_rpm"], v["throttle"], v["vx"], lags, f),
-    )
-    return {after: v[name] + DT * rate for after, name, rate in zip(layout.NEXT, layout.CARRIED, change, strict=True)}
+    change = dict(zip(STATE, motion, strict=True))
+    for one in layout.LAGGING:
+        command = v[layout.CONTROLS[CONTROL.index(one.actuator.follows)]]
+        own = {name: v[f"{one.label}_{name}"] for name in one.lag.constants}
+        changes = list(one.lag.change(tuple(v[name] for name in one.columns), command, v["vx"], own, f))
+        if one.lag.residual:
+            changes[-1] += v[f"{one.label}_residual"]
+        change |= {name: v[f"{one.label}_lags"] * rate for name, rate in zip(one.columns, changes, strict=True)}
+    return {after: v[name] + DT * change[name] for after, name in zip(layout.NEXT, layout.CARRIED, strict=True)}
 
 
 def cell(v: Values, f: Elementary) -> Values:

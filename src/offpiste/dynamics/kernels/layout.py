@@ -8,9 +8,10 @@ array.
 
 from typing import Final
 
-from offpiste.conventions import ACTUATORS, STATE
-from offpiste.dynamics.actuators import LagConstants
+from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.bicycle import Constants, Force
+from offpiste.dynamics.inputs import DriveTrain
+from offpiste.dynamics.lags import lagging
 
 LANES: Final = 32
 """Windows in a block: two AVX-512 vectors."""
@@ -21,7 +22,7 @@ HIDDEN: Final = 4
 CARRIED: Final = (*STATE, *ACTUATORS)
 """What the physics carries from step to step, in `ModelState.pack`'s order."""
 
-CONTROLS: Final = ("throttle", "brake_command", "steer_command")
+CONTROLS: Final = tuple(f"{name}_command" if name in ACTUATORS else name for name in CONTROL)
 """`conventions.CONTROL`, named apart from the actuators."""
 
 NORMAL: Final = ("world_normal_x", "world_normal_y", "world_normal_z")
@@ -36,7 +37,10 @@ FORCE: Final = tuple(f"force_{name}" for name in Force._fields)
 CORRECTION: Final = tuple(f"{name}_correction" for name in Force._fields)
 """What the compensator adds to the force."""
 
-RESIDUALS: Final = ("brake_residual", "steer_residual")
+LAGGING: Final = lagging()
+"""Actuators that the kernels step, with their delay models."""
+
+RESIDUALS: Final = tuple(f"{one.label}_residual" for one in LAGGING if one.lag.residual)
 """What the actuators' residual networks add [1/s, rad/s^2]."""
 
 NEXT: Final = tuple(f"next_{name}" for name in CARRIED)
@@ -47,18 +51,28 @@ _SPARE: Final = tuple(tuple(f"unused_{name}_{i}" for i in range(3)) for name in 
 
 ROWS: Final = (
     *CARRIED, *CONTROLS, *NORMAL, *BODY_NORMAL, *FORCE, *CORRECTION,
-    RESIDUALS[0], *_SPARE[0], RESIDUALS[1], *_SPARE[1], *NEXT,
+    *(name for residual, spare in zip(RESIDUALS, _SPARE, strict=True) for name in (residual, *spare)), *NEXT,
 )  # fmt: skip
 """Rows of the workspace in order; codes of the wheels follow."""
 
 ROW: Final = {name: row for row, name in enumerate(ROWS)}
 
-SWITCHES: Final = (
-    "brake_measured", "steer_measured", "engine_measured", "brake_lags", "steer_lags", "engine_lags", "max_steer",
-)  # fmt: skip
-"""1 or 0: is an actuator recorded, does it follow its command through a lag; the steering angle at command 1 [rad]."""
+MEASURED: Final = {
+    name: one.actuator.name for name in DriveTrain._fields for one in LAGGING if one.actuator.drives == name
+}
+"""Inputs of the bicycle that an actuator can measure, and which one."""
 
-CONSTANTS: Final = (*Constants._fields, *LagConstants._fields, *SWITCHES)
+SWITCHES: Final = (
+    *(f"{name}_measured" for name in MEASURED),
+    *(f"{one.label}_lags" for one in LAGGING),
+    "max_steer",
+)
+"""1 or 0: is an input measured, does an actuator lag behind its command; then the steering angle at command 1 [rad]."""
+
+LAG_CONSTANTS: Final = tuple(f"{one.label}_{name}" for one in LAGGING for name in one.lag.constants)
+"""In the order of `Actuators.flat_constants`."""
+
+CONSTANTS: Final = (*Constants._fields, *LAG_CONSTANTS, *SWITCHES)
 """The vector of constants; the first `len(Constants._fields)` of them are learned."""
 
 LEARNED: Final = Constants._fields

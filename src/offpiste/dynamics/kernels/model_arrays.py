@@ -11,8 +11,8 @@ from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.network import Network, Weights, network, weights
-from offpiste.dynamics.kernels.rollout import Record
+from offpiste.dynamics.kernels.network import Weights, network, weights
+from offpiste.dynamics.kernels.rollout import Networks, Record
 from offpiste.dynamics.vehicle import Vehicle
 
 
@@ -30,13 +30,13 @@ class Given(NamedTuple):
     start: np.ndarray
     record: Record
     constants: np.ndarray
-    networks: tuple[Network, Network, Network]
+    networks: Networks
     differentiate: bool
 
 
 def record(
     vehicle: Vehicle,
-    controls: Float[Tensor, "B T 3"],
+    controls: Float[Tensor, "B T U"],
     normals: Float[Tensor, "B T 4 3"],
     codes: Float[Tensor, "B T C"],
 ) -> Record:
@@ -72,22 +72,18 @@ def compensator_weights(dynamics: Dynamics) -> Weights:
 def constants(dynamics: Dynamics, learned: Float[Tensor, " K"]) -> np.ndarray:
     """The vector of `layout.CONSTANTS`, from the bicycle's."""
     vehicle, (_, actuators) = dynamics.vehicle, kernel_parts(dynamics)
-    switches = {
-        "brake_measured": "brake" in vehicle.actuators,
-        "steer_measured": "steer" in vehicle.actuators,
-        "engine_measured": "engine_rpm" in vehicle.actuators,
-        "brake_lags": "brake" in vehicle.actuators and "brake" in vehicle.control,
-        "steer_lags": "steer" in vehicle.actuators and "steer" in vehicle.control,
-        "engine_lags": "engine_rpm" in vehicle.actuators and "throttle" in vehicle.control,
+    switches: dict[str, float] = {
+        **{f"{name}_measured": actuator in vehicle.actuators for name, actuator in layout.MEASURED.items()},
+        **{f"{one.label}_lags": one.steps(vehicle) for one in layout.LAGGING},
         "max_steer": vehicle.max_steer,
     }
     with torch.no_grad():
-        lags = torch.stack(actuators.constants())
+        lags = actuators.flat_constants()
     parts = learned.detach().numpy(), lags.numpy(), [switches[name] for name in layout.SWITCHES]
     return np.concatenate(parts, dtype=np.float32)
 
 
-def networks(dynamics: Dynamics, compensator: Weights) -> tuple[Network, Network, Network]:
+def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
     """The networks of the forces, the brake and the steering; their recurrent states follow each other in this order.
 
     Args:
@@ -109,17 +105,20 @@ def networks(dynamics: Dynamics, compensator: Weights) -> tuple[Network, Network
         first_output=layout.ROW[layout.CORRECTION[0]],
     )
     hidden = layout.HIDDEN if parts.compensator is not None else 0
-    brake = _residual(actuators, "brake", ("brake", "brake_command", "vx"), hidden)
-    hidden += layout.HIDDEN if len(brake.outer) else 0
-    return first, brake, _residual(actuators, "steer", ("steer", "steer_rate", "steer_command", "vx"), hidden)
-
-
-def _residual(actuators: Actuators, name: str, seen: tuple[str, ...], first_hidden: int) -> Network:
-    found = actuators.networks.get(name)
-    return network(
-        found,
-        weights(found),
-        inputs=[layout.ROW[row] for row in seen],
-        first_hidden=first_hidden,
-        first_output=layout.ROW[f"{name}_residual"],
-    )
+    residuals = []
+    for one in layout.LAGGING:
+        if one.lag.residual:
+            found = actuators.networks.get(one.label)
+            command = layout.CONTROLS[CONTROL.index(one.actuator.follows)]
+            residuals.append(
+                network(
+                    found,
+                    weights(found),
+                    inputs=[layout.ROW[row] for row in (*one.columns, command, "vx")],
+                    first_hidden=hidden,
+                    first_output=layout.ROW[f"{one.label}_residual"],
+                )
+            )
+            hidden += layout.HIDDEN if found is not None else 0
+    brake, steer = residuals
+    return first, brake, steer

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from offpiste.compilation import KERNELS
-from offpiste.conventions import STATE
+from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
 from offpiste.dynamics.kernels.layout import CARRIED, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS
 from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, copy, make_buffers
 
 MOVED = len(CARRIED) * LANES
-STATES = len(STATE)
+STATES, ACTUATED, COMMANDED = len(STATE), len(ACTUATORS), len(CONTROL)
 NEXT = ROW["next_px"] * LANES
 CONTROL_ROW = ROW[CONTROLS[0]]
 NORMAL_ROW = ROW[NORMAL[0]]
@@ -33,10 +33,10 @@ class Record(NamedTuple):
     """What a rollout is given.
 
     Attributes:
-        controls: [B, T, 3].
+        controls: [B, T, U].
         normals: of each wheel, in the world frame [B, T, 4, 3].
         codes: of the wheels [B, T, 4 E].
-        recorded: are actuators (4) and controls (3) there? Slots of absent ones are not computed with.
+        recorded: are the actuators, then the controls there? Slots of absent ones are not computed with.
     """
 
     controls: np.ndarray
@@ -58,9 +58,10 @@ def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
     codes = record.codes.shape[2]
     for i in range(LANES):
         window = min(block * LANES + i, last)
-        for k in range(3):
-            if record.recorded[4 + k]:
+        for k in range(COMMANDED):
+            if record.recorded[ACTUATED + k]:
                 w[(CONTROL_ROW + k) * LANES + i] = record.controls[window, t, k]
+        for k in range(3):
             four = record.normals[window, t]
             w[(NORMAL_ROW + k) * LANES + i] = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
         for k in range(codes):
@@ -75,7 +76,7 @@ def advance_block(
     units = (len(before) - MOVED) // (2 * LANES)
     copy(before, w[:MOVED])
     sense(w, c)
-    for k in range(3):
+    for k in range(len(networks)):
         compensate(networks[k], buffer_sets[k], w, before[MOVED:], after[MOVED:], units)
     advance(w, c)
     copy(w[NEXT : NEXT + MOVED], after[:MOVED])
@@ -102,7 +103,7 @@ def forward(
         networks: of the forces, the brake and the steering.
         tape: carries before each step and after the last [blocks, T + 1, P * LANES]; or [blocks, 2, P * LANES] without
             adjoint.
-        states, actuators: to fill [B, T, 6], [B, T, 4].
+        states, actuators: to fill [B, T, 6], [B, T, A].
     """
     batch, steps, _ = record.controls.shape
     slots = tape.shape[1]
@@ -122,7 +123,7 @@ def forward(
                 window = block * LANES + i
                 for k in range(STATES):
                     states[window, t, k] = after[k * LANES + i]
-                for k in range(4):
+                for k in range(ACTUATED):
                     if record.recorded[k]:
                         actuators[window, t, k] = after[(STATES + k) * LANES + i]
                     else:
@@ -182,14 +183,14 @@ def backward(
                 window = block * LANES + i
                 for k in range(STATES):
                     w_bar[NEXT + k * LANES + i] += states_bar[window, t, k]
-                for k in range(4):
+                for k in range(ACTUATED):
                     w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[window, t, k]
             advance_adjoint(w, c, w_bar, constants_bar)
             compensate_adjoint(
                 networks[0], buffer_sets[0], bars[0], w_bar, model_state_bar[MOVED:], units,
                 gates_bar[block], inner_bar[block], outer_bar[block],
             )  # fmt: skip
-            for k in range(1, 3):
+            for k in range(1, len(networks)):
                 compensate_adjoint(
                     networks[k], buffer_sets[k], bars[k], w_bar, model_state_bar[MOVED:], units, frozen, frozen, frozen
                 )

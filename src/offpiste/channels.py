@@ -1,0 +1,150 @@
+"""Controls and actuators of a vehicle: each is listed once here, with all that other stages need to know of it.
+
+Rigs, datasets, log checks, models, kernels and planners read these tables. `CONTROLS` and `ACTUATORS` are in every
+dataset, NaN where a log lacks them, and generated kernels know them. What others register is in the datasets of rigs
+that give it. docs/extending.md adds one of each.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+from offpiste.registry import Registry
+
+
+@dataclass(frozen=True)
+class Control:
+    """A command to the vehicle.
+
+    Attributes:
+        name: of the channel in rigs and of the column in datasets.
+        unit: inside offpiste.
+        low, high: what can be commanded.
+        rate: fastest change that a planner may ask for [1/s].
+        pattern: regular expression of the names of fields that hold it, to draft a rig; "" for none.
+        declared: whether a rig must say so where its logs lack it.
+    """
+
+    name: str
+    unit: str = "1"
+    low: float = 0.0
+    high: float = 1.0
+    rate: float = 4.0
+    pattern: str = ""
+    declared: bool = False
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A measured quantity between a command and the motion.
+
+    Attributes:
+        name: of the column in datasets.
+        channel: in rigs.
+        unit: inside offpiste.
+        low, high: what it can be; None where log checks hold it against nothing.
+        follows: control behind which it lags.
+        lag: its delay model (`offpiste.dynamics.lags.LAGS`).
+        drives: input of the bicycle that it measures (`offpiste.dynamics.inputs.DriveTrain`); where it is absent, that
+            input has its reduced form. "" for none: it is an input of the networks alone.
+        rate_of: actuator whose rate of change it is; both are the state of that actuator's lag.
+        pattern, declared: see `Control`.
+    """
+
+    name: str
+    channel: str
+    unit: str = "1"
+    low: float | None = None
+    high: float | None = None
+    follows: str = ""
+    lag: str = "first-order"
+    drives: str = ""
+    rate_of: str = ""
+    pattern: str = ""
+    declared: bool = False
+
+    @property
+    def label(self) -> str:
+        """What the names of its constants, networks and switches begin with."""
+        return self.drives or self.name
+
+
+CONTROLS: Final = (
+    Control("throttle", rate=4.0, pattern=r"throttle|accel(erator)?_?pedal|(^|[ ._/])gas", declared=True),
+    Control("brake", rate=8.0, pattern=r"brake", declared=True),
+    Control("steer", low=-1.0, rate=4.0, pattern=r"steer", declared=True),
+)
+"""Throttle and brake from 0 to 1, steering from -1 to 1 and + left, as commanded."""
+
+ACTUATORS: Final = (
+    Actuator(
+        "brake", "brake_pressure", low=0.0, high=1.0, follows="brake", lag="apply-release", drives="brake",
+        declared=True,
+    ),
+    Actuator(
+        "steer", "steer_angle", "rad", low=-1.0, high=1.0, follows="steer", lag="second-order", drives="steer",
+        declared=True,
+    ),
+    Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True),
+    Actuator(
+        "engine_rpm", "engine_rpm", "1000 rev/min", low=0.0, high=15.0, follows="throttle", lag="engine",
+        drives="engine", pattern=r"engine.*(rpm|speed)|^rpm", declared=True,
+    ),
+)  # fmt: skip
+"""Brake pressure over full pressure, angle of the road wheels (+ left) and its rate, engine speed."""
+
+MORE_CONTROLS: Final[Registry[Control]] = Registry("control")
+MORE_ACTUATORS: Final[Registry[Actuator]] = Registry("actuator")
+
+
+def register_control(control: Control) -> Control:
+    """Add a control to those that rigs can give.
+
+    Raises:
+        OffpisteError: the name is taken.
+    """
+    return MORE_CONTROLS.register(control.name)(control)
+
+
+def register_actuator(actuator: Actuator) -> Actuator:
+    """Add an actuator to those that rigs can give; eager code steps it, generated kernels do not.
+
+    Raises:
+        OffpisteError: the name is taken.
+    """
+    return MORE_ACTUATORS.register(actuator.name)(actuator)
+
+
+def all_controls() -> tuple[Control, ...]:
+    """Every control that a rig can give."""
+    return (*CONTROLS, *(control for _, control in MORE_CONTROLS.items()))
+
+
+def all_actuators() -> tuple[Actuator, ...]:
+    """Every actuator that a rig can give."""
+    return (*ACTUATORS, *(actuator for _, actuator in MORE_ACTUATORS.items()))
+
+
+def control_columns(given: Collection[str]) -> tuple[Control, ...]:
+    """The columns of `control` where these controls are given: `CONTROLS`, then registered ones among them.
+
+    Args:
+        given: names of controls.
+    """
+    return tuple(control for control in all_controls() if control in CONTROLS or control.name in given)
+
+
+def actuator_columns(given: Collection[str]) -> tuple[Actuator, ...]:
+    """The columns of `actuators` where these actuators are given: `ACTUATORS`, then registered ones among them.
+
+    Args:
+        given: names of actuators.
+    """
+    return tuple(actuator for actuator in all_actuators() if actuator in ACTUATORS or actuator.name in given)
+
+
+def channel_of_rate(channel: str) -> str:
+    """The channel whose derivative stands for this one where a log lacks it; "" for none."""
+    columns = {actuator.name: actuator for actuator in all_actuators()}
+    rates = {a.channel: columns[a.rate_of].channel for a in columns.values() if a.rate_of}
+    return rates.get(channel, "")
