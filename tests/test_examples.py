@@ -1,12 +1,63 @@
-"""Examples do what they say."""
+"""Examples do what they say, on small data."""
 
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
+import cv2
 import pytest
 import torch
 
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.world import WorldSettings
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import build, save_run, vehicle_of
+from seen_drives import seen_dataset
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run(name: str, *arguments: str | Path) -> str:
+    """What an example prints, run as its first lines say."""
+    command = [sys.executable, EXAMPLES / name, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of circles with random features, and runs `b` and `dc` with weights as they are drawn."""
+    folder = tmp_path_factory.mktemp("examples")
+    dataset = seen_dataset(folder / "dataset.zarr")
+    for model in ("b", "dc"):
+        config = TrainConfig(model=model)
+        save_run(folder / model, build(model, vehicle_of(dataset), seed=0), config, dataset, torch.ones(5))
+    return folder
+
+
+@pytest.mark.parametrize("model", ["b", "dc"])
+def test_predict_and_plot(folder: Path, model: str) -> None:
+    out = folder / f"{model}.png"
+    assert "m off after 5 s" in run("predict_and_plot.py", folder / model, folder / "dataset.zarr", "--out", out)
+    assert cv2.imread(str(out)) is not None
+
+
+def test_plan_on_map(folder: Path) -> None:
+    out = folder / "plan.png"
+    said = run("plan_on_map.py", folder / "dc", folder / "dataset.zarr", "--out", out)
+    away = float(said.split(" s ")[1].split(" m ")[0])
+    assert away < 7, "10.8 m at the start"
+    assert cv2.imread(str(out)) is not None
+
+
+def test_map_from_bag(tmp_path: Path) -> None:
+    world = WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
+    simulate(DriveSettings(world, 1.0, seed=1, sensors="light"), tmp_path / "drive.mcap")
+    said = run("map_from_bag.py", tmp_path / "drive.mcap", "--rig", "proving_ground", "--out", tmp_path / "map.png")
+    assert float(said.split(": ")[1].split(" m2")[0]) > 200
+    assert cv2.imread(str(tmp_path / "map.png")) is not None
 
 
 def test_pytorch_mppi_drives_with_our_model():

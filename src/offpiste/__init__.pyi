@@ -79,6 +79,7 @@ from .simulation.simulate import DriveSettings as DriveSettings
 from .simulation.simulate import simulate as simulate
 from .simulation.world.world import WorldSettings as WorldSettings
 from .state import RecordedTerrain as RecordedTerrain
+from .state import Trajectory as Trajectory
 
 # Training.
 from .training.config import TrainConfig as TrainConfig

@@ -17,6 +17,8 @@ from packaging.requirements import Requirement
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 MACHINES = ("x86_64", "aarch64")
 PYTHON = "3.11"
+GLIBC = range(28, 16, -1)
+"""Minor versions of glibc 2 whose wheels run on a robot: Ubuntu 20.04 has 2.31."""
 
 
 def core_dependencies() -> list[Requirement]:
@@ -26,7 +28,7 @@ def core_dependencies() -> list[Requirement]:
 
 def find_wheel(requirement: Requirement, machine: str) -> dict[str, Any] | None:
     """pip's report of the wheel that it would install; None where there is none."""
-    platforms = [f"manylinux_2_28_{machine}", f"manylinux_2_17_{machine}", f"manylinux2014_{machine}"]
+    platforms = [f"manylinux2014_{machine}", *(f"manylinux_2_{minor}_{machine}" for minor in GLIBC)]
     with TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "pip", "install", "--dry-run", "--quiet", "--ignore-installed", "--no-deps"]
         command += ["--target", folder, "--only-binary=:all:", "--python-version", PYTHON, "--report", "-"]
