@@ -12,7 +12,7 @@ from offpiste.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.cost_map import Course
 from offpiste.simulation.drive import Start
-from offpiste.simulation.driver.lookahead import Country
+from offpiste.simulation.driver.lookahead import VisibleTerrain
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World
 
@@ -74,7 +74,7 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
     Raises:
         OffpisteError: none of them can be driven.
     """
-    settings, country = settings or CourseSettings(), Country.of(world)
+    settings, terrain = settings or CourseSettings(), VisibleTerrain.of(world)
     found: list[LaidCourse] = []
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
@@ -82,7 +82,7 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
         end = min(settings.length, max(length - RUN_OUT, LEAST * length))
         course = Course(path, np.full(len(path), settings.speed), end)
         holds = traction_along(world, course.driven).min() >= settings.traction
-        if holds and _drivable(world, country, path, settings):
+        if holds and _drivable(world, terrain, path, settings):
             heading = np.arctan2(*(path[2] - path[0])[::-1])
             start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
             found.append(LaidCourse(course, start, surprise_along(world, course.driven, settings.speed)))
@@ -138,11 +138,11 @@ def _stretch(
     return np.stack([np.interp(at, arc, axis) for axis in turned.T], axis=1)
 
 
-def _drivable(world: World, country: Country, path: Float[np.ndarray, "P 2"], settings: CourseSettings) -> bool:
-    if len(country.trees):
-        away, nearest = cKDTree(country.trees[:, :2]).query(path)
-        if (away - country.trees[nearest, 2]).min() < settings.clearance:
+def _drivable(world: World, terrain: VisibleTerrain, path: Float[np.ndarray, "P 2"], settings: CourseSettings) -> bool:
+    if len(terrain.trees):
+        away, nearest = cKDTree(terrain.trees[:, :2]).query(path)
+        if (away - terrain.trees[nearest, 2]).min() < settings.clearance:
             return False
-    if max(country.steepest(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
+    if max(terrain.max_slope(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
         return False
     return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)

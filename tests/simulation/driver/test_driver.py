@@ -1,4 +1,4 @@
-"""The driver on a small world: what it excites, that it stays in sight of its limits, and that it cannot feel grip."""
+"""The driver in a small world: it excites the whole range, stays within its limits, and does not know the grip."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def world() -> World:
 
 @pytest.fixture(scope="module")
 def drives(world: World) -> list[list[VehicleSample]]:
-    """Of 45 s, or until they end."""
+    """Drives of 45 s, or until they end."""
     started = (with_driver(world, VEHICLE, seed=seed) for seed in SEEDS)
     return [list(drive(world, VEHICLE, start, driver, steps=2250)) for start, driver in started]
 
@@ -78,7 +78,7 @@ def test_it_stays_in_the_world(drives, world):
 
 
 def test_the_same_samples_bring_the_same_commands_on_any_ground(drives, world):
-    """What it does follows from shapes and its own motion: commands are no oracle of the ground."""
+    """Commands follow from shapes and the vehicle's own motion: they reveal nothing about the ground."""
     other = make_world(WorldSettings("mojave", seed=2, size=160.0, resolution=0.5))
     ground = on_other_ground(world, replace(other, properties=np.ones_like(other.properties)))
     _, driver = with_driver(ground, VEHICLE, seed=SEEDS[0])
@@ -92,15 +92,15 @@ def test_seeds_start_and_drive_differently(drives):
     assert not np.array_equal(drives[0][100].command, drives[1][100].command)
 
 
-def test_starts_are_standing_and_flying(world):
+def test_drives_start_at_a_standstill_or_at_speed(world):
     speeds = np.array([with_driver(world, VEHICLE, seed=seed)[0].speed for seed in range(40)])
     assert 2 <= (speeds == 0).sum() <= 20
     assert speeds[speeds > 0].min() >= 2
     assert speeds.max() <= 7
 
 
-def test_who_cannot_move_tries_and_gives_up(drives, world):
-    driver = Driver(world, VEHICLE, np.random.default_rng(0), DriverSettings(timeouts=9.0))
+def test_a_vehicle_that_cannot_move_tries_and_gives_up(drives, world):
+    driver = Driver(world, VEHICLE, np.random.default_rng(0), DriverSettings(timeout=9.0))
     pinned = replace(drives[0][0], velocity=np.zeros(3), wheel_speed=np.zeros(4), angular_velocity=np.zeros(3))
     commands = []
     while not driver.stuck and len(commands) < 6000:

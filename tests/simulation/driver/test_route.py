@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.simulation.driver.lookahead import Country
+from offpiste.simulation.driver.lookahead import VisibleTerrain
 from offpiste.simulation.driver.route import Route
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -12,20 +12,20 @@ from simulation.drives import flat_world
 CIRCLE_RADIUS = 20.0
 
 
-def circle_country(slope: float = 0.0) -> Country:
+def circle_terrain(slope: float = 0.0) -> VisibleTerrain:
     angle = np.arange(0, 2 * np.pi, 0.5 / CIRCLE_RADIUS)
     circle = CIRCLE_RADIUS * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-    return replace(Country.of(flat_world(slope=slope)), trails=(circle,))
+    return replace(VisibleTerrain.of(flat_world(slope=slope)), trails=(circle,))
 
 
 @pytest.fixture(scope="module")
-def country() -> Country:
-    return Country.of(make_world(WorldSettings("mojave", seed=1, size=160.0, resolution=0.5)))
+def terrain() -> VisibleTerrain:
+    return VisibleTerrain.of(make_world(WorldSettings("mojave", seed=1, size=160.0, resolution=0.5)))
 
 
-def driven(country: Country, seed: int, metres: float, off_trail: float = 0.35) -> np.ndarray:
-    """A point that is drawn to 5 m ahead on the route."""
-    route = Route(country, np.random.default_rng(seed), off_trail=off_trail)
+def driven(terrain: VisibleTerrain, seed: int, metres: float, off_trail: float = 0.35) -> np.ndarray:
+    """Path of a point that moves towards the route's point 5 m ahead."""
+    route = Route(terrain, np.random.default_rng(seed), off_trail=off_trail)
     xy, path = np.array(route.start()[:2]), []
     while len(path) * 0.25 < metres:
         goal = route.ahead(xy, 5.0)
@@ -34,17 +34,17 @@ def driven(country: Country, seed: int, metres: float, off_trail: float = 0.35) 
     return np.array(path)
 
 
-def test_a_route_is_endless_inside_the_world_and_goes_places(country):
-    path = driven(country, 0, 1500.0)
+def test_a_route_is_endless_inside_the_world_and_covers_it(terrain):
+    path = driven(terrain, 0, 1500.0)
     assert np.abs(path).max() < 80 - 10
     # Farther than one loop of trail: it comes to other parts of the world.
     visited = {(int(x // 20), int(y // 20)) for x, y in path}
     assert len(visited) > 15
 
 
-def test_a_route_has_no_gaps(country):
+def test_a_route_has_no_gaps(terrain):
     for seed in range(4):
-        route = Route(country, np.random.default_rng(seed), off_trail=0.5)
+        route = Route(terrain, np.random.default_rng(seed), off_trail=0.5)
         xy = np.array(route.start()[:2])
         for number in range(4000):
             goal = route.ahead(xy, 4.0)
@@ -52,33 +52,33 @@ def test_a_route_has_no_gaps(country):
             xy = xy + 0.2 * (goal - xy) / np.hypot(*(goal - xy))
             if number % 100 == 0:
                 assert np.hypot(*np.diff(route._points, axis=0).T).max() < 0.8
-                assert len(route._points) < 2000  # what was driven is forgotten
+                assert len(route._points) < 2000  # what was driven is dropped
 
 
-def test_without_leaving_trails_it_stays_on_them(country):
-    path = driven(country, 2, 300.0, off_trail=0.0)
-    trails = np.concatenate(country.trails)
+def test_without_leaving_trails_it_stays_on_them(terrain):
+    path = driven(terrain, 2, 300.0, off_trail=0.0)
+    trails = np.concatenate(terrain.trails)
     away = np.array([np.hypot(*(trails - xy).T).min() for xy in path[::20]])
     assert np.median(away) < 1.0
 
 
-def test_the_same_seed_takes_the_same_way(country):
-    np.testing.assert_array_equal(driven(country, 3, 100.0), driven(country, 3, 100.0))
-    assert not np.array_equal(driven(country, 3, 100.0), driven(country, 4, 100.0))
+def test_the_same_seed_takes_the_same_path(terrain):
+    np.testing.assert_array_equal(driven(terrain, 3, 100.0), driven(terrain, 3, 100.0))
+    assert not np.array_equal(driven(terrain, 3, 100.0), driven(terrain, 4, 100.0))
 
 
 def test_the_start_lies_on_a_trail_and_heads_along_it():
-    x, y, yaw, climb = Route(circle_country(), np.random.default_rng(0), off_trail=0.3).start()
+    x, y, yaw, climb = Route(circle_terrain(), np.random.default_rng(0), off_trail=0.3).start()
     assert np.hypot(x, y) == pytest.approx(CIRCLE_RADIUS)
     assert abs(np.cos(yaw) * x + np.sin(yaw) * y) < 0.06 * CIRCLE_RADIUS
     assert climb == 0
-    climbs = [Route(circle_country(0.1), np.random.default_rng(s), off_trail=0.3).start()[3] for s in range(20)]
+    climbs = [Route(circle_terrain(0.1), np.random.default_rng(s), off_trail=0.3).start()[3] for s in range(20)]
     assert 0.08 < max(climbs) < 0.101
 
 
 def test_bend_speed_of_a_circle_and_before_a_bend():
-    route = Route(circle_country(), np.random.default_rng(0), off_trail=0.0)
-    # In the circle v^2 = a r; the first bend is looked at 3 m ahead, hence the braking.
+    route = Route(circle_terrain(), np.random.default_rng(0), off_trail=0.0)
+    # In the circle v^2 = a r; the first bend counts from 3 m ahead, hence the braking.
     assert route.bend_speed(4.0, 2.0) == pytest.approx(np.sqrt(4.0 * CIRCLE_RADIUS + 2 * 2.0 * 3.0), rel=0.03)
     # A corner of 90 degrees after 18 m of straight.
     line = np.concatenate([np.stack((np.arange(0, 18, 0.5), np.zeros(36)), -1)])
@@ -88,8 +88,8 @@ def test_bend_speed_of_a_circle_and_before_a_bend():
     assert route.bend_speed(4.0, 2.0) == pytest.approx(wanted, rel=0.03)
 
 
-def test_who_is_lost_finds_another_way(country):
-    route = Route(country, np.random.default_rng(0), off_trail=0.35)
+def test_a_lost_vehicle_finds_another_route(terrain):
+    route = Route(terrain, np.random.default_rng(0), off_trail=0.35)
     away = np.array([30.0, 20.0]) - np.sign(np.array(route.start()[:2])) * 60
     away = np.clip(away, -65, 65)
     goal = route.ahead(away, 6.0)
@@ -97,11 +97,11 @@ def test_who_is_lost_finds_another_way(country):
     assert np.hypot(*(route._points[0] - away)) == 0
 
 
-def test_rejoining_prefers_the_way_down():
+def test_rejoining_prefers_to_go_downhill():
     heading = np.array([0.0, 1.0])
-    readings = []
+    targets = []
     for seed in range(20):
-        route = Route(circle_country(slope=0.2), np.random.default_rng(seed), off_trail=0.3)
+        route = Route(circle_terrain(slope=0.2), np.random.default_rng(seed), off_trail=0.3)
         route.rejoin(np.zeros(2), heading)
-        readings.append(route.ahead(np.zeros(2), 6.0))
-    assert np.mean([reading[0] < 1.0 for reading in readings]) > 0.7
+        targets.append(route.ahead(np.zeros(2), 6.0))
+    assert np.mean([target[0] < 1.0 for target in targets]) > 0.7

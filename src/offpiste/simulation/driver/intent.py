@@ -1,4 +1,7 @@
-"""The random intent."""
+"""The driver's random intent: wandering speed, cornering and steering, and sudden manoeuvres.
+
+It excites the vehicle's dynamics as in system identification, and does not depend on the ground.
+"""
 
 import math
 from typing import Literal, NamedTuple
@@ -7,15 +10,15 @@ import numpy as np
 
 from offpiste.conventions import DT
 
-Idea = Literal["", "throttle", "brake", "coast", "swerve", "brake and swerve", "stop"]
+Manoeuvre = Literal["", "throttle", "brake", "coast", "swerve", "brake and swerve", "stop"]
 
-_MEMORY = (7.0, 6.0, 0.7)
-"""Correlation times of speed, cornering and play [s]."""
+_CORRELATION_TIMES = (7.0, 6.0, 0.7)
+"""Correlation times of speed, cornering and steering [s]."""
 
-_KEEP = [(math.exp(-DT / memory), math.sqrt(1 - math.exp(-2 * DT / memory))) for memory in _MEMORY]
-"""What a step of `DT` keeps, and how much noise makes up for the rest."""
+_KEEP = [(math.exp(-DT / time), math.sqrt(1 - math.exp(-2 * DT / time))) for time in _CORRELATION_TIMES]
+"""Factors of the old value and of fresh noise in a step of `DT`."""
 
-_IDEAS: dict[Idea, tuple[float, float, float]] = {
+_MANOEUVRES: dict[Manoeuvre, tuple[float, float, float]] = {
     "throttle": (0.24, 0.6, 2.0),
     "brake": (0.14, 0.4, 1.4),
     "coast": (0.12, 0.6, 2.0),
@@ -26,57 +29,56 @@ _IDEAS: dict[Idea, tuple[float, float, float]] = {
 """Probability, and shortest and longest duration [s]; slowing down is part of a stop."""
 
 
-class Feeling(NamedTuple):
-    """A mood at one moment.
+class Intent(NamedTuple):
+    """Intent at one moment.
 
     Attributes:
-        speed, cornering, play: Gauss-Markov processes of mean 0 and standard deviation 1.
-        idea: what is done for a while, "" most of the time.
-        strength: of the idea, 0..1.
-        side: of the idea, -1 or 1.
-        left: how long the idea still lasts [s].
+        speed, cornering, steering: Gauss-Markov processes of mean 0 and standard deviation 1.
+        manoeuvre: what is done for a while, "" most of the time.
+        strength: strength of the manoeuvre, 0..1.
+        side: side of the manoeuvre, -1 or 1.
+        time_left: until the manoeuvre ends [s].
     """
 
     speed: float
     cornering: float
-    play: float
-    idea: Idea
+    steering: float
+    manoeuvre: Manoeuvre
     strength: float
     side: float
-    left: float
+    time_left: float
 
 
-class Mood:
-    """A stream of feelings, one every `DT`.
+class RandomIntent:
+    """A stream of intents, one every `DT`.
 
     Args:
-        pause: mean time between ideas [s].
+        pause: mean time between manoeuvres [s].
     """
 
     def __init__(self, rng: np.random.Generator, *, pause: float) -> None:
         self._rng, self._pause = rng, pause
-        self._state = rng.standard_normal(3).tolist()
-        self._idea: Idea = ""
+        self._processes = rng.standard_normal(3).tolist()
+        self._manoeuvre: Manoeuvre = ""
         self._strength, self._side = 0.0, 1.0
-        self._left, self._until_next = 0.0, float(rng.exponential(pause))
+        self._time_left, self._until_next = 0.0, float(rng.exponential(pause))
 
-    def advance(self) -> Feeling:
-        """The next feeling."""
-        fresh = self._rng.standard_normal(3).tolist()
-        self._state = [k * old + r * new for (k, r), old, new in zip(_KEEP, self._state, fresh, strict=True)]
-        self._left -= DT
+    def advance(self) -> Intent:
+        """The next intent."""
+        noise = self._rng.standard_normal(3).tolist()
+        self._processes = [k * old + r * new for (k, r), old, new in zip(_KEEP, self._processes, noise, strict=True)]
+        self._time_left -= DT
         self._until_next -= DT
         if self._until_next <= 0:
-            self._have_idea()
-        elif self._left <= 0:
-            self._idea = ""
-        speed, cornering, play = self._state
-        return Feeling(speed, cornering, play, self._idea, self._strength, self._side, self._left)
+            self._begin_manoeuvre()
+        elif self._time_left <= 0:
+            self._manoeuvre = ""
+        return Intent(*self._processes, self._manoeuvre, self._strength, self._side, self._time_left)
 
-    def _have_idea(self) -> None:
-        probabilities = [probability for probability, _, _ in _IDEAS.values()]
-        self._idea = list(_IDEAS)[int(self._rng.choice(len(_IDEAS), p=probabilities))]
-        _, shortest, longest = _IDEAS[self._idea]
-        self._left = float(self._rng.uniform(shortest, longest))
+    def _begin_manoeuvre(self) -> None:
+        probabilities = [probability for probability, _, _ in _MANOEUVRES.values()]
+        self._manoeuvre = list(_MANOEUVRES)[int(self._rng.choice(len(_MANOEUVRES), p=probabilities))]
+        _, shortest, longest = _MANOEUVRES[self._manoeuvre]
+        self._time_left = float(self._rng.uniform(shortest, longest))
         self._strength, self._side = float(self._rng.random()), float(self._rng.choice((-1.0, 1.0)))
-        self._until_next = self._left + float(self._rng.exponential(self._pause))
+        self._until_next = self._time_left + float(self._rng.exponential(self._pause))

@@ -1,53 +1,53 @@
-"""Where a drive wants to go: along trails, and straight across open ground from one stretch of trail to another."""
+"""The driver's route: along trails, and straight across open ground from one stretch of trail to another."""
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.compilation import PHYSICS
-from offpiste.simulation.driver.lookahead import Country
+from offpiste.simulation.driver.lookahead import VisibleTerrain
 from offpiste.simulation.world.trails import SPACING
 
 _STRETCH = (40.0, 140.0)
-"""How long a trail is followed at a time [m]."""
+"""Shortest and longest stretch of a trail that is followed at a time [m]."""
 
 _CROSSING = (25.0, 90.0)
-"""How far away the next stretch of trail may begin [m]."""
+"""Least and greatest distance to the next stretch of trail [m]."""
 
 _REJOINING = (6.0, 50.0)
-"""The same for a vehicle that has lost its way or is stuck."""
+"""Least and greatest distance to the next trail of a vehicle that has left its route or is stuck [m]."""
 
 _LOST = 8.0
-"""Farther from its route a vehicle looks for another one [m]."""
+"""Distance from its route beyond which the vehicle looks for another one [m]."""
 
 _CANDIDATES = 16
-"""Ways across open ground that are compared."""
+"""Number of lines across open ground that are compared."""
 
 _STEEP_TRAIL = 0.13
-"""Climb (rise over run) of a trail at which another way is looked for."""
+"""Climb (rise over run) of a trail beyond which the route leaves it."""
 
 _TOO_STEEP = 0.25
-"""Slope (rise over run) of open ground that is not crossed."""
+"""Slope (rise over run) of open ground beyond which it is not crossed."""
 
 _STRIDE = 6
-"""Points between those at which bends are looked at."""
+"""Points between two at which bends are measured."""
 
 _GETAWAY = 24
-"""Points from the start whose climb matters to a vehicle that stands there."""
+"""Points from the start whose climb decides whether a vehicle at a standstill drives away."""
 
 _WINDOW = 60
-"""Points of the route among which the vehicle's place is looked for: it never skips further ahead at once."""
+"""Points of the route among which the vehicle is searched for: it never skips further ahead at once."""
 
 
 class Route:
-    """An endless path that is made as it is driven.
+    """An endless path that is extended as it is driven.
 
     Args:
-        rng: of the choices.
-        off_trail: probability of leaving a trail across open ground instead of going on along it.
+        rng: random numbers of all choices.
+        off_trail: probability of leaving a trail across open ground instead of continuing along it.
     """
 
-    def __init__(self, country: Country, rng: np.random.Generator, *, off_trail: float) -> None:
-        self._country, self._trails = country, country.trails
+    def __init__(self, terrain: VisibleTerrain, rng: np.random.Generator, *, off_trail: float) -> None:
+        self._terrain, self._trails = terrain, terrain.trails
         self._rng, self._off_trail = rng, off_trail
         self._points = np.empty((0, 2))
         self._next, self._blocked = 0, False
@@ -55,19 +55,19 @@ class Route:
         self._follow(number, int(rng.integers(len(self._trails[number]))))
 
     def start(self) -> tuple[float, float, float, float]:
-        """x, y [m] and yaw [rad] at the beginning, and the steepest climb (rise over run) of the next metres."""
+        """Start of the route: x, y [m], yaw [rad], and the steepest slope (rise over run) of the first metres."""
         first, then = self._points[0], self._points[4]
-        climb = self._country.steepest(self._points[:_GETAWAY])
+        climb = self._terrain.max_slope(self._points[:_GETAWAY])
         return float(first[0]), float(first[1]), float(np.arctan2(*(then - first)[::-1])), climb
 
     def ahead(self, xy: Float[np.ndarray, " 2"], distance: float) -> Float[np.ndarray, " 2"]:
-        """The first point of the route at least so far away, beyond what was driven already [m]."""
+        """First point of the route at least this far away, beyond what was driven already [m]."""
         away = _distance(self._points[self._next : self._next + _WINDOW], xy)
         nearest = int(np.argmin(away))
         if away[nearest] > _LOST:
             self.rejoin(xy, self._points[self._next + nearest] - xy)
         else:
-            # What is near was driven, also where the vehicle cut a corner.
+            # The nearest point counts as driven, also where the vehicle cut a corner.
             self._next += nearest
         while True:
             far = np.flatnonzero(_distance(self._points[self._next :], xy) >= distance)
@@ -76,10 +76,10 @@ class Route:
             self._extend()
 
     def rejoin(self, xy: Float[np.ndarray, " 2"], heading: Float[np.ndarray, " 2"]) -> None:
-        """Forget the way, and go on from a place by the least steep way to any trail, rather ahead than back.
+        """Drop the route, and continue from a place on the least steep line to any trail, rather ahead than back.
 
         Args:
-            heading: of the vehicle, of any length.
+            heading: direction of the vehicle, of any length.
         """
         kept = self._points, self._next
         self._points, self._next = xy[None], 0
@@ -89,10 +89,10 @@ class Route:
             self._points, self._next = kept
 
     def bend_speed(self, lateral: float, braking: float) -> float:
-        """How fast one may go [m/s] so that bends ahead can be taken.
+        """Highest speed at which the bends ahead can be taken [m/s].
 
         Args:
-            lateral, braking: accelerations that are relied on [m/s^2].
+            lateral, braking: accelerations that are assumed [m/s^2].
         """
         while len(self._points) - self._next <= _WINDOW:
             self._extend()
@@ -106,11 +106,11 @@ class Route:
         self._follow(*self._at)
 
     def _cross(self, heading: Float[np.ndarray, " 2"], reach: tuple[float, float], limit: float) -> bool:
-        """Go straight to another stretch of trail, by the least hard of some ways, if there is one.
+        """Go straight to another stretch of trail on the least difficult of some lines, if there is one.
 
         Args:
-            reach: how far away that stretch begins [m].
-            limit: the hardest way that is taken: its slope (rise over run), and 0.15 for turning back.
+            reach: least and greatest distance to that stretch [m].
+            limit: greatest difficulty that is accepted: slope (rise over run), plus 0.15 for turning back.
         """
         here = self._points[-1]
         best, least = None, limit
@@ -121,19 +121,19 @@ class Route:
             if not len(there):
                 continue
             index = int(self._rng.choice(there))
-            reading = self._trails[number][index] - here
-            line = here + np.linspace(0, 1, 1 + int(np.ceil(away[index] / SPACING)))[:, None] * reading
-            ahead = float(heading @ reading) / max(float(np.hypot(*heading) * away[index]), 1e-6)
-            hardship = self._country.steepest(line) + 0.075 * (1 - ahead)
-            if hardship < least:
-                best, least = (number, index, line), hardship
+            span = self._trails[number][index] - here
+            line = here + np.linspace(0, 1, 1 + int(np.ceil(away[index] / SPACING)))[:, None] * span
+            ahead = float(heading @ span) / max(float(np.hypot(*heading) * away[index]), 1e-6)
+            difficulty = self._terrain.max_slope(line) + 0.075 * (1 - ahead)
+            if difficulty < least:
+                best, least = (number, index, line), difficulty
         if best is not None:
             self._at = best[:2]
             self._points = np.concatenate((self._points, best[2][1:]))
         return best is not None
 
     def _follow(self, number: int, index: int) -> None:
-        """Go along a trail from one of its points, in the direction that turns the less."""
+        """Follow a trail from one of its points, in the direction that turns less."""
         trail = self._trails[number]
         count = int(self._rng.uniform(*_STRETCH) / np.hypot(*(trail[1] - trail[0])))
         direction = 1
@@ -146,8 +146,8 @@ class Route:
         # The first point is where the route ends already.
         skipped = 1 if len(self._points) else 0
         index_along = (index + direction * np.arange(skipped, count + 1)) % len(trail)
-        steep = self._country.first_climb(trail[index_along], _STEEP_TRAIL)
-        # A steep place is left aside, unless there was no other way.
+        steep = self._terrain.first_climb(trail[index_along], _STEEP_TRAIL)
+        # The route leaves the trail before a steep place, unless there was no other line.
         self._blocked = _GETAWAY < steep < len(index_along) and not self._blocked
         if self._blocked:
             index_along = index_along[: steep - _GETAWAY // 2]

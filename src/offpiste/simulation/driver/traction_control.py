@@ -1,40 +1,44 @@
-"""Traction control."""
+"""Traction control of the driver: less throttle while the wheels spin too much.
+
+A wheel that slides on the ground accelerates with all torque in excess, so its spin integrates the throttle. A
+proportional controller holds it, slowly enough for its own lag, around a throttle that is learned over time.
+"""
 
 from offpiste.conventions import DT
 
 _LAG = 0.1
-"""Of the foot [s]."""
+"""Time constant of the throttle [s]."""
 
-_HEARING = 0.05
-"""Time over which spin is heard [s]."""
+_SPIN_LAG = 0.05
+"""Time constant over which spin is measured [s]."""
 
-_GAIN, _LEARNING = 0.2, 0.15
-"""Throttle given up for spin that is too much [s/m], and how fast that is remembered [1/m]."""
+_GAIN, _LEARNING_RATE = 0.2, 0.15
+"""Throttle given up per excess spin [s/m], and how fast the held throttle is learned [1/m]."""
 
-_USUAL, _FORGETTING = 0.8, 2.0
-"""Throttle at which wheels are expected to spin, and the time in which it is assumed again once they grip [s]."""
+_USUAL_THROTTLE, _FORGETTING_TIME = 0.8, 2.0
+"""Throttle at which wheels are expected to spin, and time constant of the return to it while they grip [s]."""
 
 
-class Foot:
-    """Follows the throttle that is asked for."""
+class TractionControl:
+    """Follows the requested throttle as far as the wheels' spin permits."""
 
     def __init__(self) -> None:
-        self._throttle, self._heard, self._held = 0.0, 0.0, _USUAL
+        self._throttle, self._spin, self._held = 0.0, 0.0, _USUAL_THROTTLE
 
-    def press(self, asked: float, spin: float, accepted: float) -> float:
-        """Throttle after another `DT`.
+    def throttle(self, requested: float, spin: float, allowed_spin: float) -> float:
+        """Throttle after another `DT`, 0..1.
 
         Args:
-            asked: 0..1.
-            spin: how much faster the wheels roll than the vehicle moves [m/s].
-            accepted: the spin that is kept to [m/s].
+            requested: requested throttle, 0..1.
+            spin: rolling speed of the wheels minus the vehicle's speed [m/s].
+            allowed_spin: the spin to keep to [m/s].
         """
-        self._heard += (spin - self._heard) * DT / (_HEARING + DT)
-        spare = accepted - self._heard
-        most = self._held + _GAIN * spare
-        if most < asked:
-            self._held = min(max(self._held + _LEARNING * DT * spare, 0.15), 1.0)
+        self._spin += (spin - self._spin) * DT / (_SPIN_LAG + DT)
+        margin = allowed_spin - self._spin
+        most = self._held + _GAIN * margin
+        if most < requested:
+            self._held = min(max(self._held + _LEARNING_RATE * DT * margin, 0.15), 1.0)
         else:
-            self._held += (_USUAL - self._held) * DT / _FORGETTING
-        self._throttle += (min(asked, max(most, 0.0)) - self._throttle) * DT / (_LAG + DT)
+            self._held += (_USUAL_THROTTLE - self._held) * DT / _FORGETTING_TIME
+        self._throttle += (min(requested, max(most, 0.0)) - self._throttle) * DT / (_LAG + DT)
         return self._throttle
