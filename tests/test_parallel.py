@@ -1,4 +1,4 @@
-"""Jobs side by side: all done, whatever happens to some."""
+"""Jobs in several processes: all are done, whatever happens to some."""
 
 import os
 import pickle
@@ -17,16 +17,16 @@ from offpiste.parallel import run_all
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_all_jobs_are_done_even_if_one_fails(processes):
-    with logged() as said:
+    with logged() as messages:
         failed = run_all(square, [3, -1, 4, 5], processes, "squares")
-    assert sorted(said) == ["16", "25", "9", "failed: here: -1 is negative; give another"]
+    assert sorted(messages) == ["16", "25", "9", "failed: here: -1 is negative; give another"]
     assert [(type(error), str(error)) for error in failed] == [(LogError, "here: -1 is negative; give another")]
 
 
 def test_a_single_job_leaves_its_failure_to_the_caller():
-    with logged() as said:
+    with logged() as messages:
         assert len(run_all(square, [-1], 4, "squares")) == 1
-    assert not said
+    assert not messages
 
 
 def test_a_process_that_is_killed_is_reported_and_does_not_hang():
@@ -36,9 +36,9 @@ def test_a_process_that_is_killed_is_reported_and_does_not_hang():
 
 
 def test_errors_come_back_from_other_processes_as_they_were():
-    error = pickle.loads(pickle.dumps(LogError("broken", where="a.mcap", how="mend it")))  # noqa: S301
+    error = pickle.loads(pickle.dumps(LogError("broken", where="a.mcap", how="fix it")))  # noqa: S301
     assert type(error) is LogError
-    assert str(error) == "a.mcap: broken; mend it"
+    assert str(error) == "a.mcap: broken; fix it"
     assert str(pickle.loads(pickle.dumps(OffpisteError("x")))) == "x"  # noqa: S301
 
 
@@ -62,6 +62,6 @@ def _runs(pid: int) -> bool:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    # Whoever inherits an orphan may be slow to bury it.
+    # A process that has ended stays as a zombie until its new parent reaps it.
     status = Path(f"/proc/{pid}/stat")
     return not status.exists() or status.read_text().split()[2] != "Z"

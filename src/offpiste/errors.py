@@ -1,4 +1,4 @@
-"""Errors that a user can cause: what is wrong, where, and how to mend it, in one line."""
+"""Errors that a user can cause: what is wrong, where, and how to fix it, in one line."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,8 +10,8 @@ class OffpisteError(Exception):
 
     Args:
         what: what is wrong, without a full stop.
-        where: the file, topic, row or key it was found at.
-        how: what to do about it.
+        where: the file, topic, row or key at fault.
+        how: how to fix it.
     """
 
     def __init__(self, what: str, *, where: str | Path = "", how: str = "") -> None:
@@ -23,12 +23,12 @@ class OffpisteError(Exception):
 
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""
-        mend = f"; {self.how}" if self.how else ""
-        return " ".join(f"{place}{self.what}{mend}".split())
+        fix = f"; {self.how}" if self.how else ""
+        return " ".join(f"{place}{self.what}{fix}".split())
 
 
 class LogError(OffpisteError):
-    """A recorded log cannot be read, or lacks what was asked of it."""
+    """A recorded log cannot be read, or lacks what is needed of it."""
 
 
 class RigError(OffpisteError):
@@ -36,15 +36,15 @@ class RigError(OffpisteError):
 
 
 class DatasetError(OffpisteError):
-    """A dataset is missing, incomplete, or does not fit what is asked of it."""
+    """A dataset is missing, incomplete, or does not fit what reads it."""
 
 
 class RunError(OffpisteError):
-    """A training run is missing, broken, or does not fit what is asked of it."""
+    """A training run is missing, broken, or does not fit the dataset or the vehicle it is used with."""
 
 
 class TrainingError(OffpisteError):
-    """Training cannot go on, e.g. a value that is not finite."""
+    """Training cannot continue, e.g. a value that is not finite."""
 
 
 class PerceptionError(OffpisteError):

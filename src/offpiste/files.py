@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Writing of files whole or not at all."""
 
 import os
 import tempfile
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a file beside `path`, then move it there; an interruption leaves what was there before."""
+    """Have `write` fill a file beside `path`, then move it there; an interruption leaves the old file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     os.close(handle)

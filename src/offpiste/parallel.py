@@ -1,4 +1,4 @@
-"""Independent jobs in processes of their own, with one bar over all of them."""
+"""Independent jobs in processes of their own, with one progress bar over all of them."""
 
 import logging
 import multiprocessing
@@ -14,23 +14,23 @@ from queue import Empty
 from typing import Any, TypeVar
 
 from offpiste.errors import OffpisteError
-from offpiste.progress import shares
+from offpiste.progress import jobs_bar
 
 logger = logging.getLogger(__name__)
 
 Job = TypeVar("Job")
 Report = Callable[[float], None]
-"""Is told the share of a job that is done, from 0 to 1."""
+"""Takes the share of a job that is done, from 0 to 1."""
 
 Work = Callable[[Job, Report], str]
-"""Does a job, reports the share that is done, and says in the end what came of it."""
+"""Does a job, reports the share that is done, and returns its result in one line."""
 
 POLL = 0.3
-"""How often shares are looked at [s]."""
+"""Interval at which the bar is updated [s]."""
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -42,15 +42,15 @@ def run_all(
     *,
     finished: Callable[[str], None] = logger.info,
 ) -> list[OffpisteError]:
-    """Do all jobs, the rest of them even if one fails.
+    """Do all jobs; those that remain even if one fails.
 
     Args:
         work: a function of a module, so that processes can import it.
-        processes: at most so many at a time; 1 works in this one.
-        finished: is given the result of each job.
+        processes: jobs at a time, at most; 1 works in this process.
+        finished: called with the result of each job.
 
     Returns:
-        Why jobs failed.
+        The errors of jobs that failed.
     """
     failed = []
     done = (
@@ -58,39 +58,39 @@ def run_all(
         if min(processes, len(jobs)) <= 1
         else _side_by_side(work, jobs, min(processes, len(jobs)), description)
     )
-    for said in done:
-        if isinstance(said, str):
-            finished(said)
+    for result in done:
+        if isinstance(result, str):
+            finished(result)
             continue
-        failed.append(said)
+        failed.append(result)
         if len(jobs) > 1:
-            logger.warning(f"failed: {said}")
+            logger.warning(f"failed: {result}")
     return failed
 
 
 def _one_by_one(work: Work[Job], jobs: Sequence[Job], description: str) -> Iterator[str | OffpisteError]:
-    with shares(len(jobs), description) as show:
+    with jobs_bar(len(jobs), description) as update:
         for number, job in enumerate(jobs):
             try:
-                said: str | OffpisteError = work(job, partial(show, number))
+                result: str | OffpisteError = work(job, partial(update, number))
             except OffpisteError as error:
-                said = error
-            show(number, 1.0)
-            yield said
+                result = error
+            update(number, 1.0)
+            yield result
 
 
 def _side_by_side(
     work: Work[Job], jobs: Sequence[Job], processes: int, description: str
 ) -> Iterator[str | OffpisteError]:
-    with _pool(processes) as (pool, queue), shares(len(jobs), description) as show:
+    with _pool(processes) as (pool, queue), jobs_bar(len(jobs), description) as update:
         numbers = {pool.submit(_reporting, work, job, number, queue): number for number, job in enumerate(jobs)}
         waiting: set[Future[str | OffpisteError]] = set(numbers)
         while waiting:
             done, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
             for number, share in _drained(queue):
-                show(number, share)
+                update(number, share)
             for future in done:
-                show(numbers[future], 1.0)
+                update(numbers[future], 1.0)
                 yield _result(future)
 
 
@@ -98,7 +98,7 @@ def _side_by_side(
 def _pool(processes: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager:
-        pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin, initargs=(processes,))
+        pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=(processes,))
         try:
             yield pool, manager.Queue()
         except BaseException:
@@ -109,8 +109,8 @@ def _pool(processes: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
         pool.shutdown()
 
 
-def _begin(processes: int) -> None:
-    """Of a process: leave Ctrl-C to the parent, and the other cores to the other processes."""
+def _start_worker(processes: int) -> None:
+    """Leave Ctrl-C to the parent process, and the other cores to the other workers."""
     import torch
 
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -119,7 +119,7 @@ def _begin(processes: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed cannot end its processes."""
+    """Exit once the parent is gone: a parent that is killed cannot end its workers."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

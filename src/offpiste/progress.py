@@ -1,4 +1,4 @@
-"""What a person sees while they wait: bars with the time left on a terminal, lines and tables everywhere."""
+"""What a person sees: progress bars with the time left on a terminal, log messages, results on standard output."""
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sized
@@ -19,7 +19,7 @@ Item = TypeVar("Item")
 
 
 def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Iterator[Item]:
-    """The same items, with a bar on standard error while they are worked on."""
+    """Yield the items, with a progress bar on standard error while it is a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield from items
@@ -32,8 +32,8 @@ def track(items: Iterable[Item], description: str, *, total: int | None = None) 
 
 
 @contextmanager
-def shares(total: int, description: str) -> Iterator[Callable[[int, float], None]]:
-    """A bar over `total` jobs, done side by side; it is told the number of a job and its share that is done."""
+def jobs_bar(total: int, description: str) -> Iterator[Callable[[int, float], None]]:
+    """One progress bar over jobs that run side by side; the function it gives takes a job's number and share done."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield lambda number, share: None
@@ -43,15 +43,15 @@ def shares(total: int, description: str) -> Iterator[Callable[[int, float], None
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(description, total=float(total))
 
-        def show(number: int, share: float) -> None:
+        def update(number: int, share: float) -> None:
             done[number] = share
             progress.update(task, completed=sum(done))
 
-        yield show
+        yield update
 
 
 def show(result: object) -> None:
-    """Print a result on standard output: a line, or anything that rich can draw."""
+    """Print a result on standard output: a line, or anything that rich can render."""
     if isinstance(result, str):
         print(result, flush=True)  # noqa: T201
         return
@@ -61,15 +61,15 @@ def show(result: object) -> None:
 
 
 def log_to_terminal() -> None:
-    """Show what offpiste logs to the person at the terminal; without this a library stays silent."""
+    """Print offpiste's log messages; without this call the library stays silent."""
     logger = logging.getLogger("offpiste")
     logger.setLevel(logging.INFO)
     logger.propagate = False
-    logger.handlers = [_Terminal()]
+    logger.handlers = [_TerminalHandler()]
 
 
-class _Terminal(logging.Handler):
-    """Shows messages as results are shown, so that tables that were logged are drawn as tables."""
+class _TerminalHandler(logging.Handler):
+    """Prints messages as results are printed, so that a logged table is drawn as a table."""
 
     def emit(self, record: logging.LogRecord) -> None:
         drawn = hasattr(record.msg, "__rich_console__")

@@ -27,7 +27,7 @@ from offpiste.parallel import Report
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
-from offpiste.progress import shares
+from offpiste.progress import jobs_bar
 from offpiste.rig.rig import Rig
 
 logger = logging.getLogger(__name__)
@@ -125,7 +125,7 @@ def fit_pca(
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
     found: list[Candidate] = []
-    with shares(len(logs), "looking for images") as show:
+    with jobs_bar(len(logs), "looking for images") as show:
         for number, log in enumerate(logs):
             # Listed images need not lie apart.
             spacing = SPACING if isinstance(images, int) else 0.0
@@ -138,7 +138,7 @@ def fit_pca(
     else:
         chosen = [_listed(image, found, names) for image in images]
     moments = Moments.none(backbone.channels)
-    with shares(len(logs), "features of the chosen images") as show:
+    with jobs_bar(len(logs), "features of the chosen images") as show:
         for number, log in enumerate(logs):
             times = {(found[i].camera, found[i].time) for i in chosen if found[i].log == number}
             if times:
