@@ -79,7 +79,7 @@ def test_mountings_of_the_rig_win(tmp_path):
 def test_calibrations_of_log_and_rig(tmp_path):
     path = record(tmp_path / "x.mcap")
     model = opened(path).cameras["front"].model
-    assert (model.width, model.height, model.model) == (8, 6, "plumb_bob")
+    assert (model.width, model.height, model.distortion_model) == (8, 6, "plumb_bob")
     np.testing.assert_allclose(model.matrix, [[5, 0, 3.5], [0, 5, 2.5], [0, 0, 1]])
     np.testing.assert_allclose(model.distortion, [-0.1, 0.01, 0, 0, 0])
     inline = SENSORS.replace('info = "/info"', "[cameras.front.intrinsics]\nwidth = 8\nheight = 6\n")

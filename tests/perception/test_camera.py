@@ -1,4 +1,4 @@
-"""Rectification against OpenCV's own projection, in all three lens models; identity; and bad calibrations."""
+"""Rectification against OpenCV's own projection, for all distortion models; identity; and bad calibrations."""
 
 import dataclasses
 
@@ -7,99 +7,101 @@ import numpy as np
 import pytest
 
 from offpiste.errors import PerceptionError
-from offpiste.perception.camera import Lens, make_rectifier, pinhole_matrix
+from offpiste.perception.camera import make_rectifier, pinhole_matrix
+from offpiste.rig.camera import CameraModel
 
 MATRIX = np.array([[310.0, 0.0, 322.5], [0.0, 312.0, 233.1], [0.0, 0.0, 1.0]])
 
-LENSES = {
-    "plumb_bob": Lens(640, 480, MATRIX, (-0.227, 0.072, -0.0007, 0.0009, 0.0), "plumb_bob"),
-    "pincushion": Lens(640, 480, MATRIX, (0.1, 0.01, 0.0, 0.0, 0.0), "plumb_bob"),
-    "rational_polynomial": Lens(
+MODELS = {
+    "plumb_bob": CameraModel(640, 480, MATRIX, (-0.227, 0.072, -0.0007, 0.0009, 0.0), "plumb_bob"),
+    "pincushion": CameraModel(640, 480, MATRIX, (0.1, 0.01, 0.0, 0.0, 0.0), "plumb_bob"),
+    "rational_polynomial": CameraModel(
         640, 480, MATRIX, (0.9, 0.2, 0.0004, -0.0003, 0.01, 1.2, 0.4, 0.03), "rational_polynomial"
     ),
-    "equidistant": Lens(640, 480, MATRIX, (0.03, -0.01, 0.002, -0.0004), "equidistant"),
+    "equidistant": CameraModel(640, 480, MATRIX, (0.03, -0.01, 0.002, -0.0004), "equidistant"),
 }
 
 
-def opencv_pixels(lens: Lens, points: np.ndarray) -> np.ndarray:
-    nothing, coefficients = np.zeros(3), np.array(lens.distortion)
-    if lens.model == "equidistant":
-        return cv2.fisheye.projectPoints(points[:, None], nothing, nothing, lens.matrix, coefficients)[0].reshape(-1, 2)
-    return cv2.projectPoints(points, nothing, nothing, lens.matrix, coefficients)[0].reshape(-1, 2)
+def opencv_pixels(model: CameraModel, points: np.ndarray) -> np.ndarray:
+    nothing, coefficients = np.zeros(3), np.array(model.distortion)
+    if model.distortion_model == "equidistant":
+        pixels, _ = cv2.fisheye.projectPoints(points[:, None], nothing, nothing, model.matrix, coefficients)
+        return pixels.reshape(-1, 2)
+    return cv2.projectPoints(points, nothing, nothing, model.matrix, coefficients)[0].reshape(-1, 2)
 
 
-@pytest.fixture(params=LENSES)
-def lens(request: pytest.FixtureRequest) -> Lens:
-    return LENSES[request.param]
+@pytest.fixture(params=MODELS)
+def model(request: pytest.FixtureRequest) -> CameraModel:
+    return MODELS[request.param]
 
 
-def test_a_spot_appears_where_the_pinhole_sees_it(lens: Lens):
+def test_a_spot_appears_where_the_pinhole_sees_it(model: CameraModel):
     """Points in space, drawn into the distorted image by OpenCV, lie in the rectified one where its K says."""
-    rectifier = make_rectifier(lens)
+    rectifier = make_rectifier(model)
     pixels = np.array([[x, y] for x in (40.0, 200.0, 320.0, 470.0, 600.0) for y in (40.0, 230.0, 440.0)])
-    points = 7.0 * np.column_stack((pixels, np.ones(len(pixels)))) @ np.linalg.inv(rectifier.matrix).T
-    y, x = np.mgrid[: lens.height, : lens.width]
+    points = 7.0 * np.column_stack((pixels, np.ones(len(pixels)))) @ np.linalg.inv(rectifier.pinhole.matrix).T
+    y, x = np.mgrid[: model.height, : model.width]
     for point, wanted in zip(points, pixels, strict=True):
-        spot = opencv_pixels(lens, point[None])[0]
+        spot = opencv_pixels(model, point[None])[0]
         image = 255 * np.exp(-((x - spot[0]) ** 2 + (y - spot[1]) ** 2) / (2 * 3.0**2))
         rectified = rectifier(image.astype(np.float32)[..., None].repeat(3, axis=2))[..., 0].astype(float)
         found = np.array([(rectified * x).sum(), (rectified * y).sum()]) / rectified.sum()
         assert np.abs(found - wanted).max() < 0.3  # the spot is not round any more, so its middle shifts a little
 
 
-def test_directions_undo_projection(lens: Lens):
+def test_directions_undo_projection(model: CameraModel):
     rays = np.random.default_rng(0).uniform(-0.7, 0.7, size=(200, 2))
-    pixels = lens.project(np.column_stack((rays, np.ones(200))))
+    pixels = model.project(np.column_stack((rays, np.ones(200))))
     inside = ((pixels > 0) & (pixels < [639, 479])).all(axis=1)
     assert inside.sum() > 100
-    assert np.allclose(lens.directions(pixels[inside]), rays[inside], atol=1e-4)
+    assert np.allclose(model.unproject(pixels[inside]), rays[inside], atol=1e-4)
 
 
-def test_the_default_view_has_no_gap_and_is_the_widest(lens: Lens):
-    rectifier = make_rectifier(lens)
+def test_the_default_view_has_no_gap_and_is_the_widest(model: CameraModel):
+    rectifier = make_rectifier(model)
     assert rectifier.valid.all()
-    wider = rectifier.matrix.copy()
+    wider = rectifier.pinhole.matrix.copy()
     wider[[0, 1], [0, 1]] *= 0.97
-    assert not make_rectifier(lens, matrix=wider).valid.all()
+    assert not make_rectifier(model, matrix=wider).valid.all()
     assert wider[0, 0] / wider[1, 1] == pytest.approx(310 / 312)
 
 
 @pytest.mark.parametrize(
-    ("model", "count"), [("plumb_bob", 0), ("plumb_bob", 4), ("plumb_bob", 5), ("rational_polynomial", 8)]
+    ("kind", "count"), [("plumb_bob", 0), ("plumb_bob", 4), ("plumb_bob", 5), ("rational_polynomial", 8)]
 )
-def test_no_distortion_is_the_identity(model: str, count: int):
-    lens = Lens(640, 480, MATRIX, (0.0,) * count, model)
-    rectifier = make_rectifier(lens)
+def test_no_distortion_is_the_identity(kind: str, count: int):
+    model = CameraModel(640, 480, MATRIX, (0.0,) * count, kind)
+    rectifier = make_rectifier(model)
     image = np.random.default_rng(0).integers(0, 256, size=(480, 640, 3), dtype=np.uint8)
-    assert np.allclose(rectifier.matrix, MATRIX)
+    assert np.allclose(rectifier.pinhole.matrix, MATRIX)
     assert np.array_equal(rectifier(image), image)
     assert rectifier.valid.all()
 
 
 def test_another_size_keeps_the_view():
-    lens = LENSES["plumb_bob"]
-    full, half = make_rectifier(lens), make_rectifier(lens, size=(320, 240))
+    model = MODELS["plumb_bob"]
+    full, half = make_rectifier(model), make_rectifier(model, size=(320, 240))
     image = np.zeros((480, 640, 3), dtype=np.uint8)
     image[100:140, 300:360] = 255
     shrunk = cv2.resize(full(image), (320, 240), interpolation=cv2.INTER_AREA)
     assert np.abs(half(image).astype(int) - shrunk).mean() < 0.1
     corner = np.array([-0.5, -0.5, 1.0])  # the outermost corner of the image is the same ray
-    assert np.allclose(np.linalg.solve(half.matrix, corner), np.linalg.solve(full.matrix, corner))
+    assert np.allclose(np.linalg.solve(half.pinhole.matrix, corner), np.linalg.solve(full.pinhole.matrix, corner))
 
 
 def test_a_fisheye_that_sees_behind_itself_gives_a_pinhole_that_does_not():
     matrix = np.array([[170.0, 0.0, 319.5], [0.0, 170.0, 239.5], [0.0, 0.0, 1.0]])
-    rectifier = make_rectifier(Lens(640, 480, matrix, (0.0, 0.0, 0.0, 0.0), "equidistant"))
+    rectifier = make_rectifier(CameraModel(640, 480, matrix, (0.0, 0.0, 0.0, 0.0), "equidistant"))
     assert rectifier.valid.all()
-    half_view = np.degrees(np.arctan(320 / rectifier.matrix[0, 0]))
+    half_view = np.degrees(np.arctan(320 / rectifier.pinhole.matrix[0, 0]))
     assert 55 < half_view <= 65.1
 
 
 def test_no_ghosts_where_the_polynomial_folds_back():
-    """Far outside the lens's view, k1 < 0 projects back into the image; those pixels must be black."""
-    lens = LENSES["plumb_bob"]
+    """Far outside the camera's view, k1 < 0 projects back into the image; those pixels must be black."""
+    model = MODELS["plumb_bob"]
     wide = np.array([[60.0, 0.0, 320.0], [0.0, 60.0, 240.0], [0.0, 0.0, 1.0]])
-    rectifier = make_rectifier(dataclasses.replace(lens, distortion=(-0.227, 0.0, 0.0, 0.0, 0.0)), matrix=wide)
+    rectifier = make_rectifier(dataclasses.replace(model, distortion=(-0.227, 0.0, 0.0, 0.0, 0.0)), matrix=wide)
     image = np.full((480, 640, 3), 200, dtype=np.uint8)
     rectified = rectifier(image)
     assert (rectified[0] == 0).all()
@@ -109,7 +111,7 @@ def test_no_ghosts_where_the_polynomial_folds_back():
 
 
 def test_masks_stay_masks():
-    rectifier = make_rectifier(LENSES["plumb_bob"])
+    rectifier = make_rectifier(MODELS["plumb_bob"])
     mask = np.zeros((480, 640), dtype=bool)
     mask[400:] = True
     rectified = rectifier.mask(mask)
@@ -120,14 +122,14 @@ def test_masks_stay_masks():
 
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(PerceptionError, match=r"^camera: an image of 320x240, calibrated for 640x480; give"):
-        make_rectifier(LENSES["plumb_bob"])(np.zeros((240, 320, 3), dtype=np.uint8))
+        make_rectifier(MODELS["plumb_bob"])(np.zeros((240, 320, 3), dtype=np.uint8))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"model": "double_sphere"}, r"^camera: unknown distortion model 'double_sphere'; known are plumb_bob, "),
-        ({"model": ""}, "unknown distortion model ''"),
+        ({"distortion_model": "double_sphere"}, r"^camera: unknown distortion model 'double_sphere'; known"),
+        ({"distortion_model": ""}, "unknown distortion model ''"),
         ({"distortion": (0.1, 0.2)}, "2 distortion coefficients, plumb_bob has 0 or 4 or 5"),
         ({"matrix": np.zeros((3, 3))}, "uncalibrated: its focal length is 0"),
         ({"matrix": np.full((3, 3), np.nan)}, "calibration is not finite"),
@@ -136,9 +138,9 @@ def test_an_image_of_another_size_is_refused():
 )
 def test_bad_calibrations_are_named(change: dict, message: str):
     with pytest.raises(PerceptionError, match=message):
-        dataclasses.replace(LENSES["plumb_bob"], **change)
+        make_rectifier(dataclasses.replace(MODELS["plumb_bob"], **change))
 
 
 def test_a_distortion_that_folds_the_image_over_is_named():
     with pytest.raises(PerceptionError, match="folds the image over; check the order and sign"):
-        pinhole_matrix(Lens(640, 480, MATRIX, (-0.9, 0.0, 0.0, 0.0), "plumb_bob"))
+        pinhole_matrix(CameraModel(640, 480, MATRIX, (-0.9, 0.0, 0.0, 0.0), "plumb_bob"))

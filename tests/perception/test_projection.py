@@ -62,7 +62,7 @@ def test_what_is_behind_outside_or_no_number_is_not_seen():
 def test_the_middle_of_the_first_pixel_is_the_origin():
     at = np.array([[-0.51, 0.0], [-0.49, 0.0], [159.49, 119.49], [159.51, 0.0]])
     rays = np.column_stack(((at - [79.5, 59.5]) / 100, np.ones(4)))
-    found, pixels = project_to_pinhole(rays, MATRIX, (160, 120))
+    found, pixels = project_to_pinhole(rays, CameraModel(160, 120, MATRIX))
     assert found.tolist() == [1, 2]
     np.testing.assert_allclose(pixels, at[1:3])
 

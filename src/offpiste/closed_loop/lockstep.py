@@ -17,7 +17,6 @@ from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_r
 from offpiste.logs.ros.point_cloud import points_from_message
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
-from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.modes import Controls
@@ -160,16 +159,8 @@ def reading_of(sample: VehicleSample) -> VehicleReading:
 
 
 def cameras_of(suite: SensorSuite, rig: Rig) -> dict[str, Camera]:
-    """The cameras that the vehicle carries, as a log would tell of them."""
-    return {
-        c.name: Camera(
-            c.name,
-            CameraModel(c.width, c.height, c.matrix, tuple(c.distortion)),
-            _matrix(c.body_from_camera),
-            rig.cameras[c.name],
-        )
-        for c in suite.cameras
-    }
+    """Cameras of the vehicle, as a log has them."""
+    return {c.name: Camera(c.name, c.model, _matrix(c.body_from_camera), rig.cameras[c.name]) for c in suite.cameras}
 
 
 def lidars_of(suite: SensorSuite, rig: Rig) -> dict[str, Lidar]:

@@ -70,7 +70,7 @@ def _compared(
     camera: SmallCamera, one: Grey, other: Grey, world: Float[np.ndarray, "n 3"], poses: Poses, parameters: Parameters
 ) -> Pair:
     """Shifts of squares from where they should be, x and y [px], and how they change with the parameters."""
-    matrix = camera.rectifier.matrix
+    matrix = camera.rectifier.pinhole.matrix
     first, second = (_look(camera, image.time, poses, parameters) for image in (one, other))
     if first is None or second is None or len(world) < 100:
         return _NONE
@@ -139,14 +139,15 @@ def _squares(
     camera: SmallCamera, image: Grey, world: Float[np.ndarray, "n 3"], world_from_camera: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 2"]]:
     """Points that an image shows, and where: the ones with most texture around them, spread over the image."""
-    size = (camera.rectifier.width, camera.rectifier.height)
+    pinhole = camera.rectifier.pinhole
     points = transformed(world, inverse(world_from_camera))
-    found, at = project_to_pinhole(points, camera.rectifier.matrix, size)
-    reach = float(camera.rectifier.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
-    kept = ~occluded_points(at, points[found, 2], size, reach=reach) & (points[found, 2] < _FURTHEST)
+    found, at = project_to_pinhole(points, pinhole)
+    reach = float(pinhole.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
+    kept = ~occluded_points(at, points[found, 2], pinhole.size, reach=reach) & (points[found, 2] < _FURTHEST)
     found, at = found[kept], at[kept]
     column, row = np.rint(at).astype(np.int64).T
-    inside = (np.minimum(column, size[0] - 1 - column) > _HALF) & (np.minimum(row, size[1] - 1 - row) > _HALF)
+    to_edge = (np.minimum(at, last - at) for at, last in ((column, pinhole.width - 1), (row, pinhole.height - 1)))
+    inside = np.logical_and(*(pixels > _HALF for pixels in to_edge))
     inside &= camera.free[row, column]
     found, at, column, row = found[inside], at[inside], column[inside], row[inside]
     texture = cv2.cornerMinEigenVal(image.pixels, 2 * _HALF + 1, ksize=3)[row, column]

@@ -12,7 +12,7 @@ from offpiste.inspection.misfit import Parameters, turned
 from offpiste.logs.measurements import Camera, Cloud, Image
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog
-from offpiste.perception.camera import Rectifier, lens_of, make_rectifier, own_body
+from offpiste.perception.camera import Rectifier, make_rectifier, own_body
 from offpiste.perception.motion_compensation import MOMENT
 from offpiste.progress import track
 
@@ -103,7 +103,7 @@ def small_camera(camera: Camera) -> SmallCamera:
     """
     model = camera.model
     halved = model.matrix[0, 0] > _FINE
-    rectifier = make_rectifier(lens_of(camera), size=(model.width // 2, model.height // 2) if halved else None)
+    rectifier = make_rectifier(model, name=camera.name, size=(model.width // 2, model.height // 2) if halved else None)
     free = rectifier.valid & ~rectifier.mask(own_body(camera))
     return SmallCamera(camera, rectifier, np.asarray(free))
 

@@ -17,6 +17,7 @@ from offpiste.logs.poses import Poses
 from offpiste.perception.camera import PinholeCamera
 from offpiste.perception.motion_compensation import inverse, transformed
 from offpiste.perception.occlusion import occluded_points
+from offpiste.rig.camera import CameraModel
 
 NEAREST = 0.2
 """Points nearer to the plane of a pinhole than this are not projected [m]."""
@@ -122,14 +123,14 @@ def project(
     view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
     row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
     for index, this in enumerate(feature_set_choice):
-        points = transformed(points_world, inverse(this.world_from_camera))
-        found, at = project_to_pinhole(points, this.camera.matrix, this.camera.size)
+        points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
+        found, at = project_to_pinhole(points, model)
         if settings.hide:
-            focal_length = float(this.camera.matrix[0, 0])
+            focal_length = float(model.matrix[0, 0])
             hidden = occluded_points(
                 at,
                 points[found, 2],
-                this.camera.size,
+                model.size,
                 reach=focal_length * np.tan(np.deg2rad(settings.reach)),
                 relative=settings.relative,
                 absolute=settings.absolute,
@@ -148,18 +149,14 @@ def project(
 
 
 def project_to_pinhole(
-    points_camera: Float[np.ndarray, "n 3"], matrix: Float[np.ndarray, "3 3"], size: tuple[int, int]
+    points_camera: Float[np.ndarray, "n 3"], pinhole: CameraModel
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
-    """Indices of the points that fall into an image, and where they do [px].
-
-    Args:
-        matrix: K.
-        size: width and height of the image [px].
-    """
+    """Indices of the points that fall into an image without distortion, and their places in it [px]."""
+    matrix = pinhole.matrix
     ahead = np.flatnonzero(points_camera[:, 2] > NEAREST)  # false for NaN
     x, y, z = points_camera[ahead].T
     pixels = np.stack(
         (matrix[0, 0] * x / z + matrix[0, 1] * y / z + matrix[0, 2], matrix[1, 1] * y / z + matrix[1, 2]), axis=1
     )
-    inside = ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=1)
+    inside = ((pixels > -0.5) & (pixels < np.array(pinhole.size) - 0.5)).all(axis=1)
     return ahead[inside], pixels[inside]

@@ -1,50 +1,140 @@
-"""How a camera maps directions to pixels, as CameraInfo messages and rigs tell it."""
+"""The camera model: image size, intrinsics and distortion; OpenCV projects and unprojects.
 
+Others hold one: cameras of logs, rectifiers, the simulator's cameras. The mounting is not part of it.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
+from offpiste.errors import LogError, PerceptionError
 from offpiste.rig.sensors import Intrinsics
 
-_ALIASES: Final = {"": "plumb_bob", "radtan": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "equidistant"}
+PLUMB_BOB: Final = "plumb_bob"
+RATIONAL: Final = "rational_polynomial"
+FISHEYE: Final = "equidistant"
+
+COEFFICIENTS: Final[dict[str, tuple[int, ...]]] = {PLUMB_BOB: (0, 4, 5), RATIONAL: (8, 12, 14), FISHEYE: (4,)}
+"""Distortion models of ROS's CameraInfo (sensor_msgs/distortion_models.hpp) and how many coefficients each has.
+
+Brown, "Decentering distortion of lenses", 1966 (plumb_bob); Claus and Fitzgibbon, 2005 (rational); Kannala and Brandt,
+2006 (equidistant).
+"""
+
+_ALIASES: Final = {"": PLUMB_BOB, "radtan": PLUMB_BOB, "fisheye": FISHEYE, "kannala_brandt4": FISHEYE}
+_ITERATIONS: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A calibration as recorded; axes z forward, x right, y down; the middle of the first pixel is (0, 0).
+    """A calibration; axes z forward, x right, y down; the middle of the first pixel is (0, 0).
 
     Attributes:
         width, height: of the image [px].
         matrix: K [px].
-        distortion: coefficients in the order of CameraInfo's d; none for a rectified image.
-        model: ROS's name of the distortion model (sensor_msgs/CameraInfo.msg).
+        distortion: coefficients in the order of OpenCV and of CameraInfo's d; none for a pinhole.
+        distortion_model: a key of `COEFFICIENTS`; `validate` refuses others.
     """
 
     width: int
     height: int
     matrix: Float[np.ndarray, "3 3"]
     distortion: tuple[float, ...] = ()
-    model: str = "plumb_bob"
+    distortion_model: str = PLUMB_BOB
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image [px]."""
+        return self.width, self.height
+
+    def validate(self, name: str) -> None:
+        """Refuse an unknown distortion model, and numbers that cannot be a calibration.
+
+        Args:
+            name: the camera's, for messages.
+
+        Raises:
+            PerceptionError: what is wrong.
+        """
+        how = "fix its CameraInfo or its calibration in the rig"
+        if self.distortion_model not in COEFFICIENTS:
+            what, known = f"unknown distortion model {self.distortion_model!r}", ", ".join(COEFFICIENTS)
+            raise PerceptionError(what, where=name, how=f"known are {known}")
+        counts = COEFFICIENTS[self.distortion_model]
+        if len(self.distortion) not in counts:
+            wanted = " or ".join(map(str, counts))
+            what = f"{len(self.distortion)} distortion coefficients, {self.distortion_model} has {wanted}"
+            raise PerceptionError(what, where=name, how=how)
+        if self.width < 1 or self.height < 1:
+            raise PerceptionError(f"an image of {self.width}x{self.height} pixels", where=name, how=how)
+        if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
+            raise PerceptionError("calibration is not finite", where=name, how=how)
+        if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
+            raise PerceptionError("uncalibrated: its focal length is 0 or less", where=name, how=how)
+
+    def project(self, points_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+        """Places (x, y) of points in the image [px]; points must lie in front (z > 0)."""
+        if self.distortion_model == FISHEYE:
+            return _fisheye(points_camera, self.matrix, self.distortion)
+        points = np.ascontiguousarray(points_camera, dtype=np.float64)
+        still = np.zeros(3)
+        pixels, _ = cv2.projectPoints(points, still, still, self.matrix, np.array(self.distortion, dtype=np.float64))
+        return pixels.reshape(-1, 2)
+
+    def unproject(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Directions (x / z, y / z) of places in the image; NaN where a pinhole sees nothing."""
+        coefficients = np.array(self.distortion or (0.0,) * 4, dtype=np.float64)
+        places = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
+        if self.distortion_model == FISHEYE:
+            found = cv2.fisheye.undistortPoints(places, self.matrix, coefficients)
+        else:
+            found = cv2.undistortPoints(places, self.matrix, coefficients, criteria=_ITERATIONS)
+        directions = found.reshape(-1, 2)
+        seen = np.all(np.abs(directions) < 1e3, axis=1)
+        rays = np.column_stack((np.where(seen[:, None], directions, 0.0), np.ones(len(directions))))
+        # The iteration may end anywhere where the polynomial folds back: only what leads back to the pixel counts.
+        seen = seen & (np.abs(self.project(rays) - pixels).max(axis=1) < 0.1)
+        return np.where(seen[:, None], directions, np.nan)
+
+    def edges(self) -> tuple[Float[np.ndarray, "_ 2"], ...]:
+        """Directions of the pixels along the edges of the image: left, right, top, bottom."""
+        columns, rows = np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64)
+        return (
+            self.unproject(np.column_stack((np.zeros_like(rows), rows))),
+            self.unproject(np.column_stack((np.full_like(rows, self.width - 1), rows))),
+            self.unproject(np.column_stack((columns, np.zeros_like(columns)))),
+            self.unproject(np.column_stack((columns, np.full_like(columns, self.height - 1)))),
+        )
+
+
+def _fisheye(
+    points: Float[np.ndarray, "n 3"], matrix: Float[np.ndarray, "3 3"], distortion: Sequence[float]
+) -> Float[np.ndarray, "n 2"]:
+    pixels, _ = cv2.fisheye.projectPoints(
+        np.ascontiguousarray(points, dtype=np.float64)[:, None], np.zeros(3), np.zeros(3), matrix, np.array(distortion)
+    )
+    return pixels.reshape(-1, 2)
 
 
 def model_from_intrinsics(given: Intrinsics) -> CameraModel:
-    """What a rig says of a lens."""
+    """The model that a rig gives."""
     (fx, fy), (cx, cy) = given.focal_length, given.centre
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return CameraModel(given.width, given.height, matrix, given.distortion, given.model)
 
 
 def model_from_message(message: Any, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-    """What a CameraInfo says of a lens, and `camera_from_image`: where its images were taken from.
+    """The model that a CameraInfo gives, and `camera_from_image`.
 
-    That is the camera itself, unless they are rectified: then the axes are turned by R, and in the right image of a
+    The latter is the identity unless images are rectified: then their axes are turned by R, and in the right image of a
     stereo pair the origin is shifted along the baseline (sensor_msgs/CameraInfo.msg).
 
     Raises:
-        LogError: not calibrated, or in a way that is not read.
+        LogError: not calibrated, or in a way that is not supported.
     """
     # ROS 1 writes these in capitals.
     k, d, r, p = (np.asarray(getattr(message, n, getattr(message, n.upper(), ())), np.float64) for n in "kdrp")
@@ -55,7 +145,7 @@ def model_from_message(message: Any, topic: str, *, rectified: bool) -> tuple[Ca
         raise LogError("the camera is not calibrated: its CameraInfo is empty", where=where, how=how)
     if max(message.binning_x, message.binning_y) > 1 or message.roi.width or message.roi.height:
         how = "give intrinsics in the rig as they hold for the recorded image"
-        raise LogError("CameraInfo with binning or a region of interest is not read", where=where, how=how)
+        raise LogError("CameraInfo with binning or a region of interest is not supported", where=where, how=how)
     if not rectified:
         model = _ALIASES.get(message.distortion_model, message.distortion_model)
         return CameraModel(message.width, message.height, used, tuple(d.tolist()), model), np.eye(4)

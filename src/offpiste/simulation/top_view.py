@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
-from offpiste.simulation.sensors.camera import CameraSettings
+from offpiste.rig.camera import CameraModel
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.surface import normals_of
 from offpiste.simulation.world.world import World
@@ -104,27 +104,25 @@ def _draw_path(axes: Axes, path: Float[np.ndarray, "n 2"], speed: Float[np.ndarr
 
 
 def project(
-    points_camera: Float[np.ndarray, "n 3"], settings: CameraSettings
+    points_camera: Float[np.ndarray, "n 3"], model: CameraModel
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Pixels of the distorted image that points in the optical frame fall on, and whether they fall on it at all."""
-    s = settings
     x, y, z = points_camera.T
     ahead = z > 0.1
     pixels = np.full((len(points_camera), 2), -1.0)
     if ahead.any():
-        points = np.asarray(points_camera[ahead], float)
-        pixels[ahead] = cv2.projectPoints(points, np.zeros(3), np.zeros(3), s.matrix, np.array(s.distortion))[0][:, 0]
+        pixels[ahead] = model.project(np.asarray(points_camera[ahead], float))
     # Far outside the image the distortion polynomial folds points back into it.
     with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.hypot(x, y) / z > 1.2 * np.hypot(s.width, s.height) / sum(s.focal_length)
-    inside = ((pixels > -0.5) & (pixels < np.array([s.width, s.height]) - 0.5)).all(axis=1)
+        far = np.hypot(x, y) / z > 1.2 * np.hypot(*model.size) / (model.matrix[0, 0] + model.matrix[1, 1])
+    inside = ((pixels > -0.5) & (pixels < np.array(model.size) - 0.5)).all(axis=1)
     return pixels, ahead & ~far & inside
 
 
 def overlay(
     image: UInt8[np.ndarray, "height width 3"],
     points_camera: Float[np.ndarray, "n 3"],
-    settings: CameraSettings,
+    model: CameraModel,
     *,
     farthest: float = 40.0,
 ) -> UInt8[np.ndarray, "height width 3"]:
@@ -134,7 +132,7 @@ def overlay(
         points_camera: in the camera's optical frame [m].
         farthest: distance that is drawn in the last colour [m].
     """
-    pixels, seen = project(points_camera, settings)
+    pixels, seen = project(points_camera, model)
     distance = np.linalg.norm(points_camera, axis=1)
     shade = np.clip(255 * (1 - distance / farthest), 0, 255).astype(np.uint8)
     colours = cv2.applyColorMap(shade[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]

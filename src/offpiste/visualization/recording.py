@@ -168,12 +168,12 @@ class Recorder:
         rr, camera, pose = self._rr, view.camera, view.world_from_camera
         self._at(view.time)
         place = f"world/cameras/{camera.name}"
-        width, height = camera.size
+        width, height = camera.model.size
         self._stream.log(
             place,
             rr.Transform3D(translation=pose[:3, 3] - self._origin, mat3x3=pose[:3, :3]),
             rr.Pinhole(
-                image_from_camera=camera.matrix,
+                image_from_camera=camera.model.matrix,
                 resolution=[width, height],
                 camera_xyz=rr.ViewCoordinates.RDF,
                 image_plane_distance=1.5,

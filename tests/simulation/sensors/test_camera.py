@@ -10,14 +10,15 @@ from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.rendering.shading import FINE, GLOSS, HIGH, LOW, SUN
 from offpiste.simulation.sample import Pose, standing
-from offpiste.simulation.sensors.camera import Camera, CameraSettings, pixel_rays, render
+from offpiste.simulation.sensors.camera import MODEL, Camera, CameraSettings, pixel_rays, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
 from offpiste.simulation.sensors.suite import full_suite, mounted, sensor_suite
 from offpiste.simulation.top_view import overlay, project
 from simulation import scenes
 
 SETTINGS = CameraSettings("camera", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True))
-SMALL = replace(SETTINGS, width=240, height=148, focal_length=(132.0, 132.2), centre=(120.6, 73.1))
+SMALL_MATRIX = np.array([[132.0, 0.0, 120.6], [0.0, 132.2, 73.1], [0.0, 0.0, 1.0]])
+SMALL = replace(SETTINGS, model=replace(MODEL, width=240, height=148, matrix=SMALL_MATRIX))
 GROUND, BODY = SURFACES.index("ground"), SURFACES.index("body")
 
 
@@ -32,9 +33,9 @@ def _picture(world, settings=SMALL, pose=None, seed=0, drive=0, ragged=0.0):
 
 
 def test_rays_go_through_the_pixels_that_the_recorded_calibration_says():
-    rays = pixel_rays(SETTINGS)
-    pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), SETTINGS.matrix, np.array(SETTINGS.distortion))
-    u, v = np.meshgrid(np.arange(SETTINGS.width), np.arange(SETTINGS.height))
+    rays = pixel_rays(MODEL)
+    pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), MODEL.matrix, np.array(MODEL.distortion))
+    u, v = np.meshgrid(np.arange(MODEL.width), np.arange(MODEL.height))
     np.testing.assert_allclose(pixels[:, 0], np.stack((u, v), axis=-1).reshape(-1, 2), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0)
 
@@ -77,7 +78,7 @@ def test_borders_of_colour_are_found_where_the_calibration_projects_them():
     along = np.linspace(-0.9, 0.9, 181)
     for x, y in [(x, y) for x in (3.75, 5.75, 7.75) for y in (-2.25, -0.25, 1.75)]:
         points = np.column_stack((x + along - 1.0, np.full(181, y), 0.03 * (x + along - 1.0) - 0.02 * y))
-        pixels, seen = project(camera_from_world.apply(points), SETTINGS)
+        pixels, seen = project(camera_from_world.apply(points), MODEL)
         if not seen.all():
             continue
         values = cv2.remap(
@@ -102,11 +103,11 @@ def test_lidar_points_land_on_what_the_camera_sees_there():
     scan = Lidar(lidar).scan(scene, standing(pose), 0.0, np.random.default_rng(0))
     camera = Camera(SETTINGS)
     hits = camera.hits(scene, pose)
-    surface = hits.surface.reshape(SETTINGS.height, SETTINGS.width)
+    surface = hits.surface.reshape(MODEL.height, MODEL.width)
     distance = hits.distance.reshape(surface.shape)
 
     in_camera = (SETTINGS.body_from_camera.inverse() @ lidar.body_from_lidar).apply(scan.points.astype(float))
-    pixels, seen = project(in_camera, SETTINGS)
+    pixels, seen = project(in_camera, MODEL)
     u, v = np.rint(pixels[seen]).astype(int).T
     # Away from edges: all pixels around see the same surface.
     around = [surface[np.clip(v + j, 0, 593), np.clip(u + i, 0, 959)] for j in (-3, 0, 3) for i in (-3, 0, 3)]
@@ -131,7 +132,7 @@ def test_images_depend_on_the_seeds_alone():
 def test_texture_is_finer_where_the_camera_is_nearer():
     world = scenes.world(kind=lambda x, y: np.full(np.broadcast(x, y).shape, GROUND_KINDS.index("gravel")))
     down = CameraSettings(
-        "down", mounted((3.0, 0.0, 1.0), pitch=90.0, optical=True), distortion=(0.0, 0.0, 0.0, 0.0, 0.0)
+        "down", mounted((3.0, 0.0, 1.0), pitch=90.0, optical=True), model=replace(MODEL, distortion=(0.0,) * 5)
     )
     near, far = (_picture(world, down, _pose(z=z))[150:450, 250:700, 1] for z in (0.3, 6.0))
 
@@ -176,17 +177,17 @@ def test_shadows_lie_on_the_side_away_from_the_sun():
 
 
 def test_points_behind_the_camera_are_not_drawn():
-    image = np.zeros((SETTINGS.height, SETTINGS.width, 3), np.uint8)
+    image = np.zeros((MODEL.height, MODEL.width, 3), np.uint8)
     ahead, behind = np.array([[0.0, 0.0, 5.0]]), np.array([[0.0, 0.0, -5.0]])
-    assert overlay(image, ahead, SETTINGS).any()
-    assert not overlay(image, behind, SETTINGS).any()
-    u, v = np.argwhere(overlay(image, ahead, SETTINGS).any(axis=2)).mean(axis=0)[::-1]
-    assert (u, v) == pytest.approx(SETTINGS.centre, abs=0.6)
+    assert overlay(image, ahead, MODEL).any()
+    assert not overlay(image, behind, MODEL).any()
+    u, v = np.argwhere(overlay(image, ahead, MODEL).any(axis=2)).mean(axis=0)[::-1]
+    assert (u, v) == pytest.approx(MODEL.matrix[:2, 2], abs=0.6)
 
 
 def test_profiles_are_those_of_the_issue():
     full, light = sensor_suite("full"), sensor_suite("light")
-    assert [(c.rate, c.width, c.height) for c in full.cameras] == [(10, 960, 594)] * 3 + [(2, 960, 594)]
+    assert [(c.rate, *c.model.size) for c in full.cameras] == [(10, 960, 594)] * 3 + [(2, 960, 594)]
     assert [(x.rate, x.rings, x.columns, x.max_range) for x in full.lidars] == [(10, 64, 1024, 80)] * 2
     assert [c.rate for c in light.cameras] == [2]
     assert [(x.rings, x.columns) for x in light.lidars] == [(32, 512)]

@@ -3,6 +3,7 @@ import numpy as np
 
 from offpiste.logs.ros.messages import message_types
 from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.rig.camera import CameraModel
 from offpiste.simulation.sensors.messages import camera_info_message, image_message, points_message
 
 STAMP = 1_700_000_000_250_000_000
@@ -27,7 +28,8 @@ def test_an_image_keeps_its_colours() -> None:
 def test_a_calibration_projects_as_its_camera_does() -> None:
     matrix = np.array([[500.0, 0.0, 320.5], [0.0, 510.0, 240.25], [0.0, 0.0, 1.0]])
     distortion = np.array([-0.2, 0.05, 0.001, -0.002, 0.01])
-    message = through_bytes(camera_info_message(matrix, distortion, (640, 480), STAMP, "camera_front"))
+    model = CameraModel(640, 480, matrix, tuple(distortion))
+    message = through_bytes(camera_info_message(model, STAMP, "camera_front"))
     assert (message.width, message.height, message.distortion_model) == (640, 480, "plumb_bob")
     np.testing.assert_array_equal(message.d, distortion)
     np.testing.assert_array_equal(message.r, np.eye(3).reshape(-1))

@@ -23,7 +23,7 @@ from offpiste.logs.ros.decoding import (
     typestore_of,
     whole_messages,
 )
-from offpiste.logs.ros.image import decompressed, pixels
+from offpiste.logs.ros.image import decompressed, raw_pixels
 from offpiste.logs.ros.point_cloud import points_from_message
 from offpiste.rig.camera import CameraModel, model_from_message
 
@@ -162,7 +162,7 @@ class BagLog(Log):
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
         """Images of sensor_msgs/CompressedImage and Image."""
         for time, message in self._typed(topic, _IMAGES, stamps):
-            decoded = decompressed(message) if hasattr(message, "format") else pixels(message, topic)
+            decoded = decompressed(message) if hasattr(message, "format") else raw_pixels(message, topic)
             yield RawImage(time, _frame(message), decoded)
 
     def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:

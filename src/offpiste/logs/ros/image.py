@@ -1,4 +1,8 @@
-"""sensor_msgs/Image and CompressedImage to RGB."""
+"""sensor_msgs/Image and CompressedImage to RGB.
+
+rosbags-image 0.10 does not serve: it ignores `step`, so padded rows come out skewed or not at all, takes 8UC1 and 8UC3
+for no colours, and stops at a broken image with an AssertionError.
+"""
 
 from typing import Any, Final
 
@@ -27,7 +31,7 @@ _TO_RGB: Final[dict[str, int]] = {
 
 
 def decompressed(message: Any) -> UInt8[np.ndarray, "h w 3"] | None:
-    """JPEG, PNG and whatever else OpenCV reads."""
+    """RGB of a JPEG, a PNG or whatever else OpenCV decodes; None where it cannot."""
     data = np.asarray(message.data, np.uint8)
     decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
     if decoded is None:
@@ -35,15 +39,15 @@ def decompressed(message: Any) -> UInt8[np.ndarray, "h w 3"] | None:
     return _to_rgb(np.asarray(decoded, np.uint8), cv2.COLOR_BGR2RGB)
 
 
-def pixels(message: Any, topic: str) -> UInt8[np.ndarray, "h w 3"] | None:
+def raw_pixels(message: Any, topic: str) -> UInt8[np.ndarray, "h w 3"] | None:
     """RGB of a sensor_msgs/Image; None where its sizes do not fit its data.
 
     Raises:
-        LogError: an encoding that is not read.
+        LogError: an encoding that is not supported.
     """
     channels = _CHANNELS.get(message.encoding)
     if channels is None:
-        what = f"topic '{topic}' holds images encoded as '{message.encoding}', which are not read"
+        what = f"topic '{topic}' holds images encoded as '{message.encoding}', which is not supported"
         raise LogError(what, how=f"record one of: {', '.join(_CHANNELS)}, or compressed")
     height, width, step = message.height, message.width, message.step
     data = np.asarray(message.data, np.uint8)

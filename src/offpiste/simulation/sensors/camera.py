@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Final
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.compilation import RAYS
+from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
 from offpiste.simulation.rendering.own_body import body_hits
 from offpiste.simulation.rendering.scene import Hits, Scene, cast_rays, nearest
@@ -22,6 +24,15 @@ MIDDLE_GREY = 0.20
 """Linear brightness that automatic exposure aims at; photographers' 18 %."""
 
 
+MODEL: Final = CameraModel(
+    width=960,
+    height=594,
+    matrix=np.array([[530.0, 0.0, 483.2], [0.0, 530.5, 294.6], [0.0, 0.0, 1.0]]),
+    distortion=(-0.17, 0.028, 0.0006, -0.0004, 0.0),
+)
+"""Model of the simulated cameras."""
+
+
 @dataclass(frozen=True)
 class CameraSettings:
     """One camera.
@@ -30,10 +41,7 @@ class CameraSettings:
         name: of the frame and the topic.
         body_from_camera: optical frame: z forward, x right, y down.
         rate: images [1/s].
-        width, height: [px].
-        focal_length: fx, fy [px].
-        centre: cx, cy [px]; the middle of the first pixel is (0, 0).
-        distortion: k1, k2, p1, p2, k3 of the `plumb_bob` model (Brown 1966, as in OpenCV and ROS CameraInfo).
+        model: image size, intrinsics and distortion.
         vignetting: share of light lost in the corners.
         full_well: electrons at full brightness; their square root is the shot noise.
         read_noise: standard deviation over full brightness.
@@ -42,20 +50,10 @@ class CameraSettings:
     name: str
     body_from_camera: Pose
     rate: float = 10.0
-    width: int = 960
-    height: int = 594
-    focal_length: tuple[float, float] = (530.0, 530.5)
-    centre: tuple[float, float] = (483.2, 294.6)
-    distortion: tuple[float, float, float, float, float] = (-0.17, 0.028, 0.0006, -0.0004, 0.0)
+    model: CameraModel = MODEL
     vignetting: float = 0.25
     full_well: float = 8000.0
     read_noise: float = 0.002
-
-    @property
-    def matrix(self) -> Float[np.ndarray, "3 3"]:
-        """K of CameraInfo."""
-        (fx, fy), (cx, cy) = self.focal_length, self.centre
-        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 class Camera:
@@ -72,7 +70,7 @@ class Camera:
         self.settings = settings
         mount = settings.body_from_camera
         self.origin: Float[np.ndarray, " 3"] = mount.position
-        self.rays: Float[np.ndarray, "n 3"] = (pixel_rays(settings) @ mount.rotation.T).astype(np.float32)
+        self.rays: Float[np.ndarray, "n 3"] = (pixel_rays(settings.model) @ mount.rotation.T).astype(np.float32)
         self.own = body_hits(np.broadcast_to(self.origin, self.rays.shape), self.rays)
 
     def hits(self, scene: Scene, world_from_body: Pose) -> Hits:
@@ -82,13 +80,10 @@ class Camera:
         return nearest(self.own, cast_rays(scene, np.broadcast_to(origin, rays.shape), rays))
 
 
-def pixel_rays(settings: CameraSettings) -> Float[np.ndarray, "n 3"]:
+def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
     """Unit vectors in the optical frame through the middles of the pixels of the distorted image, row after row."""
-    u, v = np.meshgrid(np.arange(settings.width, dtype=float), np.arange(settings.height, dtype=float))
-    pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
-    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-    distortion = np.array(settings.distortion)
-    flat = cv2.undistortPoints(pixels, settings.matrix, distortion, None, None, None, until)[:, 0]
+    u, v = np.meshgrid(np.arange(model.width, dtype=float), np.arange(model.height, dtype=float))
+    flat = model.unproject(np.column_stack((u.ravel(), v.ravel())))
     rays = np.column_stack((flat, np.ones(len(flat))))
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
@@ -97,18 +92,18 @@ def render(
     scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "height width 3"]:
     """One image, RGB, distorted, as the sensor's electronics hand it out."""
-    s = camera.settings
-    linear = np.empty((s.height, s.width, 3), np.float32)
+    s, (width, height) = camera.settings, camera.settings.model.size
+    linear = np.empty((height, width, 3), np.float32)
     _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
     sharp = cv2.GaussianBlur(linear, (0, 0), LENS_BLUR)
-    image = np.empty((s.height, s.width, 3), np.uint8)
+    image = np.empty((height, width, 3), np.uint8)
     gain = exposure(linear) * appearance.light.exposure * appearance.light.balance.astype(np.float32)
     seed, curve = int(rng.integers(2**31)), _tone_curve()
 
     def block(first: int, last: int) -> None:
         develop(sharp, first, last, gain, s.vignetting, s.full_well, s.read_noise, curve, seed, image)
 
-    scene.spread(s.height, block, size=32)
+    scene.spread(height, block, size=32)
     return image
 
 
@@ -129,7 +124,7 @@ def _shade(
     position, rotation = world_from_body.position, world_from_body.rotation
     origin = world_from_body.apply(camera.origin[None])[0]
     turned = np.ascontiguousarray(rotation.T, np.float32)
-    pixel = 1 / max(camera.settings.focal_length)
+    pixel = 1 / float(max(np.diag(camera.settings.model.matrix)[:2]))
     look = (appearance.ground, appearance.light, appearance.shadow_boxes, appearance.paint, pixel)
 
     def block(first: int, last: int) -> None:

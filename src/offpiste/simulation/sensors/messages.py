@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 
 from offpiste.logs.ros.messages import floats, header, make, quaternion, vector
 from offpiste.logs.ros.point_cloud import message_from_points
+from offpiste.rig.camera import CameraModel
 
 _JPEG_QUALITY = 90
 
@@ -60,30 +61,18 @@ def image_message(image: UInt8[np.ndarray, "h w 3"], stamp_ns: int, frame: str) 
     return make("sensor_msgs/CompressedImage", header=header(stamp_ns, frame), format="jpeg", data=data.reshape(-1))
 
 
-def camera_info_message(
-    matrix: Float[np.ndarray, "3 3"],
-    distortion: Float[np.ndarray, " 5"],
-    size: tuple[int, int],
-    stamp_ns: int,
-    frame: str,
-) -> Any:
-    """A sensor_msgs/CameraInfo of a camera on its own.
-
-    Args:
-        matrix: K, in pixels, of the distorted image; the rectified one keeps it (P = [K 0]).
-        distortion: k1, k2, p1, p2, k3 of OpenCV's "plumb_bob".
-        size: width, height.
-    """
-    projection = np.hstack((matrix, np.zeros((3, 1))))
+def camera_info_message(model: CameraModel, stamp_ns: int, frame: str) -> Any:
+    """A sensor_msgs/CameraInfo of a camera on its own: the rectified image keeps K (P = [K 0])."""
+    projection = np.hstack((model.matrix, np.zeros((3, 1))))
     region = make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     return make(
         "sensor_msgs/CameraInfo",
         header=header(stamp_ns, frame),
-        width=size[0],
-        height=size[1],
-        distortion_model="plumb_bob",
-        d=floats(distortion),
-        k=floats(matrix.reshape(-1)),
+        width=model.width,
+        height=model.height,
+        distortion_model=model.distortion_model,
+        d=floats(model.distortion),
+        k=floats(model.matrix.reshape(-1)),
         r=floats(np.eye(3).reshape(-1)),
         p=floats(projection.reshape(-1)),
         binning_x=0,

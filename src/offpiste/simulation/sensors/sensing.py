@@ -58,11 +58,7 @@ class Sensing:
         image = render(self._scene, self._look, camera, Pose(sample.position, sample.orientation), self._rng)
         stamp = stamp_ns(sample.time)
         yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)
-        size = (s.width, s.height)
-        yield (
-            f"/{s.name}/camera_info",
-            camera_info_message(s.matrix, np.asarray(s.distortion), size, stamp, s.name),
-        )
+        yield f"/{s.name}/camera_info", camera_info_message(s.model, stamp, s.name)
 
     def _turn(self, lidar: Lidar, samples: list[VehicleSample], stamp_ns: StampNs) -> tuple[str, Any]:
         motion = Motion(
