@@ -1,24 +1,20 @@
 """Errors of runs on the same windows, kept in files, and what one model gains over another."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import torch
 from jaxtyping import Int
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
 
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
-from offpiste.evaluation.errors import Errors, Ground, predict
-from offpiste.evaluation.intervals import PairedDifference, Resampling, relative
-from offpiste.evaluation.models import Reading
-from offpiste.evaluation.tables import Sampling, pool
-from offpiste.files import write_whole
-from offpiste.progress import track
-from offpiste.reproduction.runs import evaluation_windows
+from offpiste.evaluation.error_files import saved_errors
+from offpiste.evaluation.errors import Errors, MapSource, pool
+from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
+from offpiste.reproduction.runs import evaluation_windows, run_errors
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import on_map
 
@@ -85,47 +81,16 @@ def errors_of(
     *,
     scale: torch.Tensor,
     kept: Path,
-    ground: Ground = on_map,
+    map_source: MapSource = on_map,
 ) -> Errors:
     """Errors of a run, from `kept` if they are there; else they are found and kept.
 
     Args:
         scale: of the loss, the same for all that is compared.
-        ground: what the map says, where it is not the windows' own.
+        map_source: the map that is read, where it is not the windows' own.
     """
-
-    def found() -> Errors:
-        lookup, chosen = reading
-        return predict(
-            run.dynamics,
-            windows.reading(chosen) if chosen else windows,
-            index,
-            lookup=lookup,
-            scale=scale,
-            weights=torch.tensor(run.weights.in_order()),
-            ground=ground,
-            track=track,
-            description=f"judging {run.folder.name}",
-        )
-
-    return errors_from(kept / run.folder.name / f"{'-'.join(filter(None, reading))}.safetensors", found)
-
-
-def errors_from(path: Path, find: Callable[[], Errors]) -> Errors:
-    """Errors from a file; where there is none, they are found and written, whole or not at all.
-
-    Raises:
-        RunError: the file is damaged.
-    """
-    if not path.exists():
-        errors = find()
-        arrays = {"drive": errors.drive, "row": errors.row, "values": errors.values, "loss": errors.loss}
-        kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        write_whole(path, lambda partial: save_file(kept, partial))
-    try:
-        return Errors(**load_file(path))
-    except (OSError, SafetensorError, TypeError) as error:
-        raise RunError(f"cannot be read: {error}", where=path, how="delete it and run again") from error
+    path = kept / run.folder.name / f"{'-'.join(filter(None, reading))}.safetensors"
+    return saved_errors(path, lambda: run_errors(run, windows, index, reading, scale=scale, map_source=map_source))
 
 
 def gain(

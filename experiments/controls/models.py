@@ -12,7 +12,7 @@ from experiments.controls.tables import gain_table, write_control
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.models import Reading
+from offpiste.evaluation.evaluated_models import Reading
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run

@@ -12,10 +12,10 @@ from experiments.controls.reproduced import Reproduced
 from experiments.controls.tables import gain_table, percent, write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.models import Reading
-from offpiste.evaluation.tables import Sampling, pool
-from offpiste.visualization.coverage import TextTable
+from offpiste.evaluation.errors import Errors, pool
+from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.intervals import Sampling
+from offpiste.report.text_table import TextTable
 
 ABOUT = (
     "The oracle is df on the true friction, cornering stiffness, rolling resistance and sinkage drag; its baseline is "

@@ -9,8 +9,7 @@ from jaxtyping import Float, Int
 from matplotlib.figure import Figure
 
 from offpiste.evaluation.intervals import PairedDifference, blocks, resampling
-from offpiste.evaluation.tables import interval, number
-from offpiste.visualization.coverage import TextTable
+from offpiste.report.text_table import TextTable, interval, number
 
 ABOUT = (
     "Differences of the place after 5 s between two grounds, ahead and to the left at the start, from the same state "

@@ -18,10 +18,10 @@ from experiments.controls.tables import gain_table, percent, write_control
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.models import Reading
+from offpiste.evaluation.evaluated_models import Reading
 from offpiste.mapping.terrain_lookup import MapTerrain
 from offpiste.state import Terrain, TerrainSource
-from offpiste.training.terrain_sources import map_terrain, with_past_on
+from offpiste.training.terrain_sources import map_terrain, on_map, with_past_on
 
 logger = logging.getLogger("experiments")
 
@@ -46,13 +46,15 @@ def shift_control(of: Reproduced, out: Path) -> Path:
         if reading == MAP and not len(index):
             continue
         blind = [errors_of(run, windows, index, reading, scale=scale, kept=kept) for run in of.runs("b")]
-        other, ground = (windows, ShiftedMap(windows, METRES)) if reading == MAP else (elsewhere, None)
+        other, source = (windows, ShiftedMap(windows, METRES)) if reading == MAP else (elsewhere, on_map)
         there = same_windows(windows, index, other)
         for model in of.present(("cf", "dc", "df")):
             runs = of.runs(model)
             mine = [errors_of(run, windows, index, reading, scale=scale, kept=kept) for run in runs]
-            asked = {} if ground is None else {"ground": ground}
-            moved = [errors_of(run, other, there, reading, scale=scale, kept=kept / "shifted", **asked) for run in runs]
+            moved = [
+                errors_of(run, other, there, reading, scale=scale, kept=kept / "shifted", map_source=source)
+                for run in runs
+            ]
             gains += [gain("as recorded", model, mine, blind, reading), gain("shifted", model, moved, blind, reading)]
             there_too = f"{percent(gains[-2].distance)}, shifted {percent(gains[-1].distance)}"
             logger.info(f"{model}, {' '.join(filter(None, reading))}: {there_too}")

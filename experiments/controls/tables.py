@@ -1,6 +1,5 @@
 """What a control ends with: tables as Markdown for a person, JSON for a program, pictures beside them."""
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,15 +9,9 @@ from matplotlib.figure import Figure
 
 from experiments.controls.errors import Gain
 from offpiste.evaluation.intervals import PairedDifference
-from offpiste.evaluation.tables import interval, number
-from offpiste.files import write_bytes, write_text
-from offpiste.visualization.coverage import TextTable
-
-
-def markdown(table: TextTable) -> str:
-    """A table with its title and what its numbers are."""
-    lines = [table.names, ("---",) * len(table.names), *table.lines]
-    return "\n".join([f"## {table.title}", table.about, "", *(f"| {' | '.join(line)} |" for line in lines)]) + "\n"
+from offpiste.files import write_text
+from offpiste.report.figure import write_png
+from offpiste.report.text_table import TextTable, interval, number
 
 
 def write_control(
@@ -32,11 +25,9 @@ def write_control(
     Returns:
         control.md.
     """
-    parts = [markdown(table) for table in tables]
+    parts = [table.markdown() for table in tables]
     for name, figure in (figures or {}).items():
-        content = io.BytesIO()
-        figure.savefig(content, format="png", dpi=110)
-        write_bytes(folder / f"{name}.png", content.getvalue())
+        write_png(folder / f"{name}.png", figure, dpi=110)
         parts.append(f"![{name}]({name}.png)\n")
     write_text(folder / "control.json", msgspec.json.format(msgspec.json.encode({"schema": 1, **results})).decode())
     write_text(folder / "control.md", "\n".join(parts))

@@ -31,8 +31,7 @@ from offpiste.conventions import EVALUATION_STRIDE
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.evaluation.errors import Errors, predict
-from offpiste.evaluation.tables import pool
+from offpiste.evaluation.errors import Errors, pool, prediction_errors
 from offpiste.files import write_text
 from offpiste.parallel import Report, run_all
 from offpiste.progress import show, track
@@ -73,7 +72,7 @@ class Trial:
         windows = Windows(dataset, "test")
         weights = torch.tensor(run.weights.in_order())
         index = windows.judged(EVALUATION_STRIDE)
-        return predict(run.dynamics, windows, index, lookup="recorded", scale=run.scale, weights=weights)
+        return prediction_errors(run.dynamics, windows, index, lookup="recorded", scale=run.scale, weights=weights)
 
 
 def train_once(trial: Trial, report: Report) -> str:

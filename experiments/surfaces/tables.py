@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.errors import Errors, pool
 from offpiste.evaluation.intervals import Resampling, blocks, relative, resampling
-from offpiste.evaluation.tables import pool
 
 Results = Mapping[tuple[str, str, int], Errors]
 """Errors on the held-out recordings by label, model and seed; the same windows in each."""

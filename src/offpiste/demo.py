@@ -21,19 +21,19 @@ from offpiste.dataset.fit_pca import fit_pca, write_image_list
 from offpiste.dataset.snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset
+from offpiste.evaluation.box_plots import grouped_box_plot
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
-from offpiste.evaluation.figures import grouped_boxes
-from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, relative, summary
-from offpiste.evaluation.report import png
-from offpiste.evaluation.tables import REFERENCE, Sampling, interval, number
-from offpiste.files import write_bytes
+from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, Sampling, relative, summary
+from offpiste.evaluation.result_rows import REFERENCE
 from offpiste.inspection.inspect import inspect_log, render
 from offpiste.logs import open_log
 from offpiste.parallel import usable_cores
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
+from offpiste.report.figure import write_png
+from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.data import Recording, simulate_all
 from offpiste.reproduction.pieces import claim_folder
 from offpiste.reproduction.runs import reuse_stages
@@ -42,7 +42,6 @@ from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
-from offpiste.visualization.coverage import TextTable
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +58,7 @@ def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> Non
     table, picture = compared(read), folder / "distance.png"
     boxes = {place: {name: errors.distance() for name, errors in models.items()} for place, models in read.items()}
     title = f"Demo: {BASELINE} and {MODEL}, trained on {_seconds(dataset, 'train'):.0f} s"
-    write_bytes(picture, png(grouped_boxes(boxes, title=title, axis="ground read from a view at [m]")))
+    write_png(picture, grouped_box_plot(boxes, title=title, axis="features seen from [m]"))
     logger.info(table.rich())
     logger.info(table.about)
     logger.info(conclusion(gain_of(read[MAP]) if MAP in read else gain_of(next(iter(read.values()))), dataset))
@@ -111,7 +110,7 @@ def compared(read: Read) -> TextTable:
         " tells a model how far the\nvehicle went. The last one reads the map where predictions go, as a planner does:"
         " it decides."
     )
-    title = f"Mean distance error after 5 s \\[m] on {windows} windows of the test drives"
+    title = f"Mean distance error after 5 s [m] on {windows} windows of the test drives"
     return TextTable(title, ("ground", *read[next(iter(read))], f"{MODEL} against {BASELINE}"), tuple(lines), about)
 
 

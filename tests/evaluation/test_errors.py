@@ -11,11 +11,11 @@ from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion
-from offpiste.evaluation.errors import predict, trajectories
+from offpiste.evaluation.errors import Errors, in_start_frame, pool, positions, prediction_errors, trajectories
 from offpiste.rig.rig import parse_rig
 from offpiste.state import ModelState
 
-SCALE, WEIGHTS = torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), torch.ones(5)
+UNITS = {"scale": torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), "weights": torch.ones(5)}
 
 
 def circling(start: str = "smoothed", rows: int = 600, **change) -> Windows:
@@ -44,7 +44,7 @@ class Off(ConstantMotion):
 def test_a_perfect_model_has_no_errors() -> None:
     """A circle at constant speed is what `ctrv` assumes; forward Euler leaves the polygon's error."""
     windows = circling()
-    found = predict(ConstantMotion(COMMANDED), windows, windows.every(50), lookup=None, scale=SCALE, weights=WEIGHTS)
+    found = prediction_errors(ConstantMotion(COMMANDED), windows, windows.every(50), lookup=None, **UNITS)
     assert found.values[..., 0].max() < 0.15
     assert found.values[..., 1:].max() < 1e-4
     assert not found.failed.any()
@@ -54,7 +54,7 @@ def test_errors_by_horizon_worked_by_hand() -> None:
     """Off by 0.001 rad a step: 0.05 rad after 1 s, 0.25 after 5 s; -0.004 m/s a step: 1 m/s after 5 s."""
     windows = circling()
     model = Off([0.0, 0.0, 0.001, 0.0, -0.004, 0.0])
-    found = predict(model, windows, windows.every(100), lookup=None, scale=SCALE, weights=WEIGHTS)
+    found = prediction_errors(model, windows, windows.every(100), lookup=None, **UNITS)
     seconds = np.arange(1, 6)
     np.testing.assert_allclose(
         found.values[:, :, 1], np.broadcast_to(0.05 * seconds, found.values.shape[:2]), atol=1e-4
@@ -72,7 +72,7 @@ def test_distance_and_loss_of_a_standing_prediction() -> None:
         def stepper(self):
             return lambda model_state, control, terrain: model_state
 
-    found = predict(Parked(COMMANDED), windows, index, lookup=None, scale=SCALE, weights=WEIGHTS)
+    found = prediction_errors(Parked(COMMANDED), windows, index, lookup=None, **UNITS)
     seconds = np.arange(1, 6)
     chord = 2 * 10.0 * np.sin(0.5 * seconds / 2)  # radius 10 m, 0.5 rad/s
     np.testing.assert_allclose(found.values[:, :, 0], np.broadcast_to(chord, found.values.shape[:2]), rtol=1e-4)
@@ -84,9 +84,7 @@ def test_distance_and_loss_of_a_standing_prediction() -> None:
 def test_yaw_is_compared_around_the_circle() -> None:
     """A model that turns by a whole circle more than the vehicle faces the same way."""
     windows = circling()
-    found = predict(
-        Off([0, 0, 2 * np.pi / 250, 0, 0, 0]), windows, windows.every(200), lookup=None, scale=SCALE, weights=WEIGHTS
-    )
+    found = prediction_errors(Off([0, 0, 2 * np.pi / 250, 0, 0, 0]), windows, windows.every(200), lookup=None, **UNITS)
     assert found.values[:, 4, 1].max() < 1e-3
     np.testing.assert_allclose(found.values[:, 1, 1], 4 * np.pi / 5, atol=1e-3)
     np.testing.assert_allclose(found.values[:, 3, 1], 2 * np.pi / 5, atol=1e-3)
@@ -96,7 +94,7 @@ def test_chunks_do_not_matter_and_windows_keep_their_identity() -> None:
     windows = circling("causal")
     index = windows.every(20)[::-1]
     whole, pieces = (
-        predict(ConstantMotion(COMMANDED), windows, index, lookup=None, scale=SCALE, weights=WEIGHTS, chunk=chunk)
+        prediction_errors(ConstantMotion(COMMANDED), windows, index, lookup=None, **UNITS, chunk=chunk)
         for chunk in (1000, 3)
     )
     np.testing.assert_allclose(whole.values, pieces.values, rtol=1e-4, atol=1e-5)
@@ -104,29 +102,28 @@ def test_chunks_do_not_matter_and_windows_keep_their_identity() -> None:
     assert whole.row.tolist() == windows.row_in_drive(index).tolist()
 
 
-def test_progress_is_told_by_chunk() -> None:
+def test_progress_is_shown_by_chunk() -> None:
     windows = circling()
-    told = []
+    shown = []
 
     def track(items, description):
         for item in items:
-            told.append((description, len(item)))
+            shown.append((description, len(item)))
             yield item
 
     index = windows.every(40)
-    predict(
+    prediction_errors(
         ConstantMotion(COMMANDED),
         windows,
         index,
         lookup=None,
-        scale=SCALE,
-        weights=WEIGHTS,
+        **UNITS,
         chunk=4,
         track=track,
-        description="judging x",
+        description="evaluating x",
     )
-    assert {name for name, _ in told} == {"judging x"}
-    assert sum(size for _, size in told) == len(index)
+    assert {name for name, _ in shown} == {"evaluating x"}
+    assert sum(size for _, size in shown) == len(index)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -148,7 +145,7 @@ def test_a_prediction_that_diverges_is_infinitely_wrong_from_then_on(value: floa
             return step
 
     windows = circling()
-    found = predict(Diverging(COMMANDED), windows, windows.every(100), lookup=None, scale=SCALE, weights=WEIGHTS)
+    found = prediction_errors(Diverging(COMMANDED), windows, windows.every(100), lookup=None, **UNITS)
     assert found.failed[0].tolist() == [False, False, True, True, True]
     assert (found.values[0, 2:] == np.inf).all()
     assert found.loss[0] == np.inf
@@ -156,12 +153,12 @@ def test_a_prediction_that_diverges_is_infinitely_wrong_from_then_on(value: floa
     assert np.isfinite(found.values[1:]).all()
 
 
-def test_trajectories_are_those_that_were_judged() -> None:
+def test_trajectories_are_those_that_were_evaluated() -> None:
     windows = circling()
     index = windows.every(60)
     model = Off([0.001, 0, 0, 0, 0, 0])
     states = trajectories(model, windows, index, lookup=None)
-    found = predict(model, windows, index, lookup=None, scale=SCALE, weights=WEIGHTS)
+    found = prediction_errors(model, windows, index, lookup=None, **UNITS)
     target = windows.gather(index).target.numpy()
     np.testing.assert_allclose(
         np.linalg.norm(states[:, -1, :2] - target[:, -1, :2], axis=1), found.distance(), rtol=1e-5, atol=1e-6
@@ -173,3 +170,46 @@ def test_no_windows_have_no_trajectories() -> None:
     windows = circling()
     model = ConstantMotion(COMMANDED)
     assert trajectories(model, windows, np.zeros(0, dtype=np.int64), lookup=None).shape == (0, windows.horizon, 6)
+
+
+def errors(windows: list[tuple[int, int]], value: float) -> Errors:
+    drive, row = np.array(windows).T
+    return Errors(drive, row, np.full((len(row), 5, 5), value), np.full(len(row), 10 * value))
+
+
+def test_seeds_are_averaged_window_by_window() -> None:
+    windows = [(0, 10), (0, 15), (1, 10)]
+    both = pool([errors(windows, 1.0), errors(windows[::-1], 4.0)])
+    assert list(zip(both.drive, both.row, strict=True)) == windows
+    assert (both.values == 2.5).all()
+    assert (both.loss == 25.0).all()
+
+
+def test_folds_are_put_side_by_side_in_order() -> None:
+    both = pool([errors([(0, 900), (1, 20)], 3.0), errors([(0, 100), (0, 105)], 1.0)])
+    assert both.row.tolist() == [100, 105, 900, 20]
+    assert both.drive.tolist() == [0, 0, 0, 1]
+    assert both.distance().tolist() == [1.0, 1.0, 3.0, 3.0]
+
+
+def test_folds_and_seeds_together() -> None:
+    runs = [errors([(0, 1)], 1.0), errors([(0, 2)], 2.0), errors([(0, 1)], 3.0), errors([(0, 2)], 6.0)]
+    assert pool(runs).distance().tolist() == [2.0, 4.0]
+
+
+def test_a_window_that_one_run_fails_has_failed() -> None:
+    both = pool([errors([(0, 1), (0, 2)], 1.0), errors([(0, 2)], np.inf)])
+    assert both.failed[:, -1].tolist() == [False, True]
+
+
+def test_positions_find_windows_and_refuse_strangers() -> None:
+    among = errors([(0, 1), (0, 5), (2, 0)], 1.0)
+    assert positions(errors([(2, 0), (0, 5)], 0.0), among).tolist() == [2, 1]
+    with pytest.raises(AssertionError, match="not the same windows"):
+        positions(errors([(1, 0)], 0.0), among)
+
+
+def test_paths_are_turned_to_the_start_heading() -> None:
+    # Half a turn from east: one metre west is ahead, one north is to the right.
+    paths = np.array([[[-1.0, 0.0], [0.0, 1.0]]])
+    np.testing.assert_allclose(in_start_frame(paths, np.array([np.pi])), [[[1, 0], [0, -1]]], atol=1e-12)

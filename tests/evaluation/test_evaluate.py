@@ -15,14 +15,14 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.errors import RunError
-from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.evaluate import Evaluation, _usual_step, evaluate_models
-from offpiste.evaluation.models import Judged
-from offpiste.evaluation.page import headline_text, render_html
-from offpiste.evaluation.report import write_report
-from offpiste.evaluation.results import Headline, ResultRow, pooled_rows, read_metrics, run_rows
-from offpiste.evaluation.tables import Sampling, render_table
-from offpiste.evaluation.worst_windows import worst_windows
+from offpiste.evaluation.evaluate import Evaluation, evaluate_models
+from offpiste.evaluation.evaluated_models import EvaluatedModel
+from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.metrics import Headline, ResultRow, pooled_rows, read_metrics, run_rows
+from offpiste.evaluation.report import headline_text, report_page, write_report
+from offpiste.evaluation.report_figures.worst_windows import predict_worst, worst_windows
+from offpiste.evaluation.report_tables import terminal_table
+from offpiste.report.page import render
 from offpiste.rig.rig import parse_rig
 from offpiste.state import ModelState
 
@@ -92,8 +92,10 @@ class Slipping(Kinematic):
 
 @pytest.fixture(scope="module")
 def evaluation(dataset: Dataset) -> Evaluation:
-    models = [Judged("slow", Slipping(share), seed=seed) for seed, share in enumerate((0.1, 0.3))]
-    return evaluate_models([*models, Judged("parametric", Parametric(COMMANDED))], dataset, **QUICK, command="x < y")
+    models = [EvaluatedModel("slow", Slipping(share), seed=seed) for seed, share in enumerate((0.1, 0.3))]
+    return evaluate_models(
+        [*models, EvaluatedModel("parametric", Parametric(COMMANDED))], dataset, **QUICK, command="x < y"
+    )
 
 
 def row(rows: list[ResultRow], model: str, start: str = "smoothed", lookup: str | None = None, **others) -> ResultRow:
@@ -151,26 +153,18 @@ def test_errors_grow_and_a_smoothed_start_is_better(evaluation: Evaluation) -> N
     )
 
 
-def test_what_the_windows_are_like(evaluation: Evaluation, dataset: Dataset) -> None:
+def test_numbers_of_the_windows(evaluation: Evaluation, dataset: Dataset) -> None:
     found = evaluation.metrics.windows
-    assert found.n == len(evaluation.speed)
+    assert found.n == len(evaluation.windows.start_speed)
     assert (found.drives, found.stride_s, found.block_s) == (2, 1.0, 6.0)
     assert found.median_distance_m == pytest.approx(25.0, abs=0.1)
     assert found.median_speed_mps == pytest.approx(5.0, abs=0.1)
     assert found.blocks >= 6
 
 
-def test_the_step_between_windows_is_what_it_is_where_only_some_are_judged() -> None:
-    # Windows with a snapshot: 20 to 30 rows apart, and none between drives.
-    drive, row = np.repeat([0, 1], 4), np.array([5, 25, 45, 75, 1000, 1020, 1045, 1065])
-    found = Errors(drive, row, np.zeros((8, 5, 5)), np.zeros(8))
-    assert _usual_step(found, 5) == 20
-    assert _usual_step(found.take(np.array([0, 4])), 5) == 5
-
-
 def test_worst_windows_do_not_overlap_and_show_every_run(evaluation: Evaluation) -> None:
-    worst = evaluation.worst
-    assert evaluation.shown == "slow · map"
+    worst = predict_worst(evaluation)
+    assert evaluation.shown.reading_label == "slow · map"
     assert [w.error for w in worst] == sorted((w.error for w in worst), reverse=True)
     for i, one in enumerate(worst):
         assert {label: len(paths) for label, paths in one.predicted.items()} == {"slow": 2, "kinematic": 1}
@@ -180,14 +174,14 @@ def test_worst_windows_do_not_overlap_and_show_every_run(evaluation: Evaluation)
         assert one.recorded[0] == pytest.approx((5 * DT, 0.0), abs=0.05)
 
 
-def test_at_most_as_many_worst_windows_as_asked_for(evaluation: Evaluation) -> None:
+def test_at_most_as_many_worst_windows_as_wanted(evaluation: Evaluation) -> None:
     errors = next(iter(evaluation.errors.values()))
     assert len(worst_windows(errors, count=2).row) == 2
-    assert worst_windows(errors).error[0] == errors.distance().max()
+    assert worst_windows(errors).distance()[0] == errors.distance().max()
 
 
 class Page(HTMLParser):
-    """What a page asks for and shows."""
+    """Tags and text of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -236,7 +230,7 @@ def test_names_are_escaped_wherever_they_stand(evaluation: Evaluation) -> None:
     changed = type(metrics)(
         **{**fields(metrics), "results": rows, "headlines": headlines, "dataset": evil, "split": evil}
     )
-    page = Page(render_html(changed, {}))
+    page = Page(render(report_page(changed, {})))
     assert "img" not in {tag for tag, _ in page.tags}
     assert evil in page.data
 
@@ -262,9 +256,9 @@ def test_headlines_say_how_far_below_or_above() -> None:
     assert headline_text(failed) == "b: – m mean distance error after 5 s (causal start, map lookup)"
 
 
-def test_the_table_has_a_line_a_way(evaluation: Evaluation) -> None:
+def test_the_table_has_a_line_per_start_and_lookup(evaluation: Evaluation) -> None:
     console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: PTH123, SIM115
-    console.print(render_table(evaluation.metrics.results))
+    console.print(terminal_table(evaluation.metrics.results).rich())
     text = console.export_text()
     assert text.count("│ slow") == 4
     assert text.count("│ kinematic") == 2
@@ -286,7 +280,9 @@ class Broken(ConstantMotion):
 
 
 def test_a_model_that_diverges_is_reported_as_failed_not_dropped(dataset: Dataset, tmp_path: Path) -> None:
-    found = evaluate_models([Judged("b", Broken(COMMANDED))], dataset, **QUICK, starts=("causal",), lookups=("map",))
+    found = evaluate_models(
+        [EvaluatedModel("b", Broken(COMMANDED))], dataset, **QUICK, starts=("causal",), lookups=("map",)
+    )
     broken = row(found.metrics.results, "b", "causal", "map")
     assert broken.n_failed == broken.n == found.metrics.windows.n
     assert broken.distance_error_m.mean == np.inf
@@ -296,9 +292,9 @@ def test_a_model_that_diverges_is_reported_as_failed_not_dropped(dataset: Datase
     assert f"({broken.n} failed)" in (tmp_path / "report.html").read_text("utf-8")
 
 
-def test_folds_judge_every_window_once_and_all_together(dataset: Dataset) -> None:
-    def fold(number: int, share: float, seed: int) -> Judged:
-        return Judged("b", Slipping(share), seed=seed, fold=number, split=parse_split(f"fold:{number}/3"))
+def test_folds_cover_every_window_once_and_all_together(dataset: Dataset) -> None:
+    def fold(number: int, share: float, seed: int) -> EvaluatedModel:
+        return EvaluatedModel("b", Slipping(share), seed=seed, fold=number, split=parse_split(f"fold:{number}/3"))
 
     models = [fold(number, 0.1 * (number + 1), seed) for number in range(3) for seed in (0, 1)]
     found = evaluate_models(models, dataset, **QUICK, starts=("smoothed",), lookups=("map",))
@@ -310,18 +306,18 @@ def test_folds_judge_every_window_once_and_all_together(dataset: Dataset) -> Non
         assert one.distance_error_m.mean == pytest.approx(2.5 * (number + 1), rel=0.08)
     weighted = sum(f.n * f.distance_error_m.mean for f in folds) / together.n
     assert together.distance_error_m.mean == pytest.approx(weighted)
-    assert row(rows, "kinematic", fold=1).n == folds[1].n, "baselines are judged fold by fold, too"
+    assert row(rows, "kinematic", fold=1).n == folds[1].n, "baselines are evaluated fold by fold, too"
     assert found.metrics.split == "fold:0/3, fold:1/3, fold:2/3"
 
 
 def test_models_of_different_splits_are_refused(dataset: Dataset) -> None:
-    folded = Judged("b", ConstantMotion(COMMANDED), fold=0, split=parse_split("fold:0/3"))
+    folded = EvaluatedModel("b", ConstantMotion(COMMANDED), fold=0, split=parse_split("fold:0/3"))
     with pytest.raises(RunError, match="has no run for split"):
-        evaluate_models([folded, Judged("parametric", Parametric(COMMANDED))], dataset, **QUICK)
+        evaluate_models([folded, EvaluatedModel("parametric", Parametric(COMMANDED))], dataset, **QUICK)
 
 
 def test_the_same_run_twice_is_refused(dataset: Dataset) -> None:
-    twice = [Judged("b", ConstantMotion(COMMANDED), seed=0)] * 2
+    twice = [EvaluatedModel("b", ConstantMotion(COMMANDED), seed=0)] * 2
     with pytest.raises(RunError, match="same seed and fold"):
         evaluate_models(twice, dataset, **QUICK)
 

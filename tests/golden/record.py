@@ -40,7 +40,7 @@ from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.evaluate import evaluate_models
-from offpiste.evaluation.models import Judged
+from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.sensors import check_sensors
@@ -669,7 +669,7 @@ def training() -> Results:
         found |= trained(f"real-{name}", train(real, replace(quick, model=name, epochs=1), folder), folder)
     loaded = [load_run(folder) for folder in runs[:2]]
     evaluation = evaluate_models(
-        [Judged(run.model, run.dynamics, seed=run.seed) for run in loaded],
+        [EvaluatedModel(run.model, run.dynamics, seed=run.seed) for run in loaded],
         made,
         scale=loaded[0].scale,
         feature_sets=("hindsight", "20"),

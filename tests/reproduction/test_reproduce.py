@@ -220,7 +220,7 @@ def test_a_damaged_judgement_names_its_file(
     monkeypatch.setattr(settings, "SEEDED", ("b", "dc"))
     copy = tmp_path / "copy"
     shutil.copytree(out, copy)
-    file = copy / "runs" / "b-0" / "judged" / "map.safetensors"
+    file = copy / "runs" / "b-0" / "errors" / "map.safetensors"
     file.write_bytes(file.read_bytes()[:50])
     with pytest.raises(RunError, match=r"map\.safetensors"):
         reproduce(Reproduction("fig4", TINY, copy, dataset=dataset))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from offpiste.evaluation.errors import COMPONENTS, Errors
-from offpiste.evaluation.intervals import PairedDifference
-from offpiste.evaluation.tables import RunErrors, Sampling
+from offpiste.evaluation.intervals import PairedDifference, Sampling
+from offpiste.evaluation.result_rows import RunErrors
 from offpiste.reproduction.results import Findings, last_rows
 from offpiste.reproduction.settings import members
 from offpiste.reproduction.tables import distance_table, error_table, fig3_claims, fig4_claims, seed_table, verdict

@@ -7,7 +7,7 @@ import pytest
 
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
-from offpiste.reproduction.figures import spread_out, turned
+from offpiste.reproduction.figures import spread_out
 from offpiste.reproduction.results import valid_throughout
 from seen_drives import seen_dataset
 
@@ -41,9 +41,3 @@ def test_ten_windows_share_no_row(tmp_path: Path) -> None:
     for i in range(10):
         for j in range(i):
             assert drive[i] != drive[j] or abs(row[i] - row[j]) > 260
-
-
-def test_paths_are_turned_to_the_start_heading() -> None:
-    # Half a turn from east: one metre west is ahead, one north is to the right.
-    paths = np.array([[[-1.0, 0.0], [0.0, 1.0]]])
-    np.testing.assert_allclose(turned(paths, np.array([np.pi])), [[[1, 0], [0, -1]]], atol=1e-12)

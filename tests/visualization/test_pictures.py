@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import LogError
-from offpiste.visualization.figure import png
+from offpiste.report.figure import png
 from offpiste.visualization.images import contact_sheet, times_between
 from offpiste.visualization.map_figure import FEATURED, OBSERVED, SUN, Ground, draw_map, feature_colours, hillshade
 from offpiste.visualization.sensor_timing import draw_sensors, gaps

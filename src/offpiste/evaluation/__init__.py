@@ -1,1 +1,1 @@
-"""Judge models on windows they have not seen: errors, intervals, pictures, a report."""
+"""Evaluation of models on windows they have not seen: errors, intervals, figures, a report."""

@@ -1,6 +1,6 @@
-"""Roll models out over windows and keep how far each prediction is off after every whole second."""
+"""Errors of predictions, window by window, after every whole second."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -19,43 +19,43 @@ from offpiste.training.terrain_sources import encoded, on_map
 from offpiste.training.train import predict as predict_recorded
 
 HORIZONS = (1, 2, 3, 4, 5)
-"""When errors are kept [s after the start]."""
+"""Times at which errors are kept [s after the start]."""
 
 COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
-"""What is kept then: absolute errors, of the position as a distance, of yaw wrapped."""
+"""Absolute errors that are kept: of the position as a distance, of the yaw angle wrapped."""
 
 LOOKUPS = ("recorded", "map")
-"""Where a model reads the ground: under the recorded future wheels, or where it predicts itself to be."""
+"""Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
 
 CHUNK = 1024
-"""Windows rolled out side by side."""
+"""Number of windows rolled out side by side."""
 
 SNAPSHOT_CHUNK = 32
-"""The same where each has a map of its own: some 10 MB each."""
+"""Number of windows rolled out side by side where each has a map of its own, some 10 MB each."""
 
-Ground = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
-"""From a model, windows, their indices and their encoded batch to the batch and the ground that is read on the way."""
+MapSource = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
+"""From a model, windows, their indices and their encoded batch to the batch and the map that the model reads."""
 
 Item = TypeVar("Item")
 
 
 @runtime_checkable
-class Track(Protocol):
-    """Shows progress over items while they are worked on, as `offpiste.progress.track` does."""
+class Progress(Protocol):
+    """Progress over items while they are worked on, as `offpiste.progress.track` shows it."""
 
     def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
         """The same items."""
         ...
 
 
-def untracked(items: Iterable[Item], description: str, /) -> Iterator[Item]:
-    """No progress shown."""
+def no_progress(items: Iterable[Item], description: str, /) -> Iterator[Item]:
+    """The same items, without showing progress."""
     return iter(items)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """How far predictions are off, window by window.
+    """Errors of predictions, window by window.
 
     A prediction that is not finite is infinitely wrong: it stays in, and no mean or quantile can look good with it.
 
@@ -72,24 +72,51 @@ class Errors:
 
     @property
     def key(self) -> Int[np.ndarray, " n"]:
-        """One number a window, in the order of drives and rows."""
+        """One number per window, in the order of drives and rows."""
         return np.asarray(self.drive.astype(np.int64) << 32 | self.row)
 
     @property
     def failed(self) -> Bool[np.ndarray, "n 5"]:
-        """Windows whose prediction was not finite, by horizon."""
+        """Whether the prediction is not finite, by window and horizon."""
         return np.asarray(~np.isfinite(self.values).all(axis=2))
 
     def distance(self) -> Float[np.ndarray, " n"]:
         """Distance error at the last horizon [m]."""
         return self.values[:, -1, 0]
 
+    def component(self, name: str) -> Float[np.ndarray, " n"]:
+        """Error at the last horizon, of a component (`COMPONENTS`), or the "loss", which is over all steps."""
+        return self.loss if name == "loss" else self.values[:, -1, COMPONENTS.index(name)]
+
     def take(self, index: Int[np.ndarray, " m"]) -> "Errors":
-        """Some of the windows."""
+        """Errors of some of the windows."""
         return Errors(self.drive[index], self.row[index], self.values[index], self.loss[index])
 
 
-def predict(
+def pool(runs: Sequence[Errors]) -> Errors:
+    """Mean errors over the runs that predicted each window; windows in ascending order.
+
+    Seeds predict the same windows, so their errors are averaged window by window; folds predict disjoint ones, so
+    theirs are put together. Errors are averaged, never predictions: an ensemble would be another model. A window in
+    which one of the runs failed has failed.
+    """
+    keys, place = np.unique(np.concatenate([run.key for run in runs]), return_inverse=True)
+    count = np.bincount(place).astype(float)
+    values = np.zeros((len(keys), *runs[0].values.shape[1:]))
+    loss = np.zeros(len(keys))
+    np.add.at(values, place, np.concatenate([run.values for run in runs]))
+    np.add.at(loss, place, np.concatenate([run.loss for run in runs]))
+    return Errors(keys >> 32, keys & 0xFFFFFFFF, values / count[:, None, None], loss / count)
+
+
+def positions(windows: Errors, among: Errors) -> Int[np.ndarray, " n"]:
+    """Indices of the windows in `among`, which has them all in ascending order."""
+    found = np.searchsorted(among.key, windows.key)
+    assert np.array_equal(among.key[np.minimum(found, len(among.key) - 1)], windows.key), "not the same windows"
+    return np.asarray(found)
+
+
+def prediction_errors(
     dynamics: Dynamics,
     windows: Windows,
     index: Int[np.ndarray, " n"],
@@ -97,18 +124,18 @@ def predict(
     lookup: str | None,
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
-    ground: Ground = on_map,
+    map_source: MapSource = on_map,
     chunk: int | None = None,
-    track: Track = untracked,
-    description: str = "judging",
+    track: Progress = no_progress,
+    description: str = "evaluating",
 ) -> Errors:
     """Errors of a model on windows.
 
     Args:
-        index: of the windows.
-        lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the ground.
+        index: numbers of the windows.
+        lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the terrain.
         scale, weights: of the loss (`offpiste.training.losses.summed_loss`).
-        ground: what "map" reads, where it is not the windows' own.
+        map_source: the map that "map" reads, where it is not the windows' own.
         chunk: windows rolled out side by side, when not `CHUNK` or `SNAPSHOT_CHUNK`.
         track: shows progress over the chunks.
     """
@@ -116,7 +143,7 @@ def predict(
     scale, weights = scale.to(windows.device), weights.to(windows.device)
     values, losses = [], []
     for part in track(_chunks(index, chunk or _chunk(windows, lookup)), description):
-        batch, state = _rolled_out(dynamics, windows, part, lookup, ground)
+        batch, state = _rolled_out(dynamics, windows, part, lookup, map_source)
         values.append(_absolute_errors(state[:, steps], batch.target[:, steps]))
         losses.append(summed_loss(state, batch.target, scale, weights))
     return Errors(
@@ -130,11 +157,18 @@ def predict(
 def trajectories(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: str | None
 ) -> Float[np.ndarray, "n T 6"]:
-    """Predicted states after each step of some windows, positions relative to each window's start."""
+    """Predicted states after each step, positions relative to each window's start."""
     if not len(index):
         return np.empty((0, windows.horizon, 6))
     states = [_rolled_out(dynamics, windows, part, lookup)[1] for part in _chunks(index, _chunk(windows, lookup))]
     return np.asarray(torch.cat(states).cpu().numpy())
+
+
+def in_start_frame(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
+    """Displacements in the world as displacements ahead and to the left of each start's heading [m]."""
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = paths[..., 0], paths[..., 1]
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
 
 
 def _chunk(windows: Windows, lookup: str | None) -> int:
@@ -147,13 +181,17 @@ def _chunks(index: Int[np.ndarray, " n"], size: int) -> list[np.ndarray]:
 
 @torch.no_grad()
 def _rolled_out(
-    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: str | None, ground: Ground = on_map
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " B"],
+    lookup: str | None,
+    map_source: MapSource = on_map,
 ) -> tuple[Batch, Float[Tensor, "B T 6"]]:
     batch = windows.gather(index)
     if lookup != "map":
         return batch, predict_recorded(dynamics, batch).state
     batch = encoded(dynamics, batch)
-    batch, source = ground(dynamics, windows, index, batch)
+    batch, source = map_source(dynamics, windows, index, batch)
     model_state = dynamics.start(batch.history, batch.state, batch.actuators)
     return batch, rollout(dynamics, model_state, batch.control, source).state
 
@@ -166,7 +204,7 @@ def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B
 
 
 def _infinite_if_failed(values: Tensor) -> np.ndarray:
-    """Double precision; what is not finite is infinite, in every component of its moment."""
+    """Errors in double precision; where one component is not finite, all components of that horizon are infinite."""
     array = values.double().cpu().numpy()
     finite = np.isfinite(array)
     if array.ndim == 3:

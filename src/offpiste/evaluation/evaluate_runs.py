@@ -1,4 +1,4 @@
-"""Judge trained runs on a dataset and write the report."""
+"""Evaluate trained runs on a dataset and write the report: the logic of `offpiste evaluate`."""
 
 import logging
 from collections.abc import Sequence
@@ -8,10 +8,11 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
+from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import MIN_BLOCKS
-from offpiste.evaluation.models import Judged
 from offpiste.evaluation.report import write_report
-from offpiste.evaluation.tables import Lookup, Start, render_table
+from offpiste.evaluation.report_tables import terminal_table
+from offpiste.evaluation.result_rows import Lookup, Start
 from offpiste.progress import track
 from offpiste.training.cross_validation import fold_folders
 from offpiste.training.run import Run, load_run, refuse_seen, vehicle_of
@@ -29,15 +30,15 @@ def evaluate_runs(
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
 ) -> Evaluation:
-    """Judge runs on the test part of a dataset; write metrics.json, pictures and report.html to `out`.
+    """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
 
     Raises:
-        RunError: a folder is no finished run, does not fit the dataset, or was trained on what would judge it.
+        RunError: a folder is no finished run, does not fit the dataset, or was trained on the test part.
         DatasetError: no dataset there, or no window in its test part.
     """
     dataset = open_dataset(dataset_path)
     runs: list[Run] = []
-    judged: list[Judged] = []
+    models: list[EvaluatedModel] = []
     for folder in folders:
         folds = fold_folders(folder)
         for number, member in enumerate(folds or [folder]):
@@ -47,10 +48,10 @@ def evaluate_runs(
             refuse_seen(run, dataset if split is None else dataset.relabelled(split), "test")
             runs.append(run)
             fold = number if folds else None
-            judged.append(Judged(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
+            models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
     _refuse_unseen(runs, dataset)
     evaluation = evaluate_models(
-        judged,
+        models,
         dataset,
         scale=runs[0].scale,
         weights=runs[0].weights,
@@ -61,39 +62,40 @@ def evaluate_runs(
         track=track,
     )
     write_report(evaluation, out)
-    logger.info(render_table(evaluation.metrics.results))
+    logger.info(terminal_table(evaluation.metrics.results).rich())
     if (found := evaluation.metrics.windows.blocks) < MIN_BLOCKS:
-        logger.info(f"–: no interval, since the windows lie in {found} blocks of 10 s, and {MIN_BLOCKS} are the least")
+        logger.info(f"–: no interval, since windows lie in {found} blocks of 10 s; at least {MIN_BLOCKS} are needed")
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
 
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
-    """A model that reads features says nothing where all of them are missing."""
+    """Raise if a model reads features and the dataset lacks all of them."""
     reading = [run for run in runs if run.dynamics.encoder is not None]
     cells = [d.rows.cells for d in dataset.drives if d.rows.cells is not None]
     if reading and not any(bool(c.valid.any()) for c in cells):
         raise RunError(
             f"'{reading[0].model}' reads terrain features, and all of {dataset.path} are missing",
             where=reading[0].folder,
-            how="look at the dataset with `offpiste view`, mend the rig's cameras and LiDARs and extract again",
+            how="look at the dataset with `offpiste view`, fix the rig's cameras and LiDARs and extract again",
         )
 
 
 def _refuse_unfit(run: Run, dataset: Dataset) -> None:
+    """Raise if a run's features or channels are not those of the dataset."""
     needed, given = run.dynamics.vehicle, vehicle_of(dataset)
     reads = run.dynamics.encoder is not None
     if reads and needed.features != given.features:
         raise RunError(
             f"reads {needed.features} terrain features; the dataset has {given.features}",
             where=run.folder,
-            how="judge it on a dataset that was extracted with the same --features",
+            how="evaluate it on a dataset that was extracted with the same --features",
         )
     if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
         raise RunError(
             f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
             where=run.folder,
-            how="judge it on a dataset that was extracted with the PCA of its training",
+            how="evaluate it on a dataset that was extracted with the PCA of its training",
         )
     for kind in ("control", "actuators"):
         if getattr(needed, kind) != getattr(given, kind):
@@ -101,5 +103,5 @@ def _refuse_unfit(run: Run, dataset: Dataset) -> None:
                 f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
                 f"{', '.join(getattr(given, kind)) or 'none'}",
                 where=run.folder,
-                how="judge it on a dataset whose rig has the same channels",
+                how="evaluate it on a dataset whose rig has the same channels",
             )

@@ -1,4 +1,4 @@
-"""Statistics of errors, with intervals that know that overlapping windows tell the same thing twice."""
+"""Statistics of errors, with intervals bootstrapped over blocks, since overlapping windows are not independent."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,8 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from offpiste.conventions import DT
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 
 BLOCK_SECONDS = 10.0
 """Default length of a block: twice a horizon, so that windows of one block and of the next but one share no row."""
@@ -18,7 +20,7 @@ MIN_BLOCKS = 3
 
 
 class Statistics(msgspec.Struct, frozen=True):
-    """Of one error over windows; `ci95` is of the mean. Infinite where failed predictions make it so."""
+    """Statistics of one error over windows; `ci95` is of the mean. Infinite where failed predictions make it so."""
 
     mean: float
     median: float
@@ -49,7 +51,7 @@ class Resampling:
 
     @property
     def blocks(self) -> int:
-        """How many there are."""
+        """Number of blocks."""
         return int(self.draws.shape[1])
 
     def means(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " R"]:
@@ -105,8 +107,21 @@ def resampling(block: Int[np.ndarray, " n"], rng: np.random.Generator, *, resamp
     return Resampling(block, rng.multinomial(total, np.full(total, 1 / total), size=resamples))
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """Settings of the intervals: blocks of `block_seconds`, drawn from a seeded generator."""
+
+    seed: int = 0
+    block_seconds: float = BLOCK_SECONDS
+
+    def on(self, windows: Errors | EvaluatedWindows) -> Resampling:
+        """Blocks of these windows. The same windows always get the same draws."""
+        block = blocks(windows.drive, windows.row, seconds=self.block_seconds)
+        return resampling(block, np.random.default_rng(self.seed))
+
+
 def summary(values: Float[np.ndarray, " n"], drawn: Resampling) -> Statistics:
-    """Statistics of one error."""
+    """Statistics of one error over windows."""
     q1, median, q3, p90 = _quantiles(values, (0.25, 0.5, 0.75, 0.9))
     failed = not np.isfinite(values).all()
     interval = (np.nan, np.nan) if failed else drawn.interval(drawn.means(values))

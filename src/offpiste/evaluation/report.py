@@ -1,74 +1,132 @@
-"""The folder of a report: metrics.json, report.html and the pictures."""
+"""Report of an evaluation: report.html, its figures, and metrics.json."""
 
-import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.evaluation.errors import HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.figures import box_plot, distribution_plot, growth_plot, speed_plot
-from offpiste.evaluation.page import render_html
-from offpiste.evaluation.results import pooled_rows, write_metrics
-from offpiste.evaluation.tables import Case, by_reading
-from offpiste.evaluation.worst_windows import worst_plot
-from offpiste.files import write_text, write_whole
+from offpiste.evaluation.metrics import Headline, Metrics, pooled_rows, run_rows, write_metrics
+from offpiste.evaluation.report_figures import REPORT_FIGURES
+from offpiste.evaluation.report_tables import (
+    component_table,
+    difference_table,
+    distribution_table,
+    horizon_table,
+    run_table,
+)
+from offpiste.evaluation.result_rows import REFERENCE
+from offpiste.report.figure import png
+from offpiste.report.page import Page, Picture, Section, write_page
+from offpiste.report.text_table import TextTable, interval, number
+
+Pictures = dict[str, list[Picture]]
+"""Pictures by the heading of their section."""
 
 
 def write_report(evaluation: Evaluation, folder: Path) -> None:
-    """Write report.html, its pictures as PNG, and metrics.json, each whole or not at all."""
-    pictures = {name: png(figure) for name, figure in draw_figures(evaluation).items()}
-    for name, content in pictures.items():
-        _write_bytes(folder / f"{name}.png", content)
-    write_text(folder / "report.html", render_html(evaluation.metrics, pictures))
+    """Write report.html, its figures as PNG files, and metrics.json, each whole or not at all."""
+    write_page(report_page(evaluation.metrics, draw_figures(evaluation)), folder)
     write_metrics(folder / "metrics.json", evaluation.metrics)
 
 
-def draw_figures(evaluation: Evaluation) -> dict[str, Figure]:
-    """The report's pictures by name, all from the first start; models in the order of their median errors."""
-    rows = pooled_rows(evaluation.metrics.results)
-    start = rows[0].start
-    groups = {group[0].reading: group for group in by_reading(rows) if group[0].start == start}
-    cases = _ordered({case: errors.distance() for case, errors in evaluation.errors.items() if case.start == start})
-    distance = {case.reading: errors for case, errors in cases.items()}
-    # Curves would lie on each other: where a model reads the ground in two ways, the one that decides is drawn.
-    mapped = {c.label for c in cases if c.lookup == "map"}
-    decides = [c.reading for c in cases if c.lookup != "recorded" or c.label not in mapped]
-    deciding = {label: distance[label] for label in decides}
-    title = f"{evaluation.metrics.part} part, {start} start"
-    return {
-        "box": box_plot(distance, title=title),
-        "growth": growth_plot({label: groups[label] for label in decides}, title=title),
-        "distribution": distribution_plot(deciding, title=title),
-        "speed": speed_plot(deciding, evaluation.speed, title=title),
-        "worst": worst_plot(evaluation.worst, title=f"Worst windows of {evaluation.shown}, {title}"),
+def draw_figures(evaluation: Evaluation) -> Pictures:
+    """All registered figures for which there is something to draw."""
+    pictures: Pictures = {}
+    for name, registered in REPORT_FIGURES.items():
+        figure = registered.draw(evaluation)
+        if figure is not None:
+            picture = Picture(name, png(figure), registered.caption)
+            pictures.setdefault(registered.section, []).append(picture)
+    return pictures
+
+
+def report_page(metrics: Metrics, pictures: Pictures) -> Page:
+    """The report as a page."""
+    models = ", ".join(dict.fromkeys(headline.model for headline in metrics.headlines)) or "baselines"
+    notes = Section("How to read this", notes=_notes(metrics))
+    return Page(
+        f"{models} on {metrics.dataset.rstrip('/').rpartition('/')[2]}",
+        [headline_text(headline) for headline in _deciding(metrics.headlines)],
+        _facts(metrics),
+        [*_sections(metrics, pictures), notes],
+    )
+
+
+def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
+    """Tables and figures; those of headings that only figures have come last."""
+    rows, runs = pooled_rows(metrics.results), run_rows(metrics.results)
+    tables: dict[str, list[TextTable]] = {
+        "Mean distance error by horizon": [horizon_table(rows)],
+        "Growth of the error": [],
+        "All components after 5 s": [component_table(rows)],
+        "Paired differences after 5 s": [difference_table(rows)],
+        "Each run after 5 s": [run_table(runs)] if runs else [],
+        "Distribution": [distribution_table(rows)],
+        "Worst windows": [],
     }
+    sections = [Section(name, tables.get(name, []), pictures.get(name, [])) for name in {**tables, **pictures}]
+    return [section for section in sections if section.tables or section.pictures]
 
 
-def _ordered(errors: dict[Case, np.ndarray]) -> dict[Case, np.ndarray]:
-    """Models by the median of their errors, the worst first; ways of reading the ground side by side."""
-    median = dict.fromkeys((case.label for case in errors), 0.0)
-    for case, values in errors.items():
-        median[case.label] = max(median[case.label], float(np.median(values)))
-    readings, sets = (None, "recorded", "map"), (None, *FEATURE_SETS)
-
-    def place(case: Case) -> tuple[float, str, int, int]:
-        return -median[case.label], case.label, readings.index(case.lookup), sets.index(case.feature_set)
-
-    order = sorted(errors, key=place)
-    return {case: errors[case] for case in order}
-
-
-def png(figure: Figure) -> bytes:
-    """A figure as the bytes of a PNG file."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", facecolor="white")
-    return stream.getvalue()
+def headline_text(headline: Headline) -> str:
+    """A sentence with the main number."""
+    readings = [f"{headline.start} start"]
+    readings += [f"{headline.lookup} lookup"] if headline.lookup else []
+    readings += [f"mean of {headline.runs} runs"] if headline.runs > 1 else []
+    text = f"{headline.model}: {number(headline.distance_error_m)} m mean distance error after 5 s"
+    if np.isfinite(headline.relative):
+        sign, side = (-1, "below") if headline.relative <= 0 else (1, "above")
+        low, high = sorted(100 * sign * bound for bound in headline.ci95)
+        bounds = f" {interval((low, high), 0)}" if np.isfinite(low) else ""
+        text += f", {100 * abs(headline.relative):.0f} %{bounds} {side} {headline.other}"
+    return f"{text} ({', '.join(readings)})"
 
 
-def _write_bytes(path: Path, content: bytes) -> None:
-    def write(partial: Path) -> None:
-        partial.write_bytes(content)
+def _deciding(headlines: Sequence[Headline]) -> list[Headline]:
+    """One headline per model: from the first start, with the terrain lookup that decides."""
+    first = [headline for headline in headlines if headline.start == headlines[0].start]
+    on_map = {headline.model for headline in first if headline.lookup == "map"}
+    return [headline for headline in first if headline.lookup == "map" or headline.model not in on_map]
 
-    write_whole(path, write)
+
+def _facts(metrics: Metrics) -> dict[str, str]:
+    windows, made = metrics.windows, metrics.made
+    failed = sum(row.n_failed for row in metrics.results if row.horizon_s == HORIZONS[-1])
+    facts = {
+        "dataset": metrics.dataset,
+        "split": f"{metrics.split}; evaluated on the {metrics.part} part",
+        "windows": f"{windows.n} of 5 s from {windows.drives} drive(s), one every {windows.stride_s:g} s, "
+        f"in {windows.blocks} blocks of {windows.block_s:g} s",
+        "driving": f"median {number(windows.median_distance_m, 1)} m in 5 s, "
+        f"{number(windows.median_speed_mps, 1)} m/s at the start",
+        "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path lies within 5 m of training's",
+        "date": made.date,
+        "machine": made.machine,
+        "command": made.command,
+        "versions": ", ".join(f"{name} {version}" for name, version in made.versions.items()),
+    }
+    if failed:
+        facts["failed"] = f"{failed} predictions are not finite; means over them are not either"
+    return facts
+
+
+def _notes(metrics: Metrics) -> Sequence[str]:
+    units = ", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items())
+    weights = ", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items())
+    return (
+        "Start: a causal start knows only what was known at the time; a smoothed one sees a little of the future, and "
+        "is shown beside it for comparison. The causal one is what a planner has.",
+        "Lookup: recorded reads the terrain under the recorded future path, as in the paper, which also gives away how "
+        "far the vehicle went; map reads it at the predicted place, as a planner does, and decides. Models without a "
+        "lookup do not read the terrain.",
+        f"Intervals are of the mean, bootstrapped over blocks: windows of one drive that start within "
+        f"{metrics.windows.block_s:g} s of each other stay together, since overlapping windows are not independent. "
+        "A dash: fewer than three blocks.",
+        "A model with several runs: each window's error is the mean over seeds; folds are evaluated on different "
+        "windows, which are put together. It is the mean of errors, not the error of a mean prediction.",
+        f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "
+        f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed.",
+        "A prediction that is not finite counts as infinitely wrong.",
+    )

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.errors import trajectories
-from offpiste.evaluation.figures import grouped_boxes, whisker_top
-from offpiste.evaluation.models import Reading
+from offpiste.evaluation.box_plots import grouped_box_plot, whisker_top
+from offpiste.evaluation.errors import in_start_frame, trajectories
+from offpiste.evaluation.evaluated_models import Reading
 from offpiste.reproduction.results import Findings
 from offpiste.reproduction.settings import Member, compression_sizes, feature_numbers, usual
 from offpiste.reproduction.tables import HINDSIGHT, MAP
@@ -47,7 +47,7 @@ def fig3(found: Findings, stored: int) -> dict[str, Figure]:
         top = max(whisker_top(group) for group in groups.values())  # the paper keeps the axis the same
         for part, group in groups.items():
             name = f"3{part}" if reading == HINDSIGHT else f"3{part} map"
-            figures[name] = grouped_boxes(group, title=f"{titles[part]}\n({where})", top=top)
+            figures[name] = grouped_box_plot(group, title=f"{titles[part]}\n({where})", top=top)
     return figures
 
 
@@ -64,12 +64,12 @@ def fig4(found: Findings) -> dict[str, Figure]:
     top = max(whisker_top(group) for group in groups.values())
     titles = {"4a": "Trained on hindsight, recorded lookup", "4b": "Trained on random distances, recorded lookup"}
     figures = {
-        part: grouped_boxes(group, title=titles[part], axis="features seen from [m]", top=top)
+        part: grouped_box_plot(group, title=titles[part], axis="features seen from [m]", top=top)
         for part, group in groups.items()
     }
     if MAP in found.readings:
         models = {label: {label: _distance(found, member, MAP)} for label, member in by_label.items()}
-        figures["4 map"] = grouped_boxes(models, title="Map at predicted places")
+        figures["4 map"] = grouped_box_plot(models, title="Map at predicted places")
     return figures
 
 
@@ -128,21 +128,14 @@ def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindow
     sets = FEATURE_SETS[: windows.sets]
     predicted = {
         label: {
-            name: turned(trajectories(dynamics, windows.reading(name), index, lookup="recorded")[..., :2], yaw)
+            name: in_start_frame(trajectories(dynamics, windows.reading(name), index, lookup="recorded")[..., :2], yaw)
             for name in sets
         }
         for label, dynamics in models.items()
     }
     row = windows.row_in_drive(index)
     names = [f"{windows.drive_names[d]}\n{0.02 * r:.0f} s" for d, r in zip(windows.drive[index], row, strict=True)]
-    return SameWindows(tuple(names), turned(batch.target[..., :2].cpu().numpy(), yaw), predicted)
-
-
-def turned(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
-    """World displacements as ahead and to the left of a start heading."""
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = paths[..., 0], paths[..., 1]
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+    return SameWindows(tuple(names), in_start_frame(batch.target[..., :2].cpu().numpy(), yaw), predicted)
 
 
 def draw_same(found: SameWindows) -> Figure:

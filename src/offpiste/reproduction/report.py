@@ -2,17 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import msgspec
 from matplotlib.figure import Figure
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.evaluation.evaluate import share_driven_in_training
-from offpiste.evaluation.report import png
-from offpiste.evaluation.results import LossUnits, provenance
-from offpiste.files import write_bytes, write_text
+from offpiste.dataset.store import Dataset
+from offpiste.evaluation.evaluated_windows import share_driven_in_training
+from offpiste.evaluation.metrics import LossUnits, provenance
+from offpiste.files import write_text
+from offpiste.report.figure import png
+from offpiste.report.page import Page, Picture, Section, table_section, write_page
+from offpiste.report.text_table import TextTable
 from offpiste.reproduction import figures, tables
 from offpiste.reproduction.figures import draw_same, predict_same
 from offpiste.reproduction.pieces import said, times_by_kind
@@ -21,60 +23,54 @@ from offpiste.reproduction.runs import PART, Work, driven_in
 from offpiste.reproduction.settings import PCA_SWEPT, Member, Reproduction
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import load_run
-from offpiste.visualization.coverage import FeatureCoverage, TextTable, covered
-from offpiste.visualization.coverage import tables as coverage_tables
-from offpiste.visualization.coverage_figures import draw_differences, draw_rates
-from offpiste.visualization.page import page_html, picture_html, section_html
+from offpiste.visualization.coverage import FeatureCoverage, covered
+from offpiste.visualization.coverage_figures import coverage_sections
 
 SAME = "The same ten windows with features seen from every distance, read at recorded places. Up: ahead at the start."
-RATES = "Share of cells under the wheels that have features."
-APART = "Left: how far the same cells' features differ between distances. Right: a dot a feature."
 
 
 def write_figure(asked: Reproduction, work: Work, found: Findings) -> TextTable:
-    """Write everything, each file whole or not at all.
+    """Write report.html, its pictures, and metrics.json, each file whole or not at all.
 
     Returns:
-        What the paper says beside what was found.
+        The paper's claims beside what was found.
     """
     dataset, folder = work.dataset, asked.out / asked.figure
-    stored = len(dataset.features)
-    seen = covered(dataset) if asked.figure == "fig4" else None
+    stored, is_fig4 = len(dataset.features), asked.figure == "fig4"
+    seen = covered(dataset) if is_fig4 else None
     metrics = _metrics(asked, work, found, seen)
-    compared = tables.fig3_claims(found, stored) if asked.figure == "fig3" else tables.fig4_claims(found)
-    drawn = figures.fig3(found, stored) if asked.figure == "fig3" else figures.fig4(found)
-    sections = [section_html(compared)]
-    sections += [_shown(folder, name, figure, figures.caption(name)) for name, figure in drawn.items()]
-    wanted = [tables.error_table(metrics.results), tables.difference_table(found), tables.seed_table(found)]
-    if asked.figure == "fig4":
-        wanted += [
-            tables.distance_table(found, metrics.results, name) for name in tables.NAMES if name != "vy_error_mps"
-        ]
-        wanted.append(tables.seen_table(found, dataset))
-    sections += [section_html(table) for table in wanted if table.lines]
-    if asked.figure == "fig4":
-        sections += ["<h2>The same windows</h2>", _same(asked, work, found.members, folder)]
+    compared = tables.fig4_claims(found) if is_fig4 else tables.fig3_claims(found, stored)
+    drawn = figures.fig4(found) if is_fig4 else figures.fig3(found, stored)
+    pictures = [_picture(name, figure, figures.caption(name)) for name, figure in drawn.items()]
+    sections = [table_section(compared, *pictures)]
+    sections += [table_section(table) for table in _error_tables(found, metrics, dataset) if table.lines]
+    if is_fig4:
+        sections.append(Section("The same windows", pictures=[_same_windows(asked, work, found.members)]))
     if seen is not None:
-        sections += [section_html(table) for table in coverage_tables(seen)]
-        sections.append(_shown(folder, "rates", draw_rates(seen), RATES))
-        sections.append(_shown(folder, "differences", draw_differences(seen), APART))
-    main = "cf" if asked.figure == "fig3" else "dc"
+        sections += coverage_sections(seen, ("rates", "differences"))
     title = f"offpiste reproduce {asked.figure} --size {asked.size.name}"
-    page = page_html(title, tables.sentences(found, main), _facts(asked, work, metrics), sections)
-    write_text(folder / "report.html", page)
+    headlines = tables.sentences(found, "dc" if is_fig4 else "cf")
+    write_page(Page(title, headlines, _facts(asked, work, metrics), sections), folder)
     write_text(folder / "metrics.json", msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
     return compared
 
 
-def _shown(folder: Path, name: str, figure: Figure, caption: str) -> str:
-    content = png(figure)
-    write_bytes(folder / f"{name.replace(' ', '-')}.png", content)
-    return picture_html(content, caption)
+def _error_tables(found: Findings, metrics: FigureMetrics, dataset: Dataset) -> list[TextTable]:
+    common = [tables.error_table(metrics.results), tables.difference_table(found), tables.seed_table(found)]
+    if metrics.figure != "fig4":
+        return common
+    quantities = [name for name in tables.NAMES if name != "vy_error_mps"]
+    by_distance = [tables.distance_table(found, metrics.results, name) for name in quantities]
+    return [*common, *by_distance, tables.seen_table(found, dataset)]
 
 
-def _same(asked: Reproduction, work: Work, members: Sequence[Member], folder: Path) -> str:
+def _picture(name: str, figure: Figure, caption: str) -> Picture:
+    return Picture(name.replace(" ", "-"), png(figure), caption)
+
+
+def _same_windows(asked: Reproduction, work: Work, members: Sequence[Member]) -> Picture:
     models = {m.label: load_run(asked.runs / m.folder(0), device=asked.device).dynamics for m in members}
-    return _shown(folder, "same windows", draw_same(predict_same(models, work.windows)), SAME)
+    return _picture("same windows", draw_same(predict_same(models, work.windows)), SAME)
 
 
 def _metrics(asked: Reproduction, work: Work, found: Findings, seen: FeatureCoverage | None) -> FigureMetrics:

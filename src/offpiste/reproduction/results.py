@@ -14,12 +14,13 @@ from jaxtyping import Bool
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors
-from offpiste.evaluation.intervals import PairedDifference, relative
-from offpiste.evaluation.models import Reading
-from offpiste.evaluation.results import LossUnits, Provenance, ResultRow
-from offpiste.evaluation.tables import Case, RunErrors, Sampling, pool, result_rows
-from offpiste.reproduction.runs import PART, read_errors
+from offpiste.evaluation.error_files import load_errors
+from offpiste.evaluation.errors import HORIZONS, Errors, pool
+from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
+from offpiste.evaluation.metrics import LossUnits, Provenance, ResultRow
+from offpiste.evaluation.result_rows import Case, RunErrors, result_rows
+from offpiste.reproduction.runs import PART, errors_path
 from offpiste.reproduction.settings import BASELINE, Member, Reproduction
 
 SCHEMA = 1
@@ -133,7 +134,7 @@ class Findings:
         if len(index):
             mine, others = mine.take(index), others.take(index)
             drawn = self.sampling.on(mine)
-            found = {name: relative(_of(mine, name), _of(others, name), drawn) for name in QUANTITIES}
+            found = {name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES}
         lookup, chosen = reading
         return Against(
             model=member.model,
@@ -151,7 +152,7 @@ def gather(asked: Reproduction, members: Sequence[Member], readings: Sequence[Re
     """Read the errors of all runs."""
     runs = {
         (member, reading): [
-            RunErrors(seed, None, pool([read_errors(asked.runs / member.folder(seed), reading)]))
+            RunErrors(seed, None, pool([load_errors(errors_path(asked.runs / member.folder(seed), reading))]))
             for seed in member.seeds(asked.size)
         ]
         for member in members
@@ -163,18 +164,14 @@ def gather(asked: Reproduction, members: Sequence[Member], readings: Sequence[Re
 def last_rows(rows: Sequence[ResultRow], *, single: bool = False) -> list[ResultRow]:
     """Rows at the last horizon: over all runs of a model, or those of single ones of several."""
     at_end = [row for row in rows if row.horizon_s == HORIZONS[-1]]
-    several = {row.reading for row in at_end if row.seed is None}
+    several = {row.reading_label for row in at_end if row.seed is None}
     if single:
-        return [row for row in at_end if row.seed is not None and row.reading in several]
-    return [row for row in at_end if row.seed is None or row.reading not in several]
+        return [row for row in at_end if row.seed is not None and row.reading_label in several]
+    return [row for row in at_end if row.seed is None or row.reading_label not in several]
 
 
 def _case(member: Member, reading: Reading) -> Case:
     return Case(member.model, member.variant, "causal", *reading)
-
-
-def _of(errors: Errors, quantity: str) -> np.ndarray:
-    return errors.loss if quantity == "loss" else errors.values[:, -1, COMPONENTS.index(quantity)]
 
 
 def valid_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool[np.ndarray, " n"]:

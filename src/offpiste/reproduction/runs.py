@@ -12,21 +12,20 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
 
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import RunError
-from offpiste.evaluation.errors import Errors, predict
-from offpiste.evaluation.models import Reading
-from offpiste.files import write_bytes, write_whole
+from offpiste.evaluation.error_files import save_errors
+from offpiste.evaluation.errors import Errors, MapSource, prediction_errors
+from offpiste.evaluation.evaluated_models import Reading
+from offpiste.files import write_bytes
 from offpiste.progress import track
 from offpiste.reproduction.pieces import Piece
-from offpiste.reproduction.settings import BASELINE, Figure, Member, Reproduction, Size, feature_sets
+from offpiste.reproduction.settings import BASELINE, Figure, Member, Reproduction, feature_sets
 from offpiste.training.run import Run, load_run, refuse_seen
+from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train
 
 STAGES = ("actuators", "bicycle")
@@ -62,7 +61,7 @@ def readings(figure: Figure, *, mapped: bool) -> list[Reading]:
 
 def errors_path(run: Path, reading: Reading) -> Path:
     """Where the errors of a run are kept: in its own folder, so that they go with it."""
-    return run / "judged" / f"{'-'.join(filter(None, reading))}.safetensors"
+    return run / "errors" / f"{'-'.join(filter(None, reading))}.safetensors"
 
 
 def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.ndarray:
@@ -73,40 +72,34 @@ def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.nd
     return every if len(every) else np.arange(len(windows))
 
 
-def judge(run: Run, windows: Windows, reading: Reading, size: Size, scale: torch.Tensor) -> None:
-    """Judge a run in one way, and keep the errors.
+def run_errors(
+    run: Run,
+    windows: Windows,
+    index: np.ndarray,
+    reading: Reading,
+    *,
+    scale: torch.Tensor,
+    map_source: MapSource = on_map,
+) -> Errors:
+    """Errors of a run that reads the terrain in one way.
 
     Args:
-        windows: of the test part.
+        index: of the windows.
         scale: of the loss, the same for all runs.
+        map_source: the map that is read, where it is not the windows' own.
     """
     lookup, chosen = reading
-    errors = predict(
+    return prediction_errors(
         run.dynamics,
         windows.reading(chosen) if chosen else windows,
-        evaluation_windows(windows, reading, size.stride),
+        index,
         lookup=lookup,
         scale=scale,
         weights=torch.tensor(run.weights.in_order()),
+        map_source=map_source,
         track=track,
-        description=f"judging {run.folder.name}",
+        description=f"evaluating {run.folder.name}",
     )
-    arrays = {"drive": errors.drive, "row": errors.row, "values": errors.values, "loss": errors.loss}
-    kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    write_whole(errors_path(run.folder, reading), lambda partial: save_file(kept, partial))
-
-
-def read_errors(run: Path, reading: Reading) -> Errors:
-    """What `judge` kept.
-
-    Raises:
-        RunError: not there, or damaged.
-    """
-    path = errors_path(run, reading)
-    try:
-        return Errors(**load_file(path))
-    except (OSError, SafetensorError, TypeError) as error:
-        raise RunError(f"cannot be read: {error}", where=path, how="delete it and run again") from error
 
 
 def mapped(dataset: Dataset) -> bool:
@@ -168,7 +161,9 @@ def evaluate_run(asked: Reproduction, member: Member, seed: int, readings: Seque
     refuse_seen(run, work.dataset, PART)
     for reading in readings:
         if not errors_path(run.folder, reading).exists():
-            judge(run, work.windows, reading, asked.size, work.scale)
+            index = evaluation_windows(work.windows, reading, asked.size.stride)
+            errors = run_errors(run, work.windows, index, reading, scale=work.scale)
+            save_errors(errors_path(run.folder, reading), errors)
 
 
 def model_stages(

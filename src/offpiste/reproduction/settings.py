@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import OffpisteError
-from offpiste.evaluation.results import label
+from offpiste.evaluation.metrics import label
 from offpiste.parallel import usable_cores
 from offpiste.training.config import TrainConfig
 

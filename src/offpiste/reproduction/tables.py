@@ -9,13 +9,12 @@ import numpy as np
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
+from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import PairedDifference
-from offpiste.evaluation.models import Reading
-from offpiste.evaluation.results import ResultRow
-from offpiste.evaluation.tables import interval, number
+from offpiste.evaluation.metrics import ResultRow
+from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.results import Findings, last_rows, valid_throughout
 from offpiste.reproduction.settings import BASELINE, compression_sizes, feature_numbers
-from offpiste.visualization.coverage import TextTable
 
 HINDSIGHT: Reading = ("recorded", "hindsight")
 MAP: Reading = ("map", None)
@@ -134,7 +133,7 @@ def error_table(rows: Sequence[ResultRow]) -> TextTable:
     """Mean errors after 5 s of every model, in every way of reading the ground."""
     lines = [
         (
-            row.reading,
+            row.reading_label,
             *(f"{number(getattr(row, key).mean, 3)} {interval(getattr(row, key).ci95, 3)}" for key in NAMES),
             number(row.distance_error_m.median),
             f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else ""),
@@ -180,7 +179,7 @@ def seed_table(found: Findings) -> TextTable:
 def distance_table(found: Findings, results: Sequence[ResultRow], quantity: str) -> TextTable:
     """A mean error by the distance that features were seen from, and relative to `b`'s with the normals seen then."""
     sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
-    rows = {row.reading: row for row in last_rows(results)}
+    rows = {row.reading_label: row for row in last_rows(results)}
     lines = []
     for member in found.members:
         mine = [rows[_way(member.label, name)] for name in sets]

@@ -9,8 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
-from rich.markup import escape
-from rich.table import Table
 
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset import feature_coverage
@@ -18,9 +16,9 @@ from offpiste.dataset.cells import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, PAPER_RATES
 from offpiste.dataset.passes import Passes, find_passes
 from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.evaluation.tables import number
 from offpiste.mapping.settings import VoxelSettings
 from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.report.text_table import TextTable, number
 from offpiste.rig.rig import Rig
 
 STRIDE = 5
@@ -139,30 +137,6 @@ def _rates(name: str, cells: Sequence[Cells], reached: Sequence[np.ndarray]) -> 
         feature_coverage.valid_rates(cells, feature_coverage.in_hindsight(cells)),
         feature_coverage.valid_rates(cells, reached),
     )
-
-
-@dataclass(frozen=True)
-class TextTable:
-    """A table of text; the first column names the lines.
-
-    Attributes:
-        about: what its numbers are.
-    """
-
-    title: str
-    names: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
-    about: str = ""
-
-    def rich(self) -> Table:
-        """For the terminal."""
-        # Unescaped, rich takes a unit in brackets for a style.
-        table = Table(title=escape(self.title), title_justify="left")
-        for column, name in enumerate(self.names):
-            table.add_column(escape(name), justify="right" if column else "left", no_wrap=True)
-        for line in self.lines:
-            table.add_row(*map(escape, line))
-        return table
 
 
 def tables(found: FeatureCoverage) -> tuple[TextTable, ...]:

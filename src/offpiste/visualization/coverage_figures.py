@@ -1,5 +1,6 @@
-"""Pictures of what a dataset's visual features cover: rates, distances, differences."""
+"""Figures of what a dataset's visual features cover: rates, distances, differences."""
 
+from collections.abc import Callable, Collection
 from itertools import pairwise
 
 import numpy as np
@@ -8,8 +9,9 @@ from matplotlib.figure import Figure
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.feature_coverage import PAPER_DIFFERENCE, PAPER_RATES
 from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
-from offpiste.visualization.coverage import FeatureCoverage
-from offpiste.visualization.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain
+from offpiste.report.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain, png
+from offpiste.report.page import Picture, Section, table_section
+from offpiste.visualization.coverage import FeatureCoverage, tables
 
 PLACES = np.arange(len(FEATURE_SETS))
 TICKS = [name if name == "hindsight" else f"{name} m" for name in FEATURE_SETS]
@@ -76,3 +78,30 @@ def draw_differences(found: FeatureCoverage) -> Figure:
     right.set(xlabel="distances [m]", ylabel="mean absolute difference / range", ylim=(0, None))
     right.legend(frameon=False, fontsize=8)
     return figure
+
+
+FIGURES: dict[str, tuple[str, Callable[[FeatureCoverage], Figure], str]] = {
+    "rates": ("Valid rates", draw_rates, "Valid rates by distance; negative distances lie behind the vehicle."),
+    "distances": (
+        "Achieved observation distances",
+        draw_distances,
+        "Achieved observation distances; grey: how far the vehicle was from the cell.",
+    ),
+    "differences": (
+        "Differences between sets",
+        draw_differences,
+        "Left: between all sets. Right: a dot per feature, between distances next to each other.",
+    ),
+}
+"""Title of the table that a figure stands below, the function that draws it, and its caption."""
+
+
+def coverage_sections(found: FeatureCoverage, figures: Collection[str] = tuple(FIGURES)) -> list[Section]:
+    """All tables as sections of a page, with these figures below them."""
+    sections = []
+    for table in tables(found):
+        drawn = [(name, *FIGURES[name][1:]) for name in figures if FIGURES[name][0] == table.title]
+        sections.append(
+            table_section(table, *(Picture(name, png(draw(found)), caption) for name, draw, caption in drawn))
+        )
+    return sections

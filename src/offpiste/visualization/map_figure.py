@@ -15,7 +15,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.visualization.figure import INK
+from offpiste.report.figure import INK
 from offpiste.visualization.images import colours
 
 UNKNOWN, FILLED, OBSERVED, FEATURED = range(4)

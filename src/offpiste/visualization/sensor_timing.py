@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
 from offpiste.logs.sensor_log import SensorLog
-from offpiste.visualization.figure import BLUE, GREEN, ORANGE, plain
+from offpiste.report.figure import BLUE, GREEN, ORANGE, plain
 
 LONG = 3.0
 """An interval of so many usual ones is a gap."""

@@ -14,7 +14,7 @@ from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.rig.rig import Clock, load_rig
-from offpiste.visualization.drives import view_dataset
+from offpiste.visualization.view_dataset import view_dataset
 from offpiste.visualization.view_log import view_log
 
 logger = logging.getLogger(__name__)

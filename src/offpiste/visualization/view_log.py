@@ -19,8 +19,8 @@ from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, rep
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.progress import track
+from offpiste.report.figure import png
 from offpiste.rig.rig import Rig
-from offpiste.visualization.figure import png
 from offpiste.visualization.images import Album, contact_sheet, times_between, write_png
 from offpiste.visualization.map_figure import FEATURED, Mosaic, draw_map
 from offpiste.visualization.recording import Recorder

@@ -8,10 +8,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from experiments.controls.errors import MAP, gain, share
-from experiments.controls.tables import gain_table, markdown, write_control
+from experiments.controls.tables import gain_table, write_control
 from made_errors import BASE, ROW, errors
-from offpiste.evaluation.tables import Sampling
-from offpiste.visualization.coverage import TextTable
+from offpiste.evaluation.intervals import Sampling
+from offpiste.report.text_table import TextTable
 
 
 def test_a_model_that_is_a_quarter_better_everywhere() -> None:
@@ -59,6 +59,6 @@ def test_what_is_written_can_be_read(tmp_path: Path) -> None:
     assert read["odd"] is None
 
 
-def test_markdown_has_a_line_a_line() -> None:
-    text = markdown(TextTable("T", ("a", "b"), (("1", "2"), ("3", "4")), "About."))
+def test_markdown_has_a_line_per_line() -> None:
+    text = TextTable("T", ("a", "b"), (("1", "2"), ("3", "4")), "About.").markdown()
     assert text == "## T\nAbout.\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n| 3 | 4 |\n"

@@ -1,18 +1,15 @@
 """Features from elsewhere: hand-worked rows, and maps read where another window starts."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
-from experiments.controls.errors import errors_from, same_windows
+from experiments.controls.errors import same_windows
 from experiments.controls.shift import ShiftedMap, further, shifted
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.evaluation.errors import Errors
 from offpiste.training.run import vehicle_of
 from offpiste.training.terrain_sources import encoded, map_terrain, on_map
 from seen_drives import seen_dataset
@@ -100,14 +97,3 @@ def test_every_set_is_shifted(dataset: Dataset) -> None:
         assert one is not None
         assert two is not None
         torch.testing.assert_close(one.features[one.ahead[0, 0]], two.features[two.ahead[0, 0]], equal_nan=True)
-
-
-def test_errors_are_found_once_and_kept(tmp_path: Path) -> None:
-    made = Errors(np.zeros(3, np.int64), np.arange(3), np.ones((3, 5, 5)), np.ones(3))
-    path = tmp_path / "run" / "map.safetensors"
-    assert len(errors_from(path, lambda: made).row) == 3
-    again = errors_from(path, lambda: pytest.fail("found twice"))
-    np.testing.assert_array_equal(again.values, made.values)
-    path.write_bytes(b"cut")
-    with pytest.raises(Exception, match="cannot be read"):
-        errors_from(path, lambda: made)

@@ -1,7 +1,4 @@
-"""metrics.json: what an evaluation found, row by row (DESIGN.md, "Files").
-
-What made a result: when, where, by which command and with which versions.
-"""
+"""Schema of metrics.json: the numbers of an evaluation, and what made them (docs/formats.md)."""
 
 import os
 import platform
@@ -30,14 +27,14 @@ class Minus(msgspec.Struct, frozen=True):
 
 
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One model, start, way of reading the ground, and horizon.
+    """Results of one model, start, terrain lookup and horizon.
 
     Attributes:
-        seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.tables`).
-        feature_set: that was read at recorded places, in datasets with views by distance; None otherwise.
-        lookup: None for models that do not read the ground.
-        n: windows.
-        n_failed: of them, predictions that are not finite at this horizon; any makes the mean infinite, null in JSON.
+        seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.errors.pool`).
+        feature_set: read at recorded places, in datasets with features by distance; None otherwise.
+        lookup: None for models that do not read the terrain.
+        n: number of windows.
+        n_failed: number of predictions that are not finite at this horizon; any makes the mean infinite, null in JSON.
         loss: over all steps up to 5 s, whatever the horizon of the row.
         minus: paired differences by the other model's label (its name, and its variant if it has one).
     """
@@ -67,9 +64,9 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
         return label(self.model, self.variant)
 
     @property
-    def reading(self) -> str:
-        """Model, and where it reads the ground."""
-        return reading(self.label, self.lookup, self.feature_set)
+    def reading_label(self) -> str:
+        """The model's label, and where it reads the terrain."""
+        return reading_label(self.label, self.lookup, self.feature_set)
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,7 +84,7 @@ class Headline(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WindowNumbers(msgspec.Struct, frozen=True, kw_only=True):
-    """What the judged windows are like.
+    """Numbers of the evaluated windows.
 
     Attributes:
         driven_in_training: share of the part's path that training passes within 5 m.
@@ -111,7 +108,7 @@ class LossUnits(msgspec.Struct, frozen=True):
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """What made the numbers."""
+    """When, where, by which command and with which versions the numbers were made."""
 
     date: str
     command: str
@@ -135,18 +132,18 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def label(model: str, variant: str) -> str:
-    """How a model is called in tables and pictures."""
+    """Name of a model in tables and figures."""
     return f"{model} ({variant})" if variant else model
 
 
-def reading(model: str, lookup: str | None, feature_set: str | None = None) -> str:
-    """A model's label and where it reads the ground, from which distance where that is told."""
+def reading_label(model: str, lookup: str | None, feature_set: str | None = None) -> str:
+    """A model's label, its terrain lookup, and the distance of its feature set unless that is hindsight."""
     distance = "" if feature_set in (None, "hindsight") else f" {feature_set} m"
     return f"{model} · {lookup}{distance}" if lookup else model
 
 
 def pooled_rows(rows: list[ResultRow]) -> list[ResultRow]:
-    """One row a result: that over all runs where a model has several."""
+    """One row per result: the row over all runs where a model has several."""
     several = {_case(row) for row in rows if row.seed is None and row.fold is None}
     return [row for row in rows if (row.seed is None and row.fold is None) or _case(row) not in several]
 
@@ -192,12 +189,12 @@ def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]
 
 
 def provenance(command: str, seed: int, device: torch.device | str) -> Provenance:
-    """Of this moment and this machine.
+    """Provenance of numbers made now on this machine.
 
     Args:
         command: as typed; empty: this process's own.
         seed: of the resampling.
-        device: that models ran on.
+        device: on which models ran.
     """
     names = ("offpiste", "torch", "numpy", "scipy")
     return Provenance(
@@ -215,7 +212,7 @@ def _device(device: torch.device | str) -> str:
 
 
 def _processor() -> str:
-    """The processor's name where the system tells it, else its architecture."""
+    """The processor's name where the system gives it, else its architecture."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
     except OSError:

@@ -1,9 +1,4 @@
-"""The pictures of an evaluation: box plots in the paper's form, growth with the horizon, distribution, error by speed.
-
-Each returns a `matplotlib.figure.Figure` and touches no global state. A model has the same colour in all of them.
-
-Box plots in the paper's form, several models side by side at each place of an axis (Fig. 3 and 4).
-"""
+"""Box plots of errors in the paper's form (Fig. 3 and 4), one model or several at each place of the axis."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,31 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from offpiste.dynamics import MODELS
-from offpiste.evaluation.results import ResultRow
+from offpiste.evaluation.model_colours import colour_of
+from offpiste.report.figure import single
 
-RECORDED = "#000000"
 MEDIAN, MEAN = "#1a7f37", "#d95f02"
-_SPARE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7b3fa0", "#56b4e9")
-"""Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can tell apart, and one more."""
-_LINES = ("-", "--", ":", "-.")
-SPEED_BINS = 6
-
-
-def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Colour and line style by label: the colour follows the model's name, the line tells its variants apart."""
-    found: dict[str, tuple[str, str]] = {}
-    for label in labels:
-        colour = colour_of(label)
-        used = sum(other == colour for other, _ in found.values())
-        found[label] = (colour, _LINES[used % len(_LINES)])
-    return found
 
 
 def box_plot(
     errors: Mapping[str, Float[np.ndarray, " n"]], *, quantity: str = "Distance error after 5 s [m]", title: str = ""
 ) -> Figure:
-    """Errors by model in the paper's form (Fig. 3 and 4).
+    """Box plot of errors by model, in the paper's form (Fig. 3 and 4).
 
     Boxes reach from the lower to the upper quartile, whiskers to the last value within 1.5 IQR of them; the whiskers'
     ends are given by the values with arrows. Green: median; orange: mean. Failed predictions are counted below; they
@@ -49,7 +29,7 @@ def box_plot(
     Args:
         errors: by label; infinite where a prediction failed.
     """
-    figure, axes = plain_axes(1.3 + 1.25 * max(len(errors), 3), 4.4, title)
+    figure, axes = single(1.3 + 1.25 * max(len(errors), 3), 4.4, title)
     boxes = [box_statistics(label, values) for label, values in errors.items()]
     drawn = axes.bxp(
         boxes,
@@ -85,63 +65,8 @@ def box_plot(
     return figure
 
 
-def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> Figure:
-    """Mean distance error against the horizon, with the 95 % interval as a band.
-
-    Args:
-        rows: by label, in ascending order of horizons.
-    """
-    figure, axes = plain_axes(7.6, 4.2, title)
-    ends = {}
-    for label, (colour, line) in styles(list(rows)).items():
-        seconds = [row.horizon_s for row in rows[label]]
-        mean = np.array([row.distance_error_m.mean for row in rows[label]])
-        low, high = np.array([row.distance_error_m.ci95 for row in rows[label]]).T
-        axes.plot(seconds, mean, line, color=colour, marker="o", markersize=4, label=label)
-        axes.fill_between(seconds, low, high, color=colour, alpha=0.13, linewidth=0)
-        if np.isfinite(mean).any():
-            ends[label] = float(mean[np.isfinite(mean)][-1])
-    axes.set(xlabel="Horizon [s]", ylabel="Mean distance error [m]", xlim=(0.8, 5.2), xticks=[1, 2, 3, 4, 5])
-    axes.set_ylim(bottom=0)
-    _legend_beside(axes, ends)
-    return figure
-
-
-def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> Figure:
-    """Share of windows whose distance error after 5 s stays below a value."""
-    figure, axes = plain_axes(7.6, 4.2, title)
-    shown = [values[np.isfinite(values)] for values in errors.values()]
-    limit = max((float(np.quantile(values, 0.98)) for values in shown if len(values)), default=1.0)
-    for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
-        ordered = np.sort(values)
-        # Failed windows are in the count, so that a curve of a model that fails never reaches the top.
-        share = np.arange(1, len(ordered) + 1) / len(ordered)
-        axes.plot(ordered, 100 * share, line, color=colour, label=label)
-    axes.set(xlabel="Distance error after 5 s [m]", ylabel="Windows below [%]", xlim=(0, limit), ylim=(0, 101))
-    _legend_beside(axes)
-    return figure
-
-
-def speed_plot(
-    errors: Mapping[str, Float[np.ndarray, " n"]], speed: Float[np.ndarray, " n"], *, title: str = ""
-) -> Figure:
-    """Mean distance error after 5 s against the speed at the start, in bins of as many windows each."""
-    figure, axes = plain_axes(7.6, 4.2, title)
-    edges = np.unique(np.quantile(speed, np.linspace(0, 1, SPEED_BINS + 1)))
-    which = np.clip(np.searchsorted(edges, speed, side="right") - 1, 0, max(len(edges) - 2, 0))
-    bins = np.unique(which)
-    centres = [float(np.median(speed[which == k])) for k in bins]
-    for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
-        means = [float(values[which == k].mean()) for k in bins]
-        axes.plot(centres, means, line, color=colour, marker="o", markersize=4, label=label)
-    axes.set(xlabel="Speed at the start [m/s]", ylabel="Mean distance error after 5 s [m]")
-    axes.set_ylim(bottom=0)
-    _legend_beside(axes)
-    return figure
-
-
 def box_statistics(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
-    """What `bxp` draws. Failed predictions count as huge errors; what they make huge is not drawn."""
+    """Statistics that `bxp` draws. Failed predictions count as huge errors; what they make huge is not drawn."""
     failed = int((~np.isfinite(values)).sum())
     name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
     box: dict[str, Any] = cbook.boxplot_stats(np.minimum(values, 1e300), whis=1.5)[0]
@@ -152,50 +77,17 @@ def box_statistics(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any
     return {**box, "label": name}
 
 
-def plain_axes(width: float, height: float, title: str) -> tuple[Figure, Axes]:
-    """A figure of this size [inch], without frames on two sides and with a light grid."""
-    figure = Figure(figsize=(width, height), dpi=150, layout="constrained")
-    axes = figure.add_subplot()
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="y", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.set_title(title, loc="left", fontsize=10)
-    return figure, axes
-
-
-def _legend_beside(axes: Axes, ends: Mapping[str, float] | None = None) -> None:
-    """A legend to the right, where it hides nothing; in the order of the curves' ends where they are given."""
-    handles, labels = axes.get_legend_handles_labels()
-    height = ends or {}
-    order = sorted(range(len(labels)), key=lambda i: -height.get(labels[i], np.inf))
-    axes.legend(
-        [handles[i] for i in order],
-        [labels[i] for i in order],
-        frameon=False,
-        fontsize=8,
-        loc="upper left",
-        bbox_to_anchor=(1.0, 1.0),
-    )
-
-
-def colour_of(label: str) -> str:
-    """The colour of a model, whatever its variant."""
-    name = label.split(" ")[0]
-    declared = MODELS[name].colour if name in MODELS else ""
-    return declared or _SPARE[sum(name.encode()) % len(_SPARE)]
-
-
 Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]
 """Errors by place on the axis and by model; infinite where a prediction failed."""
 
 
 def whisker_top(groups: Groups) -> float:
-    """The highest end of a whisker: figures that share it have the same axis."""
+    """Highest end of a whisker; figures that are given the same one share their axis."""
     tops = [box_statistics("", values)["whishi"] for models in groups.values() for values in models.values()]
     return max((float(top) for top in tops if np.isfinite(top)), default=0.0) or 1.0
 
 
-def grouped_boxes(
+def grouped_box_plot(
     groups: Groups,
     *,
     title: str = "",
@@ -203,18 +95,20 @@ def grouped_boxes(
     quantity: str = "Distance error after 5 s [m]",
     top: float | None = None,
 ) -> Figure:
-    """Boxes reach from quartile to quartile, whiskers to the last value within 1.5 IQR of them.
+    """Box plot of several models side by side at each place of the axis, in the paper's form (Fig. 3 and 4).
+
+    Boxes reach from quartile to quartile, whiskers to the last value within 1.5 IQR of them.
 
     The whiskers' ends are given by the values with arrows. Green: median; orange: mean.
 
     Args:
-        axis: what the places are.
+        axis: name of the axis.
         top: upper end of the axis, where figures are to share it (`whisker_top`).
     """
     top = top or whisker_top(groups)
     names = list(dict.fromkeys(name for models in groups.values() for name in models))
     wide = sum(len(models) for models in groups.values())
-    figure, axes = plain_axes(1.6 + (0.62 if wide < 8 else 0.46) * wide + 0.3 * len(groups), 4.4, title)
+    figure, axes = single(1.6 + (0.62 if wide < 8 else 0.46) * wide + 0.3 * len(groups), 4.4, title)
     place, ticks = 0.0, []
     for models in groups.values():
         places = place + np.arange(len(models))

@@ -7,7 +7,7 @@ import pytest
 
 from offpiste.errors import RunError
 from offpiste.evaluation.intervals import PairedDifference, Statistics
-from offpiste.evaluation.results import (
+from offpiste.evaluation.metrics import (
     Headline,
     LossUnits,
     Metrics,

@@ -7,7 +7,7 @@ import pytest
 from factories import RIG, circle_rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.evaluation.evaluate import driven_distances, share_driven_in_training, start_speeds
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
 from offpiste.rig.rig import parse_rig
 
 SPLIT = Split("all", "drives", drives=(("line", "test"),))
@@ -57,6 +57,15 @@ def test_speed_and_distance_of_windows() -> None:
     drive.rows.state[:100, 3] = np.nan
     drive.rows.state[500:, 3] = 10.0
     drive.rows.state_causal[300, 3:5] = (3.0, 4.0)
-    at = np.zeros(2, dtype=int), np.array([100, 400])
-    assert driven_distances(dataset(drive), *at) == pytest.approx([25.0, 0.02 * (100 * 5 + 150 * 10)])
-    assert start_speeds(dataset(drive), np.zeros(1, dtype=int), np.array([300])) == pytest.approx([5.0])
+    windows = EvaluatedWindows(dataset(drive), np.zeros(3, dtype=int), np.array([100, 300, 400]))
+    assert windows.driven_distance[[0, 2]] == pytest.approx([25.0, 0.02 * (100 * 5 + 150 * 10)])
+    assert windows.start_speed[1] == pytest.approx(5.0)
+    assert windows.at_start("control").shape == (3, 3)
+
+
+def test_the_step_between_windows_is_what_it_is_where_only_some_are_evaluated() -> None:
+    # Windows with a snapshot: 20 to 30 rows apart, and none between drives.
+    drive, row = np.repeat([0, 1], 4), np.array([5, 25, 45, 75, 1000, 1020, 1045, 1065])
+    empty = dataset(line({}))
+    assert EvaluatedWindows(empty, drive, row).usual_step(5) == 20
+    assert EvaluatedWindows(empty, drive[[0, 4]], row[[0, 4]]).usual_step(5) == 5

@@ -18,8 +18,7 @@ from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.visualization.coverage import covered, passes_of
-from offpiste.visualization.drives import DRIVES_A_PAGE, pages
-from offpiste.visualization.page import house_style
+from offpiste.visualization.view_dataset import DRIVES_A_PAGE, pages
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 SETS = len(FEATURE_SETS)
@@ -119,8 +118,3 @@ def test_a_broken_dataset_ends_in_one_line(
 def test_many_drives_take_several_pages(dataset: Path) -> None:
     drive = store.open_dataset(dataset).drives[0]
     assert [len(page) for page in pages([drive] * (DRIVES_A_PAGE + 1))] == [DRIVES_A_PAGE, 1]
-
-
-def test_pages_of_offpiste_look_alike() -> None:
-    assert "--ink" in house_style()
-    assert "<" not in house_style()

@@ -1,7 +1,4 @@
-"""The windows where a model is most wrong, and what it predicted there.
-
-The worst windows, drawn as the vehicle saw them: heading up.
-"""
+"""The windows where a model is most wrong, and what was predicted there."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +11,29 @@ from matplotlib.figure import Figure
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import Dynamics
-from offpiste.evaluation.errors import Errors, trajectories
-from offpiste.evaluation.figures import RECORDED, styles
-from offpiste.evaluation.tables import REFERENCE, Case
+from offpiste.evaluation.errors import Errors, in_start_frame, trajectories
+from offpiste.evaluation.evaluate import Evaluation
+from offpiste.evaluation.model_colours import RECORDED, styles
+from offpiste.evaluation.report_figures import report_figure, title_of
+from offpiste.evaluation.result_rows import REFERENCE, Case
+
+CAPTION = (
+    "The windows of largest distance error after 5 s, no two of which overlap. The vehicle starts at the triangle and "
+    "looks up; dots are the places after 5 s. A model with several runs has a line for each."
+)
 
 SHOWN = 10
+"""Number of windows."""
+
+COLUMNS = 5
+"""Panels side by side."""
+
+
+@report_figure("worst", section="Worst windows", caption=CAPTION)
+def draw(evaluation: Evaluation) -> Figure:
+    """Paths in the worst windows of the model that was named first."""
+    shown = evaluation.shown.reading_label
+    return worst_plot(predict_worst(evaluation), title=f"Worst windows of {shown}, {title_of(evaluation)}")
 
 
 @dataclass(frozen=True)
@@ -45,17 +59,8 @@ class WorstWindow:
     predicted: dict[str, tuple[Float[np.ndarray, "T 2"], ...]]
 
 
-@dataclass(frozen=True)
-class Worst:
-    """Which windows: what identifies them, and the distance error after 5 s [m]."""
-
-    drive: Int[np.ndarray, " n"]
-    row: Int[np.ndarray, " n"]
-    error: Float[np.ndarray, " n"]
-
-
-def worst_windows(errors: Errors, *, count: int = SHOWN) -> Worst:
-    """The windows of largest distance error after 5 s, no two of which share a row; at most `count`."""
+def worst_windows(errors: Errors, *, count: int = SHOWN) -> Errors:
+    """Errors of the windows of largest distance error after 5 s, no two of which share a row; at most `count`."""
     chosen: list[int] = []
     apart = HISTORY_STEPS + HORIZON_STEPS
     for i in np.argsort(-errors.distance(), kind="stable"):
@@ -64,29 +69,28 @@ def worst_windows(errors: Errors, *, count: int = SHOWN) -> Worst:
             chosen.append(int(i))
         if len(chosen) == count:
             break
-    index = np.array(chosen, dtype=np.int64)
-    return Worst(errors.drive[index], errors.row[index], errors.distance()[index])
+    return errors.take(np.array(chosen, dtype=np.int64))
 
 
-def draw_worst(
-    worst: Worst, judged: Sequence[tuple[Case, Dynamics, Windows]], *, shown: Case, dataset: Dataset
-) -> tuple[WorstWindow, ...]:
-    """Predict the worst windows again, by the model in question and by `kinematic`, and keep the paths."""
+def predict_worst(evaluation: Evaluation) -> tuple[WorstWindow, ...]:
+    """Paths in the worst windows, predicted again by the model in question and by `kinematic`."""
+    dataset, shown = evaluation.windows.dataset, evaluation.shown
+    worst = worst_windows(evaluation.errors[shown])
     predicted: list[dict[str, tuple[np.ndarray, ...]]] = [{} for _ in worst.row]
-    for case, dynamics, windows in judged:
+    for case, model, windows, _ in evaluation.predictions:
         if case != shown and not (case.label == REFERENCE and case.start == shown.start):
             continue
         place, index = _located(worst, windows)
-        states = trajectories(dynamics, windows, index, lookup=case.lookup)
+        states = trajectories(model.dynamics, windows, index, lookup=case.lookup)
         heading = _rows(dataset, worst, "state_causal" if windows.start == "causal" else "state")[place, 2]
         finite = np.where(np.isfinite(states[..., :2]), states[..., :2], np.nan)
-        for i, path in zip(place, _turned(finite, heading), strict=True):
+        for i, path in zip(place, in_start_frame(finite, heading), strict=True):
             predicted[i][case.label] = (*predicted[i].get(case.label, ()), path)
     return tuple(_described(dataset, worst, i, shown, predicted[i]) for i in range(len(worst.row)))
 
 
 def _described(
-    dataset: Dataset, worst: Worst, i: int, shown: Case, predicted: dict[str, tuple[np.ndarray, ...]]
+    dataset: Dataset, worst: Errors, i: int, shown: Case, predicted: dict[str, tuple[np.ndarray, ...]]
 ) -> WorstWindow:
     drive, row = dataset.drives[worst.drive[i]], int(worst.row[i])
     rows = drive.rows
@@ -97,32 +101,22 @@ def _described(
         time=row * DT,
         heading=float(start[2]),
         speed=float(np.hypot(*rows.state_causal[row, 3:5])),
-        error=float(worst.error[i]),
-        recorded=_turned(recorded, start[None, 2])[0],
+        error=float(worst.distance()[i]),
+        recorded=in_start_frame(recorded, start[None, 2])[0],
         predicted=predicted,
     )
 
 
-def _located(worst: Worst, windows: Windows) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Which of the worst windows are among these, and where."""
+def _located(worst: Errors, windows: Windows) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """Numbers of the worst windows that are among these windows, and their indices there."""
     row = windows.row_in_drive(np.arange(len(windows)))
     match = (windows.drive == worst.drive[:, None]) & (row == worst.row[:, None])
     place, index = np.nonzero(match)
     return place, index
 
 
-def _rows(dataset: Dataset, worst: Worst, column: str) -> Float[np.ndarray, "n 6"]:
+def _rows(dataset: Dataset, worst: Errors, column: str) -> Float[np.ndarray, "n 6"]:
     return np.stack([getattr(dataset.drives[d].rows, column)[r] for d, r in zip(worst.drive, worst.row, strict=True)])
-
-
-def _turned(paths: Float[np.ndarray, "n T 2"], heading: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
-    """World displacements as ahead and to the left of a start heading."""
-    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
-    x, y = paths[..., 0], paths[..., 1]
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
-
-
-COLUMNS = 5
 
 
 def worst_plot(worst: Sequence[WorstWindow], *, title: str = "") -> Figure:

@@ -1,7 +1,4 @@
-"""Where models read the ground: under the recorded wheels or on a map, and from which distance it was seen.
-
-The models that are judged together: runs, and the baselines beside them.
-"""
+"""Models that are evaluated together: runs, the baselines beside them, and where they read the terrain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +11,12 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
-from offpiste.evaluation.results import label
-from offpiste.evaluation.tables import Lookup
+from offpiste.evaluation.metrics import label
+from offpiste.evaluation.result_rows import Lookup
 from offpiste.training.run import vehicle_of
 
 Reading = tuple[Lookup | None, str | None]
-"""Where a model reads the ground, and from which distance it was seen."""
+"""Terrain lookup of a model, and the feature set that it reads at recorded places."""
 
 NO_READING: Reading = (None, None)
 
@@ -27,13 +24,13 @@ NO_READING: Reading = (None, None)
 def readings_of(
     dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]
 ) -> Sequence[Reading]:
-    """Where models can read the ground: features without a map only where they were recorded.
+    """Ways in which models can read the terrain: without a map, features only at recorded places.
 
     Args:
-        part: whose windows are judged.
-        lookups, feature_sets: that are asked for.
+        part: of the split, whose windows are evaluated.
+        lookups, feature_sets: those wanted.
     """
-    if not _has_ground(dataset):
+    if not _has_terrain(dataset):
         return (NO_READING,)
     windows = Windows(dataset, part)
     mapped = not dataset.features or windows.maps.any
@@ -43,22 +40,22 @@ def readings_of(
     return recorded + on_map
 
 
-def _has_ground(dataset: Dataset) -> bool:
-    """Whether there is anything to read from the ground."""
+def _has_terrain(dataset: Dataset) -> bool:
+    """Whether the dataset has anything that models can read from the terrain: features or slopes."""
     return bool(dataset.features) or any(
         bool(np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) > 0) for drive in dataset.drives
     )
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A model to be judged.
+class EvaluatedModel:
+    """A run of a model, to be evaluated.
 
     Attributes:
         name: in `offpiste.dynamics.MODELS`; runs of the same name and variant are one model.
-        variant: what else tells it from models of its name, e.g. "flat".
+        variant: what tells it from other models of its name, e.g. "flat".
         seed, fold: of the run.
-        split: that judges it, when not the dataset's own (folds).
+        split: whose test part it is evaluated on, when not the dataset's own (folds).
     """
 
     name: str
@@ -74,11 +71,13 @@ class Judged:
         return label(self.name, self.variant)
 
 
-def with_baselines(models: Sequence[Judged], dataset: Dataset, device: torch.device | str) -> list[Judged]:
-    """The models, and baselines that are not among them, once for every split.
+def with_baselines(
+    models: Sequence[EvaluatedModel], dataset: Dataset, device: torch.device | str
+) -> list[EvaluatedModel]:
+    """The models, and the baselines that are not among them, once for every split.
 
     Raises:
-        RunError: models are to be judged under different splits, or two runs are the same one.
+        RunError: models were trained under different splits, or two runs are the same one.
     """
     found = list(models)
     for name in (name for name, model in MODELS.items() if model.baseline):
@@ -87,12 +86,12 @@ def with_baselines(models: Sequence[Judged], dataset: Dataset, device: torch.dev
         for split in dict.fromkeys(model.split for model in models) or {None: None}:
             beside = [model for model in models if model.split == split]
             fold = beside[0].fold if beside else None
-            found.append(Judged(name, _baseline(name, beside, dataset).to(device), fold=fold, split=split))
+            found.append(EvaluatedModel(name, _baseline(name, beside, dataset).to(device), fold=fold, split=split))
     _refuse_unlike(found, dataset)
     return found
 
 
-def _baseline(name: str, beside: Sequence[Judged], dataset: Dataset) -> Dynamics:
+def _baseline(name: str, beside: Sequence[EvaluatedModel], dataset: Dataset) -> Dynamics:
     """A baseline; its actuators, if it has any, have the delays that a model beside it fitted."""
     vehicle = vehicle_of(dataset)
     baseline = MODELS[name](vehicle)
@@ -107,8 +106,8 @@ def _channels(vehicle: Vehicle) -> tuple[tuple[str, ...], ...]:
     return vehicle.control, vehicle.actuators
 
 
-def _refuse_unlike(models: Sequence[Judged], dataset: Dataset) -> None:
-    """Every model must be judged on the same windows, and every run once."""
+def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
+    """Raise if models would be evaluated on different windows, or a run twice."""
     wanted = set(splits_of(models, dataset))
     for name in dict.fromkeys(model.label for model in models):
         runs = [model for model in models if model.label == name]
@@ -118,7 +117,7 @@ def _refuse_unlike(models: Sequence[Judged], dataset: Dataset) -> None:
             raise RunError(
                 f"model '{name}' has no run for split {missing}, which others have",
                 where=dataset.path,
-                how="models compare on the same windows only: give the same folds of each, or judge them one by one",
+                how="models compare on the same windows only: give the same folds of each, or evaluate them one by one",
             )
         identities = [(run.seed, run.fold, run.split) for run in runs]
         if len(set(identities)) < len(identities):
@@ -129,6 +128,6 @@ def _refuse_unlike(models: Sequence[Judged], dataset: Dataset) -> None:
             )
 
 
-def splits_of(models: Sequence[Judged], dataset: Dataset) -> list[Split]:
-    """Splits that models are judged under; the dataset's own where none of them says otherwise."""
+def splits_of(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[Split]:
+    """Splits that models are evaluated under; the dataset's own where none of them has another."""
     return list(dict.fromkeys(model.split or dataset.split for model in models)) or [dataset.split]

@@ -1,0 +1,92 @@
+"""Figures of an evaluation's report, each registered where it is defined (docs/extending.md)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from offpiste.conventions import FEATURE_SETS
+from offpiste.evaluation.evaluate import Evaluation
+from offpiste.evaluation.result_rows import Case
+from offpiste.registry import Registry
+
+Draw = Callable[[Evaluation], Figure | None]
+"""From an evaluation to a figure; None where there is nothing to draw."""
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A figure of the report.
+
+    Attributes:
+        section: heading below which it stands; a heading that the report does not have begins a section at its end.
+        caption: text below it.
+    """
+
+    section: str
+    caption: str
+    draw: Draw
+
+
+REPORT_FIGURES: Final[Registry[ReportFigure]] = Registry("figure of the report", package=__name__)
+
+
+def report_figure(name: str, *, section: str, caption: str) -> Callable[[Draw], Draw]:
+    """Add the function that it decorates to the report's figures.
+
+    Args:
+        name: of the PNG file beside the report, without the ending.
+        section, caption: as of `ReportFigure`.
+    """
+
+    def add(draw: Draw) -> Draw:
+        REPORT_FIGURES.register(name)(ReportFigure(section, caption, draw))
+        return draw
+
+    return add
+
+
+def main_start(evaluation: Evaluation) -> str:
+    """The start of predictions that figures show: the first one."""
+    return evaluation.metrics.results[0].start
+
+
+def title_of(evaluation: Evaluation) -> str:
+    """Title of a figure: part of the split and start of predictions."""
+    return f"{evaluation.metrics.part} part, {main_start(evaluation)} start"
+
+
+def distance_errors(evaluation: Evaluation) -> dict[str, Float[np.ndarray, " n"]]:
+    """Distance errors after 5 s by model and terrain lookup, in the order of the models' medians."""
+    return {case.reading_label: evaluation.errors[case].distance() for case in _ordered_cases(evaluation)}
+
+
+def deciding_errors(evaluation: Evaluation) -> dict[str, Float[np.ndarray, " n"]]:
+    """Distance errors after 5 s by model, with the terrain lookup that decides: the map where there is one.
+
+    Curves of several lookups of one model would lie on each other.
+    """
+    cases = _ordered_cases(evaluation)
+    mapped = {case.label for case in cases if case.lookup == "map"}
+    return {
+        case.reading_label: evaluation.errors[case].distance()
+        for case in cases
+        if case.lookup != "recorded" or case.label not in mapped
+    }
+
+
+def _ordered_cases(evaluation: Evaluation) -> list[Case]:
+    """Cases of the first start: models by the median of their errors, the worst first; their lookups side by side."""
+    cases = [case for case in evaluation.errors if case.start == main_start(evaluation)]
+    median = dict.fromkeys((case.label for case in cases), 0.0)
+    for case in cases:
+        median[case.label] = max(median[case.label], float(np.median(evaluation.errors[case].distance())))
+    readings, sets = (None, "recorded", "map"), (None, *FEATURE_SETS)
+
+    def place(case: Case) -> tuple[float, str, int, int]:
+        return -median[case.label], case.label, readings.index(case.lookup), sets.index(case.feature_set)
+
+    return sorted(cases, key=place)

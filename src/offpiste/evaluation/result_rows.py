@@ -1,0 +1,151 @@
+"""Rows of metrics.json, from errors window by window: one per model, start, terrain lookup and horizon."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from offpiste.dynamics.models import is_baseline
+from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, pool, positions
+from offpiste.evaluation.intervals import Sampling, paired, relative, summary
+from offpiste.evaluation.metrics import Headline, Minus, ResultRow, label, reading_label
+
+REFERENCE = "kinematic"
+"""The model that headlines compare with."""
+
+Start = Literal["causal", "smoothed"]
+Lookup = Literal["recorded", "map"]
+
+
+class Case(NamedTuple):
+    """A model with the start of its predictions and the terrain that it reads."""
+
+    model: str
+    variant: str
+    start: Start
+    lookup: Lookup | None
+    feature_set: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The model's name, and its variant if it has one."""
+        return label(self.model, self.variant)
+
+    @property
+    def reading_label(self) -> str:
+        """The model's label, and where it reads the terrain."""
+        return reading_label(self.label, self.lookup, self.feature_set)
+
+
+@dataclass(frozen=True)
+class RunErrors:
+    """Errors of one run of a model."""
+
+    seed: int | None
+    fold: int | None
+    errors: Errors
+
+
+Cases = Mapping[Case, list[RunErrors]]
+
+
+def pooled(cases: Cases) -> dict[Case, Errors]:
+    """Errors of each case over all its runs."""
+    return {case: pool([run.errors for run in runs]) for case, runs in cases.items()}
+
+
+def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
+    """Rows of every case and horizon; where a case has several runs, one over all of them and one for each.
+
+    `minus` of a single run compares with the other models over all their runs, on that run's windows.
+    """
+    together = pooled(cases)
+    rows = []
+    for case, runs in cases.items():
+        over_all = [RunErrors(None, None, together[case])] if len(runs) > 1 else []
+        for run in over_all + runs:
+            rows += _rows(case, run, together, part, sampling)
+    return rows
+
+
+def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
+    """Comparison of each model but the baselines with `kinematic`, at 5 s."""
+    together = pooled(cases)
+    found = []
+    for case, errors in together.items():
+        reference = _counterpart(together, REFERENCE, case)
+        if is_baseline(case.model) or reference is None:
+            continue
+        ratio = relative(errors.distance(), reference.distance(), sampling.on(errors))
+        found.append(
+            Headline(
+                model=case.label,
+                start=case.start,
+                lookup=case.lookup,
+                feature_set=case.feature_set,
+                runs=len(cases[case]),
+                distance_error_m=float(errors.distance().mean()),
+                other=REFERENCE,
+                relative=ratio.mean,
+                ci95=ratio.ci95,
+            )
+        )
+    return found
+
+
+def _rows(
+    case: Case, run: RunErrors, together: Mapping[Case, Errors], part: str, sampling: Sampling
+) -> list[ResultRow]:
+    errors = pool([run.errors])  # in ascending order
+    drawn = sampling.on(errors)
+    loss = summary(errors.loss, drawn)
+    others = {}
+    for other in dict.fromkeys(key.label for key in together):
+        counterpart = _counterpart(together, other, case)
+        if other != case.label and counterpart is not None:
+            others[other] = counterpart.take(positions(errors, counterpart))
+    loss_minus = {other: paired(errors.loss, found.loss, drawn) for other, found in others.items()}
+    return [
+        ResultRow(
+            model=case.model,
+            variant=case.variant,
+            seed=run.seed,
+            fold=run.fold,
+            start=case.start,
+            feature_set=case.feature_set,
+            lookup=case.lookup,
+            part=part,
+            horizon_s=float(seconds),
+            n=len(errors.row),
+            n_failed=int(errors.failed[:, h].sum()),
+            **{name: summary(errors.values[:, h, c], drawn) for c, name in enumerate(COMPONENTS)},
+            loss=loss,
+            minus={
+                other: Minus(paired(errors.values[:, h, 0], found.values[:, h, 0], drawn), loss_minus[other])
+                for other, found in others.items()
+            },
+        )
+        for h, seconds in enumerate(HORIZONS)
+    ]
+
+
+def _counterpart(together: Mapping[Case, Errors], other: str, case: Case) -> Errors | None:
+    """Errors of another model that reads the terrain in the same way, or in the only way it can."""
+    readings = ((case.lookup, case.feature_set), (None, None))
+    for key, errors in together.items():
+        if key.label == other and key.start == case.start and (key.lookup, key.feature_set) in readings:
+            return errors
+    # A baseline that does not read the terrain is compared on the map, which decides.
+    for lookup in ("map", "recorded"):
+        for key, errors in together.items():
+            if key.label == other and key.start == case.start and key.lookup == lookup and case.lookup is None:
+                return errors
+    return None
+
+
+def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
+    """Groups of rows that differ only in the horizon, in ascending order of it."""
+    found: dict[tuple[object, ...], list[ResultRow]] = {}
+    for row in rows:
+        key = (row.model, row.variant, row.seed, row.fold, row.start, row.feature_set, row.lookup)
+        found.setdefault(key, []).append(row)
+    return [sorted(group, key=lambda row: row.horizon_s) for group in found.values()]

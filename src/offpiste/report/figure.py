@@ -1,0 +1,44 @@
+"""Style and files of all figures."""
+
+import io
+from pathlib import Path
+from typing import Literal
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from offpiste.files import write_bytes
+
+INK, SOFT, GRID = "#1b1f24", "#8a939c", "#dddddd"
+BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d95f02", "#1a7f37", "#7b3fa0"
+
+
+def png(figure: Figure, *, dpi: float | None = None) -> bytes:
+    """A figure as the bytes of a PNG file.
+
+    Args:
+        dpi: dots per inch, if not the figure's own.
+    """
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", facecolor="white", dpi=dpi or "figure")
+    return stream.getvalue()
+
+
+def write_png(path: Path, figure: Figure, *, dpi: float | None = None) -> None:
+    """Write a figure as a PNG file, whole or not at all."""
+    write_bytes(path, png(figure, dpi=dpi))
+
+
+def plain(axes: Axes, title: str = "", *, grid: Literal["both", "x", "y"] = "both") -> Axes:
+    """The axes without the upper and the right frame, on a light grid, with a title at the left."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis=grid, color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_title(title, loc="left", fontsize=10)
+    return axes
+
+
+def single(width: float, height: float, title: str) -> tuple[Figure, Axes]:
+    """A figure of this size [inch] with one pair of axes and horizontal grid lines."""
+    figure = Figure(figsize=(width, height), dpi=150, layout="constrained")
+    return figure, plain(figure.add_subplot(), title, grid="y")

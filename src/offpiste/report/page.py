@@ -1,0 +1,93 @@
+"""HTML pages of reports: each is one file that needs nothing but itself."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from offpiste.files import write_bytes, write_text
+from offpiste.report.text_table import TextTable
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of a page.
+
+    Attributes:
+        name: of its file beside the page, without the ending.
+        png: content of that file.
+        caption: text below the picture.
+    """
+
+    name: str
+    png: bytes
+    caption: str
+
+    @property
+    def base64(self) -> str:
+        """The file as text, which the page holds."""
+        return base64.b64encode(self.png).decode("ascii")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page under a heading: tables, below them pictures, below them notes."""
+
+    heading: str
+    tables: Sequence[TextTable] = ()
+    pictures: Sequence[Picture] = ()
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report.
+
+    Attributes:
+        title: heading of the page.
+        headlines: main results, the first one in large letters.
+        facts: what the results stand on, by name.
+        sections: parts of the page in reading order.
+    """
+
+    title: str
+    headlines: Sequence[str]
+    facts: Mapping[str, str]
+    sections: Sequence[Section] = field(default=())
+
+
+def table_section(table: TextTable, *pictures: Picture) -> Section:
+    """A section of one table, under the table's title."""
+    return Section(table.title, (table,), pictures)
+
+
+def render(page: Page) -> str:
+    """The page as HTML."""
+    return _template().render(page=page)
+
+
+def write_page(page: Page, folder: Path) -> list[Path]:
+    """Write report.html, and its pictures as PNG files beside it, each file whole or not at all.
+
+    Returns:
+        Paths of the files.
+    """
+    written = []
+    for picture in (picture for section in page.sections for picture in section.pictures):
+        written.append(folder / f"{picture.name}.png")
+        write_bytes(written[-1], picture.png)
+    written.append(folder / "report.html")
+    write_text(written[-1], render(page))
+    return written
+
+
+@cache
+def _template() -> Template:
+    loader = PackageLoader("offpiste.report", ".")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("page.html")

@@ -1,0 +1,54 @@
+"""Pages of reports."""
+
+from pathlib import Path
+
+from offpiste.report.page import Page, Picture, Section, render, table_section, write_page
+from offpiste.report.text_table import Cell, TextTable
+
+TABLE = TextTable(
+    "Errors <5 s>",
+    ("model", "1 s", "5 s", "1 s", "5 s"),
+    [("a < b", Cell("1", "[0, 2]", bold=True), "2", "3", "4")],
+    "What <they> are.",
+    groups=("causal", "smoothed"),
+)
+PICTURE = Picture("box", b"\x89PNG", 'a "caption"')
+PAGE = Page(
+    "<title>",
+    ["first", "second & more"],
+    {"<fact>": "<value>"},
+    [table_section(TABLE, PICTURE), Section("Notes", notes=("a <note>",))],
+)
+
+
+def test_everything_stands_on_the_page_and_is_escaped() -> None:
+    text = render(PAGE)
+    for escaped in (
+        "&lt;title&gt;",
+        "second &amp; more",
+        "&lt;fact&gt;",
+        "&lt;value&gt;",
+        "a &lt; b",
+        "a &lt;note&gt;",
+    ):
+        assert escaped in text
+    assert 'alt="a &#34;caption&#34;"' in text
+    assert '<strong>1 <span class="interval">[0, 2]</span></strong>' in text
+    assert "<title>offpiste" in text
+    assert "<fact>" not in text
+
+
+def test_groups_span_their_columns() -> None:
+    text = render(PAGE)
+    assert text.count('colspan="2"') == 2
+    assert '<th class="name" rowspan="2">model</th>' in text
+    assert text.count('class="first"') == 4, "the first column of each group, in the head and in the line"
+
+
+def test_a_page_needs_no_other_file(tmp_path: Path) -> None:
+    written = write_page(PAGE, tmp_path)
+    assert written == [tmp_path / "box.png", tmp_path / "report.html"]
+    assert (tmp_path / "box.png").read_bytes() == b"\x89PNG"
+    text = (tmp_path / "report.html").read_text("utf-8")
+    assert "data:image/png;base64,iVBORw==" in text
+    assert not any(word in text for word in ("<script", "<link", "http"))
