@@ -13,7 +13,7 @@ INK, SOFT, GRID = "#1b1f24", "#8a939c", "#dddddd"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d95f02", "#1a7f37", "#7b3fa0"
 
 
-def png(figure: Figure, *, dpi: float | None = None) -> bytes:
+def png(figure: Figure, *, dpi: int | None = None) -> bytes:
     """A figure as the bytes of a PNG file.
 
     Args:
@@ -24,7 +24,7 @@ def png(figure: Figure, *, dpi: float | None = None) -> bytes:
     return stream.getvalue()
 
 
-def write_png(path: Path, figure: Figure, *, dpi: float | None = None) -> None:
+def write_png(path: Path, figure: Figure, *, dpi: int | None = None) -> None:
     """Write a figure as a PNG file, whole or not at all."""
     write_bytes(path, png(figure, dpi=dpi))
 
