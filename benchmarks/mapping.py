@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 import torch
 
-import mapping_reference
+from mapping import numpy_reference
 from offpiste.mapping.flatten import Flattener
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
 from offpiste.mapping.terrain_lookup import look_up, stack_maps
@@ -67,7 +67,7 @@ def mapping(channels: int, threads: int) -> None:
     """Insertion, flattening and lookup."""
     rng = np.random.default_rng(0)
     settings, flat = VoxelSettings(threads=threads), FlattenSettings()
-    held, plain = VoxelMap(channels, settings), mapping_reference.empty_reference(channels, settings)
+    held, plain = VoxelMap(channels, settings), numpy_reference.empty_reference(channels, settings)
     flattener, layers = Flattener(held, flat), None
     points, distance = scan(rng)
     features, has = rng.normal(size=(len(points), channels)).astype(np.float32), rng.random(len(points)) < 0.8
@@ -80,10 +80,10 @@ def mapping(channels: int, threads: int) -> None:
         inserting.append(timed(partial(held.insert, seen, features, has, distance)))
         layers = flattener.layers(layers) if number == 0 else layers
         flattening.append(timed(partial(flattener.layers, layers)))
-        plain = mapping_reference.recentred(plain, place, 0.0)
+        plain = numpy_reference.recentred(plain, place, 0.0)
         if number % 5 == 4:  # NumPy gets every fifth scan, to keep this short
-            plainly = timed(partial(mapping_reference.inserted, plain, seen, features, has, distance))
-            plain = mapping_reference.inserted(plain, seen, features, has, distance)
+            plainly = timed(partial(numpy_reference.inserted, plain, seen, features, has, distance))
+            plain = numpy_reference.inserted(plain, seen, features, has, distance)
     assert layers is not None
     layers = flattener.layers(layers)
     voxel = held.voxels.seen.strides[0]
@@ -93,7 +93,7 @@ def mapping(channels: int, threads: int) -> None:
     print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
     touched = points.nbytes + features.nbytes + distance.nbytes + len(points) * (64 + voxel)
     report("insert", inserting[2:], plainly, touched)
-    plainly = timed(partial(mapping_reference.flattened, plain, flat))
+    plainly = timed(partial(numpy_reference.flattened, plain, flat))
     report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
     print(summary("insert + flatten", both))

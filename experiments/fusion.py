@@ -30,9 +30,10 @@ from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
+from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import ReplaySettings
-from offpiste.mapping.settings import RULES, VoxelSettings
+from offpiste.mapping.settings import VoxelSettings
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.progress import track
@@ -182,7 +183,7 @@ class Fusion:
         rig, extractor = load_rig(self.rig), load_feature_extractor(self.pca)
         rows: list[dict[str, Any]] = []
         for log in self.logs:
-            mine = compare(ride(log, rig, extractor, RULES, self.seconds))
+            mine = compare(ride(log, rig, extractor, tuple(FUSION_RULES), self.seconds))
             rows += [{"drive": log.stem, **row} for row in mine]
             logger.info(table_of(mine, log.stem))
         middle = medians(rows)

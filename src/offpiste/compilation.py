@@ -48,14 +48,19 @@ class Compiler:
         """Compile a function that makes arrays, for other compiled functions."""
         return _compiled(function, **self._options(makes_arrays=True))
 
-    def entry(self, function: Function) -> Function:
+    def entry(self, function: Function, *, salt: str = "") -> Function:
         """Compile a function that Python calls; it releases the GIL, and its machine code is kept on disk if possible.
 
         Numba looks only at the file of the function itself to see whether what it kept is still valid, hence a digest
         of all sources in its name.
+
+        Args:
+            salt: other code that the function calls.
         """
         function = inspect.unwrap(function)
         function.__qualname__ += f"_{self._digest}"
+        if salt:
+            function.__qualname__ += f"_{hashlib.sha256(salt.encode()).hexdigest()[:16]}"
         options = self._options(self.entries_make_arrays) | {"nogil": True}
         try:
             return _compiled(function, cache=True, **options)

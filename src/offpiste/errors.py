@@ -51,5 +51,9 @@ class PerceptionError(OffpisteError):
     """An image, a calibration, a mask or a backbone is wrong or missing, or does not fit what it is used with."""
 
 
+class MapError(OffpisteError):
+    """A map's settings make no sense."""
+
+
 class PlanningError(OffpisteError):
     """A plan cannot be made, e.g. no sampled trajectory has a finite cost."""

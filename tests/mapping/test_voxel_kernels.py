@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import mapping_reference
+from mapping import numpy_reference
 from offpiste.mapping.flatten import Flattener
-from offpiste.mapping.settings import RULES, FlattenSettings, VoxelSettings
+from offpiste.mapping.fusion import FUSION_RULES
+from offpiste.mapping.settings import FlattenSettings, VoxelSettings
 from offpiste.mapping.voxel_map import VoxelMap
 
 
@@ -45,25 +46,25 @@ def compare(rule="closest", features=3, threads=2, seed=0, far=0.0, flat=None, s
     rng = np.random.default_rng(seed)
     settings = VoxelSettings(size=0.2, reach=4.0, height_reach=20.0, rule=rule, capacity=40_000, threads=threads)
     flat = flat or FlattenSettings()
-    found, wanted = VoxelMap(features, settings), mapping_reference.empty_reference(features, settings)
+    found, wanted = VoxelMap(features, settings), numpy_reference.empty_reference(features, settings)
     flattener, layers = Flattener(found, flat), None
     centre = np.array([far, -far, 0.5 * far / 1e4])
     for step in range(scans):
         centre = centre + rng.normal(0, [1.0, 1.0, 0.3]) * (20 if step == 5 else 1)
         found.recentre(centre[:2], centre[2])
-        wanted = mapping_reference.recentred(wanted, centre[:2], float(centre[2]))
+        wanted = numpy_reference.recentred(wanted, centre[:2], float(centre[2]))
         cloud = scan(rng, centre, 1500, features)
         found.insert(*cloud)
-        wanted = mapping_reference.inserted(wanted, *cloud)
+        wanted = numpy_reference.inserted(wanted, *cloud)
         assert found.lost == 0
         assert found.occupied == len(wanted.places.cell)
         layers = flattener.layers(layers)
-        assert_same(layers, mapping_reference.flattened(wanted, flat), 3e-5)
+        assert_same(layers, numpy_reference.flattened(wanted, flat), 3e-5)
     assert 0.1 < layers.observed.mean() < 0.95
     assert layers.valid.any()
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", FUSION_RULES)
 @pytest.mark.parametrize("features", [0, 3, 40])
 def test_loops_agree_with_numpy(rule, features):
     compare(rule, features, seed=features)
@@ -91,12 +92,12 @@ def test_loops_stay_inside_their_arrays(tmp_path):
         "NUMBA_BOUNDSCHECK": "1",
         "NUMBA_OPT": "1",
         "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join((str(Path(__file__).parent), str(Path(__file__).parents[1]))),
+        "PYTHONPATH": os.pathsep.join((*map(str, Path(__file__).parents[:2]), os.environ.get("PYTHONPATH", ""))),
     }
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", FUSION_RULES)
 @pytest.mark.parametrize("seed", range(2))
 def test_looking_only_into_columns_that_changed_says_to_the_bit_what_looking_into_all_does(rule, seed):
     """Moves over every border and corner, back again, out of the map, scans without a move and moves without a scan."""

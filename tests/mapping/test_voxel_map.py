@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from offpiste.errors import MapError
 from offpiste.mapping.flatten import flatten
-from offpiste.mapping.settings import FlattenSettings, MapError, VoxelSettings
+from offpiste.mapping.settings import FlattenSettings, VoxelSettings
 from offpiste.mapping.voxel_map import VoxelMap
 
 SMALL = VoxelSettings(reach=6.0, capacity=20_000)

@@ -1,16 +1,9 @@
 """What can be set about a map, with the values of the paper and of DESIGN.md as defaults."""
 
 from dataclasses import dataclass, fields
-from typing import Final
 
-from offpiste.errors import OffpisteError
-
-RULES: Final = ("closest", "latest", "average")
-"""How several observations of a voxel become one."""
-
-
-class MapError(OffpisteError):
-    """A map's settings make no sense."""
+from offpiste.errors import MapError
+from offpiste.mapping.fusion import FUSION_RULES
 
 
 @dataclass(frozen=True)
@@ -21,7 +14,7 @@ class VoxelSettings:
         size: of a voxel (paper, "Mapping of Visual Features": 0.2 m).
         reach: the map covers +-reach around the vehicle, both in x and in y (DESIGN.md: 60 m).
         height_reach: points further above or below the vehicle than this are not mapped: 27 degrees of slope at 60 m.
-        rule: of `RULES`; the paper keeps the closest observation.
+        rule: of `fusion.FUSION_RULES`; the paper keeps the closest observation.
         capacity: voxels that can be held; their memory is taken when they are first used (`VoxelMap`).
         threads: that insertion and flattening use; the map does not depend on it.
     """
@@ -35,8 +28,9 @@ class VoxelSettings:
 
     def __post_init__(self) -> None:
         _positive(self, "size", "reach", "height_reach", "capacity", "threads")
-        if self.rule not in RULES:
-            raise MapError(f"fusion rule '{self.rule}' is unknown", where="map settings", how=f"one of {RULES}")
+        if self.rule not in FUSION_RULES:
+            rules = ", ".join(FUSION_RULES)
+            raise MapError(f"fusion rule '{self.rule}' is unknown", where="map settings", how=f"use one of: {rules}")
         if not 1 <= self.half_cells <= 10_000:
             raise MapError(f"{self.half_cells} cells to each side", where="map settings", how="set 1 to 10000")
 

@@ -7,11 +7,15 @@ Columns say when they last changed, so that flattening looks into these alone. A
 cache line.
 """
 
+import inspect
+from functools import cache
+from types import FunctionType
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import MAPPING
+from offpiste.compilation import MAPPING, Function
+from offpiste.mapping.fusion import FUSION_RULES
 
 BASE, OCCUPIED, FEATURED, LOWEST = range(4)
 """Of a column's head: level of its lowest voxel, counted from the world's zero, bits of the levels from there up that
@@ -32,9 +36,6 @@ PARTS: Final = 2
 
 STRIPE: Final = 3
 """log2 of the rows in a stripe."""
-
-CLOSEST, LATEST, AVERAGE = range(3)
-"""Fusion rules, as `settings.RULES` has them."""
 
 _ALL_BITS: Final = (1 << LEVELS) - 1
 
@@ -127,39 +128,36 @@ def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
     return new, np.int64(1) << up
 
 
+def share_of_new(distance: float, held_distance: float, count: float) -> float:
+    """Stands for the fusion rule (`fusion.FusionRule`) that `point_inserter` compiles the loop with."""
+    raise NotImplementedError
+
+
 @MAPPING.inlined
-def fuse_place(seen, x, y, z, distance, rule):  # type: ignore[no-untyped-def]
+def fuse_place(seen, x, y, z, distance, share):  # type: ignore[no-untyped-def]
     """Put where a voxel was hit; whether that has moved."""
-    seen[HITS] += np.float32(1)
-    if rule == AVERAGE and seen[HITS] > 1:
-        share = np.float32(1) / seen[HITS]
+    if share == 1:
+        seen[X], seen[Y], seen[Z], seen[DISTANCE] = x, y, z, distance
+    elif share != 0:
         seen[X] += (x - seen[X]) * share
         seen[Y] += (y - seen[Y]) * share
         seen[Z] += (z - seen[Z]) * share
         seen[DISTANCE] += (distance - seen[DISTANCE]) * share
-        return True
-    if rule != CLOSEST or distance < seen[DISTANCE]:
-        seen[X], seen[Y], seen[Z], seen[DISTANCE] = x, y, z, distance
-        return True
-    return False
+    return share != 0
 
 
 @MAPPING.inlined
-def fuse_features(seen, features, distance, rule):  # type: ignore[no-untyped-def]
+def fuse_features(seen, features, distance, share):  # type: ignore[no-untyped-def]
     """Put what a voxel looked like; whether that has changed."""
-    seen[FEATURE_HITS] += np.float32(1)
-    if rule == AVERAGE and seen[FEATURE_HITS] > 1:
-        share = np.float32(1) / seen[FEATURE_HITS]
-        seen[FEATURE_DISTANCE] += (distance - seen[FEATURE_DISTANCE]) * share
-        for k in range(len(features)):
-            seen[FEATURES + k] += (features[k] - seen[FEATURES + k]) * share
-        return True
-    if rule != CLOSEST or distance < seen[FEATURE_DISTANCE]:
+    if share == 1:
         seen[FEATURE_DISTANCE] = distance
         for k in range(len(features)):
             seen[FEATURES + k] = features[k]
-        return True
-    return False
+    elif share != 0:
+        seen[FEATURE_DISTANCE] += (distance - seen[FEATURE_DISTANCE]) * share
+        for k in range(len(features)):
+            seen[FEATURES + k] += (features[k] - seen[FEATURES + k]) * share
+    return share != 0
 
 
 @MAPPING.inlined
@@ -171,9 +169,21 @@ def finite(features):  # type: ignore[no-untyped-def]
     return total == 0
 
 
-@MAPPING.entry
+@cache
+def point_inserter(rule: str) -> Function:
+    """`insert_points` for a fusion rule, by its name: compiled with the rule's function in it.
+
+    Raises:
+        MapError: there is no such rule.
+    """
+    share = inspect.unwrap(FUSION_RULES[rule])
+    loop = inspect.unwrap(insert_points)
+    own = FunctionType(loop.__code__, {**loop.__globals__, "share_of_new": MAPPING.inlined(share)}, loop.__name__)
+    return MAPPING.entry(own, salt=inspect.getsource(share))
+
+
 def insert_points(  # type: ignore[no-untyped-def]
-    first, last, points, features, has_feature, distance, low, middle, reach, scale, rule, number, voxels
+    first, last, points, features, has_feature, distance, low, middle, reach, scale, number, voxels
 ):
     """Points into the parts `first` to `last` of the map.
 
@@ -185,10 +195,9 @@ def insert_points(  # type: ignore[no-untyped-def]
         low: integer coordinates x, y of the map's lowest cell [2].
         middle, reach: points with |z - middle| > reach are left out [m].
         scale: voxels a metre.
-        rule: CLOSEST, LATEST or AVERAGE.
         number: of this change of the map.
     """
-    n = voxels.heads.shape[0]
+    n, one = voxels.heads.shape[0], np.float32(1)
     start_x, start_y = low[0] % n, low[1] % n
     for i in range(len(points)):
         y = points[i, 1] * scale
@@ -216,9 +225,17 @@ def insert_points(  # type: ignore[no-untyped-def]
             continue
         seen = voxels.seen[slot]
         x, y, z = x - floor_x - 0.5, y - floor_y - 0.5, z - level
-        changed = fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], rule)
+        share = one
+        seen[HITS] += one
+        if seen[HITS] > 1:
+            share = np.float32(share_of_new(distance[i], seen[DISTANCE], seen[HITS]))
+        changed = fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], share)
         if has_feature[i] and finite(features[i]):
-            changed |= fuse_features(seen, features[i], distance[i], rule)
+            share = one
+            seen[FEATURE_HITS] += one
+            if seen[FEATURE_HITS] > 1:
+                share = np.float32(share_of_new(distance[i], seen[FEATURE_DISTANCE], seen[FEATURE_HITS]))
+            changed |= fuse_features(seen, features[i], distance[i], share)
             voxels.heads[row, across, FEATURED] |= bit
         if changed:
             voxels.changed[row, across] = number

@@ -7,7 +7,7 @@ when moving away from a location" (paper, "Mapping of Visual Features").
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.mapping.settings import RULES, VoxelSettings
+from offpiste.mapping.settings import VoxelSettings
 from offpiste.mapping.voxel_kernels import (
     EVER,
     FEATURES,
@@ -17,7 +17,7 @@ from offpiste.mapping.voxel_kernels import (
     PARTS,
     Voxels,
     forget_left_behind,
-    insert_points,
+    point_inserter,
 )
 from offpiste.threads import spread
 
@@ -59,6 +59,7 @@ class VoxelMap:
             counts=np.zeros((PARTS, 3), np.int64),
         )
         self._scale = 1.0 / self.settings.size
+        self._insert_points = point_inserter(self.settings.rule)
 
     @property
     def cells(self) -> int:
@@ -143,11 +144,10 @@ class VoxelMap:
             self.middle,
             self.settings.height_reach,
             self._scale,
-            RULES.index(self.settings.rule),
             self.changes,
             self.voxels,
         )
-        spread(self.settings.threads, PARTS, insert_points, *arguments)
+        spread(self.settings.threads, PARTS, self._insert_points, *arguments)
 
 
 def _aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:

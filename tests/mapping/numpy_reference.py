@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.mapping.flatten import neighbour_offsets
+from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.normals import MIN_SPREAD
 from offpiste.mapping.settings import FlattenSettings, VoxelSettings
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -31,22 +32,26 @@ class Memory:
 
 
 def fuse(before: Memory, new: Memory, rule: str) -> Memory:
-    """Both memories as one, with one observation a voxel."""
+    """Both memories as one, with one observation a voxel: the new ones come in, in their order."""
     cell = np.concatenate((before.cell, new.cell))
     values = np.concatenate((before.values, new.values))
     distance = np.concatenate((before.distance, new.distance))
     hits = np.concatenate((before.hits, new.hits))
-    arrival = np.arange(len(cell))
-    first = {"closest": (arrival, distance), "latest": (-arrival,), "average": (arrival,)}[rule]
-    order = np.lexsort((*first, *cell.T))
+    order = np.lexsort((np.arange(len(cell)), *cell.T))
     cell, values, distance, hits = cell[order], values[order], distance[order], hits[order]
     start = np.flatnonzero(np.r_[True, (cell[1:] != cell[:-1]).any(axis=1)][: len(cell)])
-    total = np.add.reduceat(hits, start) if len(start) else hits
-    if rule == "average" and len(start):
-        values = np.add.reduceat(values * hits[:, None], start) / total[:, None]
-        distance = np.add.reduceat(distance * hits, start) / total
-        return Memory(cell[start], values, distance, total)
-    return Memory(cell[start], values[start], distance[start], total)
+    length = np.diff(np.append(start, len(cell)))
+    fused = Memory(cell[start], values[start], distance[start], hits[start])
+    for k in range(1, length.max(initial=1)):  # the k-th further observation of every voxel that has so many
+        voxel = np.flatnonzero(length > k)
+        row = start[voxel] + k
+        fused.hits[voxel] += hits[row]
+        share = FUSION_RULES[rule](distance[row], fused.distance[voxel], fused.hits[voxel])
+        share = np.broadcast_to(np.asarray(share, float), len(row))
+        for held, seen in ((fused.values, values[row]), (fused.distance, distance[row])):
+            part = share[:, None] if held.ndim == 2 else share
+            held[voxel] = np.where(part == 1, seen, held[voxel] + (seen - held[voxel]) * part)
+    return fused
 
 
 @dataclass(frozen=True)

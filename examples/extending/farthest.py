@@ -1,0 +1,14 @@
+"""A fusion rule from outside the package: a voxel keeps the observation taken from farthest away.
+
+It compares what a map from far off looks like with the usual one, which keeps the closest observation:
+
+    MapSettings(VoxelSettings(rule="farthest"))
+"""
+
+from offpiste.mapping.fusion import FUSION_RULES
+
+
+@FUSION_RULES.register("farthest")
+def farthest(distance, held_distance, count):
+    """Keep the observation from farthest, of equally far ones the first."""
+    return distance > held_distance

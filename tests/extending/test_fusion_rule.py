@@ -1,0 +1,54 @@
+"""A fusion rule from outside the package, used by its name; and what the registry refuses."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from offpiste.errors import MapError
+from offpiste.mapping.fusion import FUSION_RULES
+from offpiste.mapping.pipeline import MapSettings
+from offpiste.mapping.settings import VoxelSettings
+
+TESTS = Path(__file__).parents[1]
+
+MAP = """
+import numpy as np
+from mapping.test_voxel_kernels import compare
+from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
+from offpiste.mapping.settings import VoxelSettings
+
+pipeline = MapPipeline(1, MapSettings(VoxelSettings(reach=3.0, capacity=1000, rule="farthest")))
+for feature, height in ((1.0, 5.0), (2.0, 9.0), (3.0, 9.0), (4.0, 7.0)):
+    point, sensor = np.array([[0.1, 0.1, 0.05]]), np.array([0.1, 0.1, height])
+    pipeline.add(FeatureCloud(point, sensor, np.array([[feature]], np.float32)), np.zeros(3))
+layers = pipeline.layers()
+assert layers.features[layers.valid].min() == layers.features[layers.valid].max() == 2.0
+compare("farthest")  # the loop and plain NumPy, which reads the same declaration
+"""
+
+
+def test_an_added_rule_is_compiled_into_the_map_and_read_by_numpy():
+    paths = (TESTS.parent / "examples" / "extending", TESTS, os.environ.get("PYTHONPATH", ""))
+    environment = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "OFFPISTE_EXTENSIONS": "farthest"}
+    done = subprocess.run(
+        (sys.executable, "-c", MAP),
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_unknown_rule_is_refused_with_the_names_of_all():
+    with pytest.raises(MapError, match=r"fusion rule 'best' is unknown; use one of: closest, latest, average"):
+        MapSettings(VoxelSettings(rule="best"))
+
+
+def test_a_rule_of_a_taken_name_is_refused():
+    with pytest.raises(MapError, match="two fusion rules called 'latest'"):
+        FUSION_RULES.register("latest")(lambda distance, held_distance, count: 1.0)
