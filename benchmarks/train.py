@@ -33,7 +33,7 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
 from offpiste.training.run import build, vehicle_of
 from offpiste.training.terrain_sources import encoded
-from offpiste.training.train import kinematic_scale, standardise
+from offpiste.training.train import loss_scale, standardise
 
 Mark = Callable[[str], None]
 """Says that the part of this name has just ended."""
@@ -197,7 +197,7 @@ def make_trainer(dataset_path: Path, batch: int) -> Trainer:
     standardise(model, windows)
     torch.manual_seed(0)
     nn.init.normal_(model.compensator.output[-1].weight, std=0.02)
-    scale = kinematic_scale(Kinematic(vehicle), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
+    scale = loss_scale(Kinematic(vehicle), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-4)
     return Trainer(model, windows, scale, optimiser, batch, np.random.default_rng(0))
 

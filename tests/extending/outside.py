@@ -1,4 +1,4 @@
-"""Runs the command line with an extension from examples/extending, in a process of its own, as a user would."""
+"""Runs the command line, or a script, with an extension from examples/extending in a process of its own."""
 
 import os
 import subprocess
@@ -10,7 +10,12 @@ EXTENSIONS = Path(__file__).parents[2] / "examples" / "extending"
 
 def offpiste(*arguments: str | Path, extension: str) -> "subprocess.CompletedProcess[str]":
     """The finished command; `extension` is the name of a module in examples/extending."""
+    return python("-m", "offpiste", *arguments, extension=extension)
+
+
+def python(*arguments: str | Path, extension: str) -> "subprocess.CompletedProcess[str]":
+    """The finished interpreter, for scripts (`"-c", script, ...`)."""
     path = os.pathsep.join((str(EXTENSIONS), *filter(None, sys.path)))
     environment = os.environ | {"OFFPISTE_EXTENSIONS": extension, "PYTHONPATH": path, "COLUMNS": "100"}
-    command = [sys.executable, "-m", "offpiste", *map(str, arguments)]
+    command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -34,7 +34,7 @@ class Actuators(nn.Module):
         self._columns, self._controls = vehicle.actuator_columns, vehicle.control_columns
         every = lagging_of(vehicle)
         self._stepped = [one for one in every if one.steps(vehicle)]
-        self._names = [(one.label, name) for one in every for name in one.lag.constants]
+        self.constant_names = [(one.label, name) for one in every for name in one.lag.constants]
         ranges = [bounds for one in every for bounds in one.lag.constants.values()]
         low, high, initial = (torch.tensor(column) for column in zip(*ranges, strict=True))
         self.low: Tensor
@@ -64,7 +64,7 @@ class Actuators(nn.Module):
     def constants(self) -> LagConstants:
         """The lags' constants, each a scalar tensor inside its range."""
         found: dict[str, dict[str, Tensor]] = {}
-        for (label, name), value in zip(self._names, self.flat_constants().unbind(), strict=True):
+        for (label, name), value in zip(self.constant_names, self.flat_constants().unbind(), strict=True):
             found.setdefault(label, {})[name] = value
         return dict(found)
 

@@ -39,7 +39,7 @@ class ConstantMotion(Dynamics):
         return step
 
 
-@register_model("kinematic", baseline=True, colour="#cc79a7")
+@register_model("kinematic", baseline=True, colour="#cc79a7", fits=lambda vehicle: vehicle.steers)
 class Kinematic(Dynamics):
     """Bicycle at constant speed that turns by its geometry (`kinematic`): yaw rate = v tan(delta) / wheelbase,
     and the rear axle moves where it points.

@@ -23,6 +23,7 @@ class Model:
         baseline: whether it is evaluated beside every trained model; it has nothing to train but its actuators.
         ablation: whether it answers a question about another model and is no candidate itself.
         colour: in figures; "" for one from the spare colours.
+        fits: whether the model can be made for a vehicle.
     """
 
     build: Callable[[Vehicle], Dynamics]
@@ -30,6 +31,7 @@ class Model:
     baseline: bool = False
     ablation: bool = False
     colour: str = ""
+    fits: Callable[[Vehicle], bool] = lambda vehicle: True
 
     def __call__(self, vehicle: Vehicle) -> Dynamics:
         """An untrained model of this vehicle."""
@@ -41,7 +43,13 @@ MODELS: Final[Registry[Model]] = Registry("model", package="offpiste.dynamics", 
 
 
 def register_model(
-    name: str, *, draw: Draw | None = None, baseline: bool = False, ablation: bool = False, colour: str = ""
+    name: str,
+    *,
+    draw: Draw | None = None,
+    baseline: bool = False,
+    ablation: bool = False,
+    colour: str = "",
+    fits: Callable[[Vehicle], bool] = lambda vehicle: True,
 ) -> Callable[[Build], Build]:
     """Add the class or function below it, which makes a model from a `Vehicle`, under a name (see `Model`).
 
@@ -50,10 +58,15 @@ def register_model(
     """
 
     def add(build: Build) -> Build:
-        MODELS.register(name)(Model(build, draw, baseline, ablation, colour))
+        MODELS.register(name)(Model(build, draw, baseline, ablation, colour, fits))
         return build
 
     return add
+
+
+def reference_of(vehicle: Vehicle) -> str:
+    """Name of the model whose errors are the units of the loss: `kinematic`, or `ctrv` where nothing steers."""
+    return "kinematic" if MODELS["kinematic"].fits(vehicle) else "ctrv"
 
 
 def is_baseline(name: str) -> bool:

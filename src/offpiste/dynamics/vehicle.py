@@ -20,6 +20,7 @@ class Vehicle:
         features: how many terrain features the dataset has under each wheel.
         pca: how many of them a model reads, the first ones; 0: all.
         codes: length of the code that an encoder makes of them.
+        track: distance between the left and the right wheels, or tracks [m].
     """
 
     mass: float
@@ -31,6 +32,7 @@ class Vehicle:
     features: int = 0
     pca: int = 0
     codes: int = 4
+    track: float = 0.0
 
     def __post_init__(self) -> None:
         for rate in all_actuators():

@@ -80,20 +80,20 @@ def with_baselines(
         RunError: models were trained under different splits, or two runs are the same one.
     """
     found = list(models)
-    for name in (name for name, model in MODELS.items() if model.baseline):
+    vehicle = vehicle_of(dataset)
+    for name in (name for name, model in MODELS.items() if model.baseline and model.fits(vehicle)):
         if any(model.label == name for model in models):
             continue
         for split in dict.fromkeys(model.split for model in models) or {None: None}:
             beside = [model for model in models if model.split == split]
             fold = beside[0].fold if beside else None
-            found.append(EvaluatedModel(name, _baseline(name, beside, dataset).to(device), fold=fold, split=split))
+            found.append(EvaluatedModel(name, _baseline(name, beside, vehicle).to(device), fold=fold, split=split))
     _refuse_unlike(found, dataset)
     return found
 
 
-def _baseline(name: str, beside: Sequence[EvaluatedModel], dataset: Dataset) -> Dynamics:
+def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> Dynamics:
     """A baseline; its actuators, if it has any, have the delays that a model beside it fitted."""
-    vehicle = vehicle_of(dataset)
     baseline = MODELS[name](vehicle)
     fitted = [model.dynamics.actuators for model in beside if _channels(model.dynamics.vehicle) == _channels(vehicle)]
     found = next((lags for lags in fitted if lags is not None), None)

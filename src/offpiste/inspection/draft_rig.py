@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import all_actuators, all_controls
+from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.errors import LogError, OffpisteError
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.driven_path import driven_path
@@ -37,10 +37,14 @@ _SCALARS: tuple[tuple[str, re.Pattern[str]], ...] = (
 
 
 def _scalars() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    """Channels of one number, with the names of fields that may hold them."""
-    controls = [(control.name, control.pattern) for control in all_controls() if control.pattern]
-    actuators = [(actuator.channel, actuator.pattern) for actuator in all_actuators() if actuator.pattern]
-    return (*_SCALARS, *((name, re.compile(pattern, re.IGNORECASE)) for name, pattern in controls + actuators))
+    """Channels of one number, with the names of fields that may hold them; registered ones are tried first."""
+    named = [(control.name, control.pattern, control in CONTROLS) for control in all_controls()]
+    named += [(actuator.channel, actuator.pattern, actuator in ACTUATORS) for actuator in all_actuators()]
+    own, more = (
+        tuple((name, re.compile(pattern, re.IGNORECASE)) for name, pattern, ships in named if pattern and ships is kind)
+        for kind in (True, False)
+    )
+    return (*more, *_SCALARS, *own)
 
 
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk", re.IGNORECASE)

@@ -21,7 +21,7 @@ from offpiste.inspection.findings import Finding, ranked
 from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, heading_fits
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
-from offpiste.inspection.response import check_copies, check_pedals, check_steering
+from offpiste.inspection.response import check_copies, check_other_controls, check_pedals, check_steering
 from offpiste.inspection.signals import channel_signals, check_signals, recorded_signals
 from offpiste.inspection.stamps import check_spans, check_stamps, timing
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
@@ -199,7 +199,7 @@ def _check_channels(drive: Drive, path: Path, recorded: dict[str, Recorded], *, 
         said += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
         # Without a rig only names were guessed, and the topic may have another.
         findings.append(Finding("fatal" if given else "warning", "controls", what, said, mend, 1.0))
-    if not steers and not drives:
+    if not steers and not drives and not check_other_controls(drive, path):
         present = [control.name for control in all_controls() if control.name in drive.channels]
         what = "no control has any effect" if present else "there is no control channel"
         said = f"judged: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"

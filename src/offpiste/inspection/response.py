@@ -8,6 +8,7 @@ Fields that repeat the steering later: they look like its command, and are not.
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.channels import CONTROLS, all_controls
 from offpiste.inspection.driven_path import TURNING, Path
 from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.lags import LagFit, fit_lags
@@ -98,6 +99,21 @@ def check_pedals(drive: Drive, path: Path) -> tuple[list[Finding], bool]:
         else:
             findings += _delay(name, fit, _PEDAL_LAGS, drive.rig, sign)
     return findings, works
+
+
+def check_other_controls(drive: Drive, path: Path) -> bool:
+    """Whether a control beyond throttle, brake and steering (`offpiste.channels`) drives or turns the vehicle."""
+    one, moving = np.ones((len(path.time), 1)), np.isfinite(path.speed)
+    for control in (control for control in all_controls() if control not in CONTROLS):
+        channel = drive.channels.get(control.name)
+        if channel is None or np.ptp(channel.values) == 0:
+            continue
+        lagged = np.stack([_sampled(channel, path.time - lag, drive.rig) for lag in _LAGS])
+        for motion in (path.forward, path.yaw_rate):
+            fit = fit_lags(motion, one, lagged, _LAGS, moving)
+            if fit is not None and abs(fit.r[fit.best()]) > _PEDAL_EFFECT:
+                return True
+    return False
 
 
 def _pedal_fit(name: str, drive: Drive, path: Path) -> LagFit | None:

@@ -131,6 +131,12 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         front_left, front_right, rear_left, rear_right = (x for x, _ in self.wheel_positions)
         return (front_left + front_right - rear_left - rear_right) / 2
 
+    @property
+    def track(self) -> float:
+        """Distance between the left and the right wheels, or tracks [m]."""
+        front_left, front_right, rear_left, rear_right = (y for _, y in self.wheel_positions)
+        return (front_left - front_right + rear_left - rear_right) / 2
+
 
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How rows are stamped: a message's header or its arrival (bags), a column (tables), and what counts as a gap.

@@ -23,7 +23,7 @@ class Run:
     """A trained model and what it was trained on.
 
     Attributes:
-        scale: the loss's units (`kinematic_scale`).
+        scale: the loss's units (`train.loss_scale`).
         split: text of the split it was trained under.
         seen: (drive, first, last) stretches of time [s] that training or validation used.
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
@@ -152,6 +152,7 @@ def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
         features=len(dataset.features),
         pca=config.pca,
         codes=config.codes,
+        track=rig.vehicle.track,
     )
 
 

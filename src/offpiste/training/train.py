@@ -16,8 +16,10 @@ from offpiste.conventions import DT, STATE
 from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import MODELS, Dynamics, Kinematic, rollout
+from offpiste.dynamics import MODELS, Dynamics, rollout
+from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.dynamics.models import reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.state import RecordedTerrain, Trajectory
 from offpiste.training.checkpoint import load_json, save_json
@@ -72,12 +74,12 @@ def train(
     ) -> None:
         run_stage(Stage(name, module, loss, epochs, draw), windows, validation, config, folder, record, group)
 
-    kinematic = Kinematic(vehicle).to(config.device)
+    reference = MODELS[reference_of(vehicle)](vehicle).to(config.device)
     if vehicle.actuators:
-        lags = kinematic.actuators
+        lags = reference.actuators or Actuators(vehicle).to(config.device)
         fit("actuators", lags, actuator_loss(lags, windows), config.actuator_epochs)
         _freeze(dynamics, lags)
-    scale = kinematic_scale(kinematic, windows, config)
+    scale = loss_scale(reference, windows, config)
     weights = torch.tensor(config.weights.in_order(), device=config.device)
 
     def loss_of(model: Dynamics) -> Callable[[Batch], Float[Tensor, " B"]]:
@@ -154,12 +156,12 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
         dynamics.standardise_on(encoded(dynamics, windows.gather(index)).history)
 
 
-def kinematic_scale(kinematic: Kinematic, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
-    """Mean square error of `kinematic` on the training windows by component: the units of the loss."""
+def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
+    """Mean square error of the reference on the training windows by component: the units of the loss."""
     index = windows.every(config.stride)
     with torch.no_grad():
         parts = [windows.gather(part) for part in np.array_split(index, max(1, len(index) // 512))]
-        errors = torch.cat([squared_errors(predict(kinematic, batch).state, batch.target) for batch in parts])
+        errors = torch.cat([squared_errors(predict(reference, batch).state, batch.target) for batch in parts])
     return errors.mean(dim=(0, 1)).clamp(min=1e-8)
 
 

@@ -1,0 +1,80 @@
+"""A vehicle with two tracks from outside the package: its log, a trained model, a prediction."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from extending.outside import offpiste, python
+from offpiste.conventions import DT
+from offpiste.errors import RigError
+from offpiste.rig.rig import parse_rig
+
+RIG = """
+name = "tracked"
+absent = ["throttle", "brake", "steer", "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
+[vehicle]
+mass = 900.0
+pose_point = "between the tracks"
+wheel_positions = [[0.8, 0.7], [0.8, -0.7], [-0.8, 0.7], [-0.8, -0.7]]
+[channels]
+position = { fields = ["x", "y"] }
+yaw = { fields = ["yaw"] }
+left_track = { fields = ["left"], unit = "km/h", scale = 3.6 }
+right_track = { fields = ["right"] }
+"""
+
+PREDICT = """
+import sys
+import numpy as np
+from offpiste.dataset.store import open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.training.run import load_run
+from offpiste.training.train import predict
+
+dataset, run = open_dataset(sys.argv[1]), load_run(sys.argv[2])
+assert run.dynamics.vehicle.control_columns[-2:] == ("left_track", "right_track")
+assert abs(run.dynamics.vehicle.track - 1.4) < 1e-9
+windows = Windows(dataset, "test")
+batch = windows.gather(windows.every(20))
+predicted = predict(run.dynamics, batch).state
+print(float((predicted - batch.target)[:, -1, :2].norm(dim=-1).mean()))
+"""
+
+
+def drive(folder: Path, seconds: float = 120.0) -> Path:
+    """A table of a vehicle that goes at 0.9 of its tracks' speed and turns at 0.6 of what they ask for."""
+    time = np.arange(0, seconds, DT)
+    left = 4 + np.sin(0.5 * time) + 0.5 * np.sin(1.3 * time)
+    right = 4 + np.sin(0.7 * time + 1)
+    speed, turn = 0.9 * (left + right) / 2, 0.6 * (right - left) / 1.4
+    yaw = np.concatenate(([0.0], np.cumsum(turn * DT)[:-1]))
+    x, y = (np.cumsum(speed * part * DT) for part in (np.cos(yaw), np.sin(yaw)))
+    path = folder / "drive.csv"
+    table = np.column_stack((time, x, y, yaw, left, right))
+    np.savetxt(path, table, delimiter=",", header="t,x,y,yaw,left,right", comments="", fmt="%.9g")
+    return path
+
+
+def test_a_model_with_controls_of_its_own_is_trained_and_predicts(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    log, dataset, run = drive(tmp_path), tmp_path / "d.zarr", tmp_path / "run"
+    inspected = offpiste("inspect", log, "--rig", tmp_path / "rig.toml", extension="skid_steer")
+    assert "no control" not in inspected.stdout + inspected.stderr
+    assert inspected.returncode == 0, inspected.stdout
+    split = ("--split", "blocks:0.4,0.3,0.3")
+    extracted = offpiste(
+        "extract", log, "--rig", tmp_path / "rig.toml", "--out", dataset, *split, extension="skid_steer"
+    )
+    assert extracted.returncode == 0, extracted.stderr
+    config = ("--model", "skid-steer", "--epochs", "6", "--batch", "16", "--stride", "10")
+    trained = offpiste("train", dataset, "--out", run, *config, extension="skid_steer")
+    assert trained.returncode == 0, trained.stderr
+    predicted = python("-c", PREDICT, dataset, run, extension="skid_steer")
+    assert predicted.returncode == 0, predicted.stderr
+    assert float(predicted.stdout) < 1.5, "of 18 m driven in 5 s"
+
+
+def test_without_the_extension_the_controls_are_refused():
+    with pytest.raises(RigError, match="unknown channel 'left_track'"):
+        parse_rig(RIG, where="rig.toml")
