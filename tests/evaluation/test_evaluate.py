@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from factories import COMMANDED, RIG, circle_rows
@@ -19,7 +20,8 @@ from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import Headline, ResultRow, pooled_rows, read_metrics, run_rows
-from offpiste.evaluation.report import headline_text, report_page, write_report
+from offpiste.evaluation.report import draw_figures, headline_text, report_page, write_report
+from offpiste.evaluation.report_figures import REPORT_FIGURES, ReportFigure
 from offpiste.evaluation.report_figures.worst_windows import predict_worst, worst_windows
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.report.page import render
@@ -220,6 +222,22 @@ def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_pa
     assert "x < y" in page.data
     assert "slow" in page.data
     assert read_metrics(tmp_path / "report" / "metrics.json").windows == evaluation.metrics.windows
+
+
+def test_figures_stand_in_their_sections_and_one_with_nothing_to_draw_is_left_out(
+    evaluation: Evaluation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(REPORT_FIGURES) == 5
+    added = {"none": ReportFigure("Nothing", "", lambda evaluation: None)}
+    added["one"] = ReportFigure("Distribution", "a caption", lambda evaluation: Figure())
+    added["two"] = ReportFigure("Something else", "another", lambda evaluation: Figure())
+    monkeypatch.setattr(REPORT_FIGURES, "_entries", added)
+    page = report_page(evaluation.metrics, draw_figures(evaluation))
+    shown = {section.heading: [picture.name for picture in section.pictures] for section in page.sections}
+    assert shown["Distribution"] == ["one"]
+    assert list(shown)[-2:] == ["Something else", "How to read this"]
+    assert "Nothing" not in shown
+    assert "Worst windows" not in shown, "a heading without a table or a figure"
 
 
 def test_names_are_escaped_wherever_they_stand(evaluation: Evaluation) -> None:

@@ -1,0 +1,33 @@
+"""A figure added to the report from outside the package, through the command line."""
+
+from pathlib import Path
+
+import numpy as np
+
+from extending.outside import offpiste
+from factories import RIG, circle_rows
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import add_drive, create, open_dataset
+from offpiste.rig.rig import parse_rig
+from offpiste.training.config import TrainConfig
+from offpiste.training.train import train
+
+QUICK = TrainConfig(model="parametric", epochs=1, bicycle_epochs=1, actuator_epochs=1, stride=50)
+
+
+def test_the_report_has_the_figure_of_an_extension(tmp_path: Path) -> None:
+    path, split, out = tmp_path / "circles.zarr", parse_split("blocks:0.4,0.2,0.4"), tmp_path / "report"
+    rows = circle_rows(3000)
+    rows.state_causal[:, 5] = np.linspace(0.1, 0.5, len(rows.state_causal))
+    create(path, parse_rig(RIG, where="test"), split)
+    add_drive(path, "circles", rows, split, ())
+    train(open_dataset(path), QUICK, tmp_path / "run")
+
+    done = offpiste("evaluate", tmp_path / "run", "--dataset", path, "--out", out, extension="yaw_rate_figure")
+    assert done.returncode == 0, done.stderr
+    assert (out / "yaw_rate.png").read_bytes().startswith(b"\x89PNG")
+    page = (out / "report.html").read_text("utf-8")
+    assert "by the yaw rate at the start; every bin holds as many windows.</figcaption>" in page
+    headings = [part.partition("</h2>")[0] for part in page.split("<h2>")[1:]]
+    assert headings[-3:] == ["Worst windows", "Error by yaw rate", "How to read this"]
+    assert page.count("data:image/png;base64,") == 6
