@@ -50,7 +50,7 @@ class Counting:
     def look(self, pixels: np.ndarray) -> np.ndarray:
         """As the look's, timed."""
         began = time.perf_counter()
-        features = self.extractor.look(pixels)
+        features = self.extractor.extract(pixels)
         self.times.append(time.perf_counter() - began)
         return features
 
@@ -58,7 +58,7 @@ class Counting:
 def scans_alone(log: SensorLog, extractor: FeatureExtractor, start: float, end: float) -> float:
     """Processor time of the scans without images [s]."""
     began = time.process_time()
-    for _ in replay(log, {}, extractor.look, 0, start=start, end=end):
+    for _ in replay(log, {}, extractor.extract, 0, start=start, end=end):
         pass
     return time.process_time() - began
 
@@ -130,7 +130,7 @@ def main(
     rows = extract_rows(drive_from_log(opened, loaded))
     extractor = load_feature_extractor(pca)
     sensors = open_sensors(opened, loaded)
-    extractor.look(np.zeros((140, 140, 3), np.uint8))
+    extractor.extract(np.zeros((140, 140, 3), np.uint8))
     scans_alone(sensors, extractor, rows.time[0], rows.time[0] + 1)  # compiles
     playing(sensors, rows, loaded, extractor)
     reading(log, loaded, pca)

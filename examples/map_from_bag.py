@@ -21,7 +21,7 @@ def build_map(
     sensors = offpiste.open_sensors(offpiste.open_log(log), offpiste.load_rig(rig))
     if pca:
         extractor = offpiste.load_feature_extractor(pca)
-        cameras, features, channels = pinhole_cameras(sensors, extractor.patch), extractor.look, extractor.channels
+        cameras, features, channels = pinhole_cameras(sensors, extractor.patch), extractor.extract, extractor.channels
     else:
         cameras, features, channels = {}, None, 0
     first, last = sensors.poses.span

@@ -32,7 +32,7 @@ from offpiste.perception.camera import make_pinhole_camera
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.motion_compensation import transformed
 from offpiste.perception.pca import Moments, fit
-from offpiste.perception.projection import View, project
+from offpiste.perception.projection import CameraView, project
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource
 from offpiste.visualization.images import beside, colour_limits, colours, overlay, sheet, write_png
@@ -118,7 +118,7 @@ class Frame:
         body_from_lidar: where the LiDAR sits.
     """
 
-    feature_set_choice: tuple[View, ...]
+    views: tuple[CameraView, ...]
     images: tuple[UInt8[np.ndarray, "h w 3"], ...]
     points_lidar: Float[np.ndarray, "n 3"]
     body_from_lidar: Float[np.ndarray, "4 4"]
@@ -157,7 +157,7 @@ def read_frame(folder: Path) -> Frame:
     points = np.stack([cloud[axis] for axis in "xyz"], axis=1).astype(np.float64)
     points = points[np.linalg.norm(points, axis=1) > 0.5]  # false for NaN; nearer is the robot itself
     return Frame(
-        tuple(View(camera, 0.0, camera.body_from_camera) for camera in cameras),
+        tuple(CameraView(camera, 0.0, camera.body_from_camera) for camera in cameras),
         tuple(camera.rectifier(image) for camera, image in zip(cameras, images, strict=True)),
         points,
         _mounting(mountings, "os_sensor"),
@@ -167,7 +167,7 @@ def read_frame(folder: Path) -> Frame:
 def overlays(frame: Frame) -> list[UInt8[np.ndarray, "h w 3"]]:
     """Each image with the points that it shows."""
     drawn = []
-    for view, image in zip(frame.feature_set_choice, frame.images, strict=True):
+    for view, image in zip(frame.views, frame.images, strict=True):
         found = project(frame.points_body, [view])
         drawn.append(overlay(image, found.pixel[found.seen], found.distance[found.seen], farthest=30.0))
     return drawn
@@ -176,8 +176,8 @@ def overlays(frame: Frame) -> list[UInt8[np.ndarray, "h w 3"]]:
 def edge_scores(frame: Frame, turns: tuple[float, ...] = TURNS) -> Float[np.ndarray, "cameras 3 turns"]:
     """The edge score of each camera, its mounting turned about its x (pitch), y (yaw) and z (roll) axis [deg]."""
     strength, points = depth_edges(frame.points_lidar), frame.points_body
-    scores = np.zeros((len(frame.feature_set_choice), 3, len(turns)))
-    for number, (view, image) in enumerate(zip(frame.feature_set_choice, frame.images, strict=True)):
+    scores = np.zeros((len(frame.views), 3, len(turns)))
+    for number, (view, image) in enumerate(zip(frame.views, frame.images, strict=True)):
         edges = image_edges(image)
         for axis in range(3):
             for index, turn in enumerate(turns):
@@ -190,9 +190,9 @@ def edge_scores(frame: Frame, turns: tuple[float, ...] = TURNS) -> Float[np.ndar
 
 def fit_extractor(frame: Frame, backbone: Backbone, *, components: int = 20) -> FeatureExtractor:
     """A PCA on the patches of the frame's images that points hit at all: a forest's ground is hard to tell."""
-    found = project(frame.points_body, frame.feature_set_choice)
+    found = project(frame.points_body, frame.views)
     moments = Moments.none(backbone.channels)
-    for number, (view, image) in enumerate(zip(frame.feature_set_choice, frame.images, strict=True)):
+    for number, (view, image) in enumerate(zip(frame.views, frame.images, strict=True)):
         mask = view.camera.grid.hit(found.pixel[found.view == number])
         with torch.no_grad():
             moments = moments.add(backbone(image[None]), mask[None])
@@ -201,8 +201,8 @@ def fit_extractor(frame: Frame, backbone: Backbone, *, components: int = 20) -> 
 
 def terrain(frame: Frame, extractor: FeatureExtractor) -> TerrainLayers:
     """The map of the one scan, with the features of the images."""
-    found = project(frame.points_body, frame.feature_set_choice)
-    features = found.gather([extractor.look(image) for image in frame.images])
+    found = project(frame.points_body, frame.views)
+    features = found.gather([extractor.extract(image) for image in frame.images])
     pipeline = MapPipeline(extractor.channels)
     cloud = FeatureCloud(frame.points_body, frame.body_from_lidar[:3, 3], features, found.seen)
     pipeline.add(cloud, np.zeros(3))
@@ -219,11 +219,11 @@ def main(folder: tyro.conf.Positional[Path], out: Path = Path("marv"), backbone:
     """
     frame = read_frame(folder)
     extractor = fit_extractor(frame, open_backbone(backbone))
-    looks = [extractor.look(image) for image in frame.images]
+    looks = [extractor.extract(image) for image in frame.images]
     layers = terrain(frame, extractor)
     limits = colour_limits(np.concatenate([look.reshape(-1, extractor.channels) for look in looks]))
     out.mkdir(parents=True, exist_ok=True)
-    pairs = zip(frame.feature_set_choice, frame.images, looks, strict=True)
+    pairs = zip(frame.views, frame.images, looks, strict=True)
     write_png(out / "overlay.png", sheet(overlays(frame)))
     write_png(
         out / "features.png",

@@ -70,7 +70,7 @@ def picture(
 ) -> UInt8[np.ndarray, "h w2 3"]:
     """A photograph and its first three components."""
     height, width = photograph.shape[:2]
-    return beside(photograph, colours(extractor.look(photograph), limits), extractor.backbone.grid(width, height))
+    return beside(photograph, colours(extractor.extract(photograph), limits), extractor.backbone.grid(width, height))
 
 
 def main(folder: tyro.conf.Positional[Path], out: Path = Path("photographs"), backbone: str = "filterbank") -> None:
@@ -83,7 +83,7 @@ def main(folder: tyro.conf.Positional[Path], out: Path = Path("photographs"), ba
     """
     photographs = read_photographs(folder)
     extractor = fit_on_photographs(list(photographs.values()), open_backbone(backbone))
-    looks = [extractor.look(photograph) for photograph in photographs.values()]
+    looks = [extractor.extract(photograph) for photograph in photographs.values()]
     ground = [look[_between(*look.shape[:2])] for look in looks]
     limits = colour_limits(np.concatenate(ground))
     out.mkdir(parents=True, exist_ok=True)

@@ -126,7 +126,7 @@ def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Data
     assert (np.diff(snapshots.row) >= 25).all()
     log, extractor = open_log(folder / "drive.mcap"), load_feature_extractor(folder / "pca.safetensors")
     sensors = open_sensors(log, dataset.rig)
-    moments = replay(sensors, pinhole_cameras(sensors, extractor.patch), extractor.look, extractor.channels)
+    moments = replay(sensors, pinhole_cameras(sensors, extractor.patch), extractor.extract, extractor.channels)
     compared, before, after = 0, -np.inf, rows.time[snapshots.row]
     held = None
     for moment in moments:

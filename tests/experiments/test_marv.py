@@ -27,14 +27,14 @@ def layers(frame):
 
 
 def test_every_camera_shows_points_and_they_are_drawn(frame):
-    for view, image, drawn in zip(frame.feature_set_choice, frame.images, overlays(frame), strict=True):
+    for view, image, drawn in zip(frame.views, frame.images, overlays(frame), strict=True):
         assert project(frame.points_body, [view]).seen.sum() > 5000
         assert 0.01 < (drawn != image).any(axis=2).mean() < 0.2
 
 
 def test_trunks_are_where_the_points_say(frame):
     """By eye, in the rectified images: the middle of the big trunk and what is left of it."""
-    found = project(frame.points_body, [frame.feature_set_choice[FRONT]])
+    found = project(frame.points_body, [frame.views[FRONT]])
     x, y = found.pixel.T
     trunk = found.distance[found.seen & (x > 800) & (x < 850) & (y > 20) & (y < 120)]
     beside = found.distance[found.seen & (x > 650) & (x < 770) & (y > 60) & (y < 120)]

@@ -62,7 +62,7 @@ def held_out_accuracy(photographs, components: int) -> tuple[dict[str, float], d
         )
         found = {}
         for name, photograph in photographs.items():
-            look = extractor.look(photograph).astype(np.float64)
+            look = extractor.extract(photograph).astype(np.float64)
             shape = photograph.shape
             found[name] = [patches(look, extractor, shape, boxes.get(name, ())) for boxes in (TRAIL, VEGETATION)]
         known = [found[name] for name in photographs if name != held_out]
@@ -99,7 +99,7 @@ def test_one_of_the_colours_drawn_tells_trail_from_vegetation(folder):
     extractor = fit_on_photographs(list(photographs.values()), open_backbone("filterbank"), components=3)
     areas = {}
     for name in TRAIL:
-        look, shape = extractor.look(photographs[name]), photographs[name].shape
+        look, shape = extractor.extract(photographs[name]), photographs[name].shape
         trail, vegetation = (patches(look, extractor, shape, boxes[name]) for boxes in (TRAIL, VEGETATION))
         # Area under the ROC curve: how often a trail patch lies above one of vegetation.
         above = [mannwhitneyu(t, v).statistic / len(t) / len(v) for t, v in zip(trail.T, vegetation.T, strict=True)]

@@ -137,7 +137,7 @@ def filterbank_looking() -> FeatureExtractor:
 def test_colour_is_added_to_a_look_and_leaves_it_as_it_was() -> None:
     extractor = filterbank_looking()
     pixels = np.random.default_rng(1).integers(0, 256, (42, 56, 3), dtype=np.uint8)
-    both, alone = with_colour(extractor).look(pixels), extractor.look(pixels)
+    both, alone = with_colour(extractor).extract(pixels), extractor.extract(pixels)
     np.testing.assert_allclose(both[..., :-3], alone, atol=1e-5)
     patch = pixels[14:28, 28:42].reshape(-1, 3).mean(axis=0) / 255
     np.testing.assert_allclose(both[1, 2, -3:], patch, atol=1e-5)

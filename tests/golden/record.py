@@ -375,10 +375,10 @@ def map_layers() -> Results:
     }
     sensors = open_sensors(open_log(light_drive()[0]), rig)
     cameras = pinhole_cameras(sensors, look.patch)
-    for number, moment in enumerate(replay(sensors, cameras, look.look, look.channels), start=1):
+    for number, moment in enumerate(replay(sensors, cameras, look.extract, look.channels), start=1):
         if number in (1, 10):
             found |= told(f"scan.{number}.points", moment.points_world, keep=100)
-            for view, seen in enumerate(moment.looks):
+            for view, seen in enumerate(moment.features):
                 found |= told(f"scan.{number}.look.{view}", seen, keep=150)
             for view, pixels in enumerate(moment.images):
                 found |= told(f"scan.{number}.image.{view}", pixels, keep=100)

@@ -35,7 +35,7 @@ def mapper() -> Mapper:
 
 def test_an_image_is_due_after_some_way_or_some_time(mapper):
     assert mapper.is_due(image(0.0), pose(0.0))
-    mapper.look(image(0.0), pose(0.0))
+    mapper.add_image(image(0.0), pose(0.0))
     assert not mapper.is_due(image(0.1), pose(0.49))
     assert mapper.is_due(image(0.1), pose(0.51))
     assert not mapper.is_due(image(MEMORY), pose(0.0))
@@ -43,7 +43,7 @@ def test_an_image_is_due_after_some_way_or_some_time(mapper):
 
 
 def test_a_turn_on_the_spot_counts_as_far_as_the_camera_goes(mapper):
-    mapper.look(image(0.0), pose(0.0))
+    mapper.add_image(image(0.0), pose(0.0))
     turned = np.diag((-1.0, -1.0, 1.0, 1.0))  # the camera is 0.5 m ahead of the pose point: it goes 1 m
     assert mapper.is_due(image(0.1), turned)
 
@@ -52,11 +52,11 @@ def test_old_images_are_not_projected(mapper):
     track = VehicleTrack()
     for row in range(150):
         track.add(reading(0.02 * row, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    mapper.look(image(0.5), pose(0.0))
-    fresh = mapper.scan(scan(0.5 + MEMORY), track.poses(), pose(0.0))
+    mapper.add_image(image(0.5), pose(0.0))
+    fresh = mapper.add_scan(scan(0.5 + MEMORY), track.poses(), pose(0.0))
     assert [seen.view.time for seen in fresh.seen] == [0.5]
     assert fresh.projection is not None
     assert mapper.pipeline.layers().valid.any()
-    old = mapper.scan(scan(0.5 + MEMORY + 0.1), track.poses(), pose(0.0))
+    old = mapper.add_scan(scan(0.5 + MEMORY + 0.1), track.poses(), pose(0.0))
     assert (old.seen, old.projection) == ((), None)
     assert len(old.points_world) == len(fresh.points_world)

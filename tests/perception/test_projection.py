@@ -10,7 +10,7 @@ from offpiste.logs.measurements import Camera, Cloud, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import inverse, points_in_world, transformed
-from offpiste.perception.projection import ProjectionSettings, View, project, project_to_pinhole, view_at
+from offpiste.perception.projection import CameraView, ProjectionSettings, camera_view_at, project, project_to_pinhole
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
 
@@ -25,9 +25,9 @@ def camera(*, mounting=AHEAD, name="front", own_body=(), patch=10) -> PinholeCam
     return make_pinhole_camera(Camera(name, CameraModel(160, 120, MATRIX), mounting, source), patch)
 
 
-def view(time=0.0, **options) -> View:
+def view(time=0.0, **options) -> CameraView:
     made = camera(**options)
-    return View(made, time, made.body_from_camera)
+    return CameraView(made, time, made.body_from_camera)
 
 
 def straight(speed: float, *, yaw_rate: float = 0.0) -> Poses:
@@ -81,10 +81,10 @@ def test_a_moving_vehicle_is_compensated_between_scan_and_image():
     lidar = Lidar("top", np.eye(4), LidarSource(topic="top"))
     scan = Cloud(-0.1, "top", np.array([[10.0, 2.0, 0.0]]), None, np.ones(1))
     world = points_in_world(scan, lidar, poses)
-    seen = view_at(made, 0.0, poses)
+    seen = camera_view_at(made, 0.0, poses)
     assert seen is not None
     np.testing.assert_allclose(project(world, [seen]).pixel, [[79.5 - 100 * 2 / 9, 59.5]])
-    ignored = project(world, [View(made, 0.0, poses.at(np.array([-0.1]))[0] @ made.body_from_camera)])
+    ignored = project(world, [CameraView(made, 0.0, poses.at(np.array([-0.1]))[0] @ made.body_from_camera)])
     np.testing.assert_allclose(ignored.pixel, [[59.5, 59.5]])  # 2.2 px off
 
 
@@ -113,7 +113,7 @@ def test_without_a_pose_points_are_unknown_and_views_are_none():
     lidar = Lidar("top", np.eye(4), LidarSource(topic="top"))
     scan = Cloud(0.95, "top", np.ones((2, 3)), np.array([0.0, 0.1]), np.ones(2))
     assert np.isnan(points_in_world(scan, lidar, poses)).any(axis=1).tolist() == [False, True]
-    assert view_at(camera(), 1.5, poses) is None
+    assert camera_view_at(camera(), 1.5, poses) is None
 
 
 def grid(x: float, half: float, step: float) -> np.ndarray:
@@ -137,16 +137,16 @@ def test_a_wall_hides_what_is_behind_it_though_its_points_are_sparse():
 def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():
     turned = np.eye(4)
     turned[:3, :3] = Rotation.from_euler("z", 40, degrees=True).as_matrix()
-    feature_set_choice = [view(), view(mounting=turned @ AHEAD, name="left", time=-0.1)]
+    views = [view(), view(mounting=turned @ AHEAD, name="left", time=-0.1)]
     angles = np.deg2rad([-10, 15, 25, 60])
     points = 10 * np.column_stack((np.cos(angles), np.sin(angles), np.zeros(4)))
-    assert project(points, feature_set_choice).view.tolist() == [0, 0, 1, 1]  # the middle lies at 20 degrees
+    assert project(points, views).view.tolist() == [0, 0, 1, 1]  # the middle lies at 20 degrees
     newest = ProjectionSettings(rule="newest")
-    assert project(points, feature_set_choice, newest).view.tolist() == [0, 0, 0, 1]
-    assert project(points, feature_set_choice[::-1], newest).view.tolist() == [1, 1, 1, 0]
+    assert project(points, views, newest).view.tolist() == [0, 0, 0, 1]
+    assert project(points, views[::-1], newest).view.tolist() == [1, 1, 1, 0]
     # What the better camera cannot see, the other one shows.
     wall = points[2] * 0.3
-    assert project(np.stack((points[2], wall)), feature_set_choice).view.tolist() == [-1, 1]
+    assert project(np.stack((points[2], wall)), views).view.tolist() == [-1, 1]
 
 
 def test_patches_of_the_vehicle_itself_show_nothing():

@@ -141,8 +141,8 @@ def test_settings_that_do_not_fit_the_steps_are_refused():
     settings(plan_rate=25.0)
 
 
-def test_a_model_of_features_wants_something_that_looks():
-    with pytest.raises(PlanningError, match="look"):
+def test_a_model_of_features_needs_a_feature_extractor():
+    with pytest.raises(PlanningError, match="nothing extracts them"):
         straight_drive(dynamics=seeing_model())
 
 

@@ -177,7 +177,7 @@ def _sight(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> Sigh
         return Sight(lidars)
     patch = planner.extractor.patch
     cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
-    return Sight(lidars, cameras, fault.extractor(planner.extractor.look))
+    return Sight(lidars, cameras, fault.extractor(planner.extractor.extract))
 
 
 def _truth(world: World) -> KnownGround:

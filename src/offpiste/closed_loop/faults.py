@@ -59,11 +59,11 @@ class Fault:
             self._struck = True
             runtime.forget_map()
 
-    def extractor(self, look: ExtractFeatures) -> ExtractFeatures:
+    def extractor(self, extract: ExtractFeatures) -> ExtractFeatures:
         """What the backbone gives."""
 
         def faulty(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
-            features = look(pixels)
+            features = extract(pixels)
             broken = self.kind == "nan-features" and self._now >= self.start
             return np.full_like(features, np.nan) if broken else features
 

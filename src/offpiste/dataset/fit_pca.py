@@ -202,14 +202,14 @@ def _add_log(
     cameras = pinhole_cameras(log, backbone.patch)
     hit: dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]] = {}
 
-    def look(pixels: np.ndarray) -> np.ndarray:
+    def extract(pixels: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             return np.asarray(backbone(pixels[None])[0].cpu().numpy())
 
     def wanted(image: Image) -> bool:
         return (image.camera, round(image.time, 6)) in times
 
-    for moment in replay(log, cameras, look, 0, wanted=wanted):
+    for moment in replay(log, cameras, extract, 0, wanted=wanted):
         report(_share(moment.time, log))
         current = _ground_hits(moment)
         for key in [key for key in hit if key not in current]:
@@ -231,7 +231,7 @@ def _ground_hits(moment: Moment) -> dict[tuple[str, float], tuple[torch.Tensor, 
     if moment.projection is None:
         return {}
     ground, found = ground_points(moment), {}
-    for number, (view, features) in enumerate(zip(moment.feature_set_choice, moment.looks, strict=True)):
+    for number, (view, features) in enumerate(zip(moment.views, moment.features, strict=True)):
         mine = ground & (moment.projection.view == number)
         mask = np.zeros(features.shape[:2], bool)
         mask[moment.projection.row[mine], moment.projection.column[mine]] = True

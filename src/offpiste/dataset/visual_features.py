@@ -72,7 +72,7 @@ def with_visual_features(
         passes, resolution=grid.size, reach=grid.reach, features=extractor.channels
     )
     cameras = pinhole_cameras(log, extractor.patch)
-    for moment in replay(log, cameras, extractor.look, extractor.channels, settings):
+    for moment in replay(log, cameras, extractor.extract, extractor.channels, settings):
         feature_sets_recorder.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
         if snapshots is not None:
             snapshots.look(moment, rows)

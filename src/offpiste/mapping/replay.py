@@ -14,7 +14,7 @@ from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import points_in_world
-from offpiste.perception.projection import Projection, ProjectionSettings, View, project
+from offpiste.perception.projection import CameraView, Projection, ProjectionSettings, project
 
 ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
 """From a rectified image to the features of its patches."""
@@ -25,9 +25,9 @@ class ReplaySettings:
     """How a drive is played back.
 
     Attributes:
-        frame_metres: an image is looked at when the vehicle has gone so far since the camera's last one [m].
+        keyframe_metres: distance that the vehicle travels between two keyframes of a camera [m].
         memory: older images than this are not projected onto [s].
-        projection, map: of those stages.
+        projection, map: settings of those stages.
     """
 
     keyframe_metres: float = 0.5
@@ -44,9 +44,9 @@ class Moment:
         time: of the scan [s].
         vehicle: place of the pose point then [m].
         layers: of the map; written over by the next scan.
-        points_world, projection: the scan itself, and where the images of `feature_set_choice` show it.
-        looks: features of these images.
-        images: they themselves, rectified.
+        points_world, projection: the scan itself, and the places of its points in the images of `views`.
+        features: of these images.
+        images: these images, rectified.
     """
 
     time: float
@@ -54,15 +54,15 @@ class Moment:
     layers: TerrainLayers
     points_world: Float[np.ndarray, "n 3"]
     projection: Projection | None
-    feature_set_choice: tuple[View, ...]
-    looks: tuple[Float32[np.ndarray, "_ _ F"], ...]
+    views: tuple[CameraView, ...]
+    features: tuple[Float32[np.ndarray, "_ _ F"], ...]
     images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
 
 
 class _Seen(NamedTuple):
-    """The last image of a camera that was looked at."""
+    """Last keyframe of a camera."""
 
-    view: View
+    view: CameraView
     features: Float32[np.ndarray, "rows columns F"]
     pixels: UInt8[np.ndarray, "h w 3"]
 
@@ -79,22 +79,22 @@ class Mapper:
     """Images and scans in, in the order of their times; the map out: the same on the vehicle and on a log.
 
     Args:
-        cameras: those that are looked through.
+        cameras: those in use, by name.
         lidars: of the scans.
-        look: backbone and PCA; on the vehicle, the encoder too.
-        channels: of what `look` gives; 0 maps the scans alone.
+        extract: backbone and PCA; on the vehicle, the encoder too.
+        channels: features that `extract` gives; 0 maps the scans alone.
     """
 
     def __init__(
         self,
         cameras: Mapping[str, PinholeCamera],
         lidars: Mapping[str, Lidar],
-        look: ExtractFeatures,
+        extract: ExtractFeatures,
         channels: int,
         settings: ReplaySettings | None = None,
     ) -> None:
         self._settings = settings or ReplaySettings()
-        self._cameras, self._lidars, self._look, self._channels = cameras, lidars, look, channels
+        self._cameras, self._lidars, self._extract, self._channels = cameras, lidars, extract, channels
         self._latest: dict[str, _Seen] = {}
         self.pipeline = MapPipeline(channels, self._settings.map)
 
@@ -111,14 +111,14 @@ class Mapper:
         moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
         return bool(moved >= self._settings.keyframe_metres or image.time - before.time > self._settings.memory)
 
-    def look(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> None:
-        """Look at an image; scans that follow get its features."""
+    def add_image(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> None:
+        """Extract the features of a keyframe; scans that follow get them."""
         camera = self._cameras[image.camera]
-        view = View(camera, image.time, pose @ camera.body_from_camera)
+        view = CameraView(camera, image.time, pose @ camera.body_from_camera)
         pixels = camera.rectifier(image.pixels)
-        self._latest[image.camera] = _Seen(view, self._look(pixels), pixels)
+        self._latest[image.camera] = _Seen(view, self._extract(pixels), pixels)
 
-    def scan(self, scan: Cloud, poses: Poses, pose: Float[np.ndarray, "4 4"]) -> Scanned:
+    def add_scan(self, scan: Cloud, poses: Poses, pose: Float[np.ndarray, "4 4"]) -> Scanned:
         """Put a scan into the map.
 
         Args:
@@ -147,7 +147,7 @@ def pinhole_cameras(log: SensorLog, patch: int) -> dict[str, PinholeCamera]:
 def replay(
     log: SensorLog,
     cameras: dict[str, PinholeCamera],
-    look: ExtractFeatures,
+    extract: ExtractFeatures,
     channels: int,
     settings: ReplaySettings | None = None,
     *,
@@ -158,29 +158,29 @@ def replay(
     """Play a drive back; where poses jump, the map begins anew.
 
     Args:
-        cameras: those that are looked through.
-        look: backbone and PCA.
-        channels: F of its features; 0 maps the scans alone.
-        wanted: images that are looked at, instead of one every `keyframe_metres`.
-        start, end: of the stretch that is played [s].
+        cameras: those in use, by name.
+        extract: backbone and PCA.
+        channels: F, number of its features; 0 maps the scans alone.
+        wanted: chooses the keyframes, instead of one every `keyframe_metres`.
+        start, end: of the stretch that is played back [s].
     """
-    mapper, layers, stretch = Mapper(cameras, log.lidars, look, channels, settings), None, 0
+    mapper, layers, stretch = Mapper(cameras, log.lidars, extract, channels, settings), None, 0
     for measured in log.stream([*cameras, *log.lidars], start=start, end=end):
         pose = log.poses.at(np.array([measured.time]))[0]
         if np.isnan(pose).any():
             continue
         if log.poses.stretch(measured.time) != stretch:
             stretch = log.poses.stretch(measured.time)
-            mapper, layers = Mapper(cameras, log.lidars, look, channels, settings), None
+            mapper, layers = Mapper(cameras, log.lidars, extract, channels, settings), None
         if isinstance(measured, Image):
             if mapper.is_due(measured, pose) if wanted is None else wanted(measured):
-                mapper.look(measured, pose)
+                mapper.add_image(measured, pose)
             continue
-        points, projection, seen = mapper.scan(measured, log.poses, pose)
+        points, projection, seen = mapper.add_scan(measured, log.poses, pose)
         layers = mapper.pipeline.layers(layers)
-        feature_set_choice, looks = tuple(s.view for s in seen), tuple(s.features for s in seen)
+        views, features = tuple(s.view for s in seen), tuple(s.features for s in seen)
         images = tuple(s.pixels for s in seen)
-        yield Moment(measured.time, pose[:3, 3], layers, points, projection, feature_set_choice, looks, images)
+        yield Moment(measured.time, pose[:3, 3], layers, points, projection, views, features, images)
 
 
 def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " n"]:

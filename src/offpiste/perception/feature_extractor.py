@@ -1,4 +1,4 @@
-"""Backbone and PCA as one look at an image."""
+"""Features of an image: a backbone, then its PCA."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from offpiste.perception.pca import PrincipalComponents, load_pca
 
 @dataclass(frozen=True)
 class FeatureExtractor:
-    """What turns rectified images into features."""
+    """Turns rectified images into features of their patches."""
 
     backbone: Backbone
     pca: PrincipalComponents
@@ -25,21 +25,21 @@ class FeatureExtractor:
 
     @property
     def channels(self) -> int:
-        """How many features a patch has."""
+        """Number of features of a patch."""
         return self.pca.components
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the features."""
+        """Names of the features."""
         return tuple(f"pca_{number}" for number in range(self.channels))
 
     @property
     def identity(self) -> str:
-        """What tells this PCA and backbone from others."""
+        """Hash that tells this PCA and backbone from others."""
         return self.pca.identity
 
     @torch.no_grad()
-    def look(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
+    def extract(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
         """Features of the patches of an image."""
         return np.asarray(self.pca.project(self.backbone(pixels[None])[0]).cpu().numpy(), np.float32)
 

@@ -24,7 +24,7 @@ NEAREST = 0.2
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """A camera at the moment of one of its images.
 
     Attributes:
@@ -100,17 +100,17 @@ class Projection:
         return found
 
 
-def view_at(camera: PinholeCamera, time: float, poses: Poses) -> View | None:
+def camera_view_at(camera: PinholeCamera, time: float, poses: Poses) -> CameraView | None:
     """A camera at a moment [s]; None where the vehicle's pose is not known then."""
     world_from_body = poses.at(np.array([time]))[0]
     if np.isnan(world_from_body).any():
         return None
-    return View(camera, time, world_from_body @ camera.body_from_camera)
+    return CameraView(camera, time, world_from_body @ camera.body_from_camera)
 
 
 def project(
     points_world: Float[np.ndarray, "n 3"],
-    feature_set_choice: Sequence[View],
+    views: Sequence[CameraView],
     settings: ProjectionSettings | None = None,
 ) -> Projection:
     """Find each point in the images.
@@ -122,7 +122,7 @@ def project(
     n = len(points_world)
     view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
     row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
-    for index, this in enumerate(feature_set_choice):
+    for index, this in enumerate(views):
         points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
         found, at = project_to_pinhole(points, model)
         if settings.hide:

@@ -56,12 +56,12 @@ class Sight:
 
     Attributes:
         cameras: none for models without features.
-        look: backbone and PCA, as the model was trained with.
+        extract: backbone and PCA, those that the model was trained with.
     """
 
     lidars: Mapping[str, Lidar]
     cameras: Mapping[str, PinholeCamera] = field(default_factory=dict)
-    look: ExtractFeatures | None = None
+    extract: ExtractFeatures | None = None
 
 
 class Seeing:
@@ -83,22 +83,22 @@ class Seeing:
         self._sight, self._encoder, self._track = sight, encoder, track
         self._settings, self._watch = settings, watch
         self._layers: TerrainLayers | None = None
-        self.looks = encoder is not None and sight.look is not None
-        self._channels = encoder.size if encoder is not None and self.looks else 0
+        self.uses_features = encoder is not None and sight.extract is not None
+        self._channels = encoder.size if encoder is not None and self.uses_features else 0
         self.dropped: Counter[str] = Counter()
         self.begin_anew()
 
     def begin_anew(self) -> None:
         """Forget the map: what was mapped fits nothing that comes."""
-        look = self._codes if self.looks else _blind
-        cameras = self._sight.cameras if self.looks else {}
-        self._mapper = Mapper(cameras, self._sight.lidars, look, self._channels, self._settings)
+        extract = self._codes if self.uses_features else _blind
+        cameras = self._sight.cameras if self.uses_features else {}
+        self._mapper = Mapper(cameras, self._sight.lidars, extract, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
 
     def image(self, image: Image) -> None:
         """Look at an image, if it is any use; it counts with its own stamp, however late it comes."""
-        if not self.looks or image.camera not in self._sight.cameras:
+        if not self.uses_features or image.camera not in self._sight.cameras:
             return
         pose = self._pose(image.camera, image.time)
         if pose is None:
@@ -109,7 +109,7 @@ class Seeing:
             return
         try:
             with self._watch.of("look"):
-                self._mapper.look(image, pose)
+                self._mapper.add_image(image, pose)
         except PerceptionError:
             self.dropped["images without finite features"] += 1
             return
@@ -124,7 +124,7 @@ class Seeing:
             self.dropped["scans without a finite point"] += 1
             return
         with self._watch.of("map scan"):
-            scanned = self._mapper.scan(scan, self._track.poses(), pose)
+            scanned = self._mapper.add_scan(scan, self._track.poses(), pose)
         if len(scanned.points_world):
             self.scan_time = max(self.scan_time, scan.time)
 
@@ -152,9 +152,9 @@ class Seeing:
     @torch.no_grad()
     def _codes(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
         """Backbone, PCA and encoder: codes of patches, so that the map never holds features."""
-        assert self._sight.look is not None
+        assert self._sight.extract is not None
         assert self._encoder is not None
-        features = torch.from_numpy(self._sight.look(pixels))
+        features = torch.from_numpy(self._sight.extract(pixels))
         if not features.isfinite().all():
             raise PerceptionError("features are not finite")
         flat = features.flatten(0, 1)

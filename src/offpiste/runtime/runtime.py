@@ -116,7 +116,7 @@ class Runtime:
         seed: of the sampled controls.
 
     Raises:
-        PlanningError: the model reads features, and nothing looks for them.
+        PlanningError: the model reads features, and nothing extracts them.
     """
 
     def __init__(
@@ -134,8 +134,8 @@ class Runtime:
         self._dynamics = dynamics.eval().requires_grad_(False)
         self._encoder = dynamics.encoder
         self._ground = ground
-        if self._encoder is not None and ground is None and sight.look is None:
-            raise PlanningError("the model reads features, and no `look` gives any", how="give Sight(…, look=…)")
+        if self._encoder is not None and ground is None and sight.extract is None:
+            raise PlanningError("the model reads features, and nothing extracts them", how="give Sight(…, extract=…)")
         self._needed = np.isin(ACTUATORS, dynamics.vehicle.actuators)
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._generator = torch.Generator().manual_seed(seed)
@@ -227,7 +227,7 @@ class Runtime:
         ages = Ages(
             state=now - (latest.time if latest else -np.inf),
             scan=now - seen.scan_time,
-            image=now - seen.image_time if seen.looks else -np.inf,
+            image=now - seen.image_time if seen.uses_features else -np.inf,
             plan=now - followed.start if followed else np.inf,
         )
         finished = self.guide.progress > self.guide.length - self._settings.arrived

@@ -131,16 +131,12 @@ class Album:
 
     def look(self, moment: Moment) -> None:
         """Take a picture if it is time for one."""
-        if (
-            len(self.done) == len(self.times)
-            or moment.time < self.times[len(self.done)]
-            or not moment.feature_set_choice
-        ):
+        if len(self.done) == len(self.times) or moment.time < self.times[len(self.done)] or not moment.views:
             return
-        if len(moment.feature_set_choice) < self.cameras and moment.time < self.times[len(self.done)] + 1.0:
+        if len(moment.views) < self.cameras and moment.time < self.times[len(self.done)] + 1.0:
             return
         self.done.append(moment.time)
-        for number in range(len(moment.feature_set_choice)):
+        for number in range(len(moment.views)):
             self.overlays.append(points_in_image(moment, number))
             if self.limits is not None:
                 self.besides.append(image_beside_features(moment, number, self.limits))
@@ -162,8 +158,8 @@ def points_in_image(moment: Moment, number: int) -> Picture:
 
 def image_beside_features(moment: Moment, number: int, limits: Float[np.ndarray, "2 3"]) -> Picture:
     """One of a moment's images and the first three components of its features (the paper's figure)."""
-    grid = moment.feature_set_choice[number].camera.grid
-    return beside(moment.images[number], colours(moment.looks[number], limits), grid)
+    grid = moment.views[number].camera.grid
+    return beside(moment.images[number], colours(moment.features[number], limits), grid)
 
 
 def contact_sheet(pictures: list[Picture], columns: int) -> Picture:

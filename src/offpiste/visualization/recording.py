@@ -18,7 +18,7 @@ from matplotlib import colormaps
 from offpiste.extras import extra
 from offpiste.mapping.replay import Moment
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.perception.projection import View
+from offpiste.perception.projection import CameraView
 from offpiste.visualization.images import colours
 from offpiste.visualization.map_figure import STEEP, TALL
 from offpiste.visualization.mesh import Tile, cell_centres, grid_triangles, tiles
@@ -130,7 +130,7 @@ class Recorder:
 
     def add(self, moment: Moment, world_from_body: Float[np.ndarray, "4 4"]) -> None:
         """What is new at this moment."""
-        for view, image, features in zip(moment.feature_set_choice, moment.images, moment.looks, strict=True):
+        for view, image, features in zip(moment.views, moment.images, moment.features, strict=True):
             if self._written.images.get(view.camera.name) != view.time:
                 self._written.images[view.camera.name] = view.time
                 self._add_image(view, image, features)
@@ -163,7 +163,7 @@ class Recorder:
         self._stream.log("world/vehicle", place)
 
     def _add_image(
-        self, view: View, image: UInt8[np.ndarray, "h w 3"], features: Float[np.ndarray, "rows columns F"]
+        self, view: CameraView, image: UInt8[np.ndarray, "h w 3"], features: Float[np.ndarray, "rows columns F"]
     ) -> None:
         rr, camera, pose = self._rr, view.camera, view.world_from_camera
         self._at(view.time)
@@ -190,7 +190,7 @@ class Recorder:
         shade = np.broadcast_to(GREY, (len(points), 3)).copy()
         if self._limits is not None and moment.projection is not None:
             seen = moment.projection.seen[::every]
-            shade[seen] = colours(moment.projection.gather(moment.looks)[::every][seen], self._limits)
+            shade[seen] = colours(moment.projection.gather(moment.features)[::every][seen], self._limits)
         self._stream.log("world/scan", self._rr.Points3D(points, colors=shade, radii=0.04))
 
     def _has_news(self, layers: TerrainLayers, tile: Tile) -> bool:

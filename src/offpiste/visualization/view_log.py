@@ -184,7 +184,7 @@ def _recording(drive: _Drive, path: Path | None) -> Iterator[Recorder | None]:
 def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None) -> Moment:
     log, extractor = drive.log, drive.extractor
     cameras = pinhole_cameras(log, extractor.patch if extractor else PATCH)
-    look, channels = (extractor.look, extractor.channels) if extractor else (_blind, 0)
+    look, channels = (extractor.extract, extractor.channels) if extractor else (_blind, 0)
     played = replay(log, cameras, look, channels, start=drive.start - EARLIER, end=drive.end)
     moment, before = None, np.full(3, np.inf)
     for moment in track(played, "playing back", total=drive.scans):

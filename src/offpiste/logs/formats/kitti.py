@@ -10,6 +10,7 @@ from typing import Final
 import cv2
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic, Transform
@@ -179,14 +180,8 @@ def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
     east = scale * np.deg2rad(longitude)
     north = scale * np.log(np.tan(np.deg2rad(90 + latitude) / 2))
     position = np.stack((east, north, altitude), axis=1)
-    cr, sr, cp, sp, cy, sy = (f(angle / 2) for angle in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    orientation = (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
-    return np.column_stack((position - position[0], *orientation))
+    orientation = Rotation.from_euler("ZYX", np.column_stack((yaw, pitch, roll))).as_quat()
+    return np.column_stack((position - position[0], orientation))
 
 
 def _row(path: Path) -> Float[np.ndarray, " 30"]:
