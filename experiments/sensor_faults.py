@@ -21,8 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from experiments.command import run
 from offpiste.inspection.misfit import turned
+from offpiste.inspection.mountings import CheckedSensor
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensors import Judged, camera_misfits, lidar_misfits
+from offpiste.inspection.sensors import camera_misfits, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Lidar
@@ -179,7 +180,7 @@ def planted(
     return lidars, cameras, replace(gathered, scans={**gathered.scans, name: scans})
 
 
-def _errors(found: Judged, turn: Float[np.ndarray, " 3"], late: float) -> tuple[float, float]:
+def _errors(found: CheckedSensor, turn: Float[np.ndarray, " 3"], late: float) -> tuple[float, float]:
     """How far the found turn [deg] and lateness [ms] are from the planted ones; NaN where nothing was found."""
     if found.misfit is None:
         return np.nan, np.nan

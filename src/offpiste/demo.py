@@ -27,7 +27,8 @@ from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.result_rows import REFERENCE
-from offpiste.inspection.inspect import inspect_log, render
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.render import render
 from offpiste.logs import open_log
 from offpiste.parallel import usable_cores
 from offpiste.perception.backbones import open_backbone

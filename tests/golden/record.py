@@ -43,7 +43,6 @@ from offpiste.evaluation.evaluate import evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.sensors import check_sensors
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.sensor_log import open_sensors
@@ -603,9 +602,7 @@ def findings() -> Results:
         try:
             clock = {"clock": preset.clock} if preset else {}
             log = open_log(path, **clock)
-            inspection = inspect_log(log, preset)
-            if preset is not None and inspection.usable:
-                inspection = inspection.with_findings(check_sensors(log, preset))
+            inspection = inspect_log(log, preset, sensors=True)
         except OffpisteError as error:
             found[f"{label}.error"] = json.dumps(numbers(str(error).replace(str(path), "")))
             found[f"{label}.error.words"] = str(error)
@@ -618,8 +615,8 @@ def findings() -> Results:
                 finding.severity,
                 [part for part in finding.where.split(", ") if re.split(r"[\[.]", part)[0] in names],
                 sorted(numbers(finding.evidence)),
-                sorted(numbers(finding.mend)),
-                sorted(RIG_WORDS.findall(finding.mend)),
+                sorted(numbers(finding.remedy)),
+                sorted(RIG_WORDS.findall(finding.remedy)),
             ]
             for finding in inspection.findings
         )
@@ -631,7 +628,7 @@ def findings() -> Results:
         rows = [[row.name, row.type, row.count] for row in inspection.topics]
         found[f"{label}.topics"] = json.dumps(rows)
         found[f"{label}.rates"] = np.array([[row.rate, row.seconds] for row in inspection.topics], float)
-        said = [f"{f.severity}  {f.where}: {f.what}\n{f.evidence}\n{f.mend}" for f in inspection.findings]
+        said = [f"{f.severity}  {f.where}: {f.what}\n{f.evidence}\n{f.remedy}" for f in inspection.findings]
         found[f"{label}.words"] = "\n\n".join([*said, *inspection.warnings])
         if preset is None:
             try:

@@ -1,4 +1,4 @@
-"""One fault at a time, planted in a simulated drive: the finding names it, its mend silences it, nothing else cries."""
+"""One fault at a time, planted in a simulated drive: it is named, its remedy silences it, nothing else is reported."""
 
 from collections.abc import Callable
 
@@ -204,22 +204,22 @@ FAULTS: list[tuple[str, Fault, str, str, tuple[str, str], str]] = [
 
 
 @pytest.mark.parametrize(
-    ("fault", "where", "mend", "change", "also"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS]
+    ("fault", "where", "remedy", "change", "also"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS]
 )
-def test_a_fault_is_named_with_the_line_that_mends_it(
-    fault: Fault, where: str, mend: str, change: tuple[str, str], also: str
+def test_a_fault_is_named_with_the_line_that_fixes_it(
+    fault: Fault, where: str, remedy: str, change: tuple[str, str], also: str
 ) -> None:
     log = fault(CLEAN)
     found = complaints(log)
     blamed = {f.where.split(" ")[0] for f in found}
     assert blamed <= {where, also} - {""}, found
-    assert any(f.where.split(" ")[0] == where and f.mend.startswith(mend) for f in found), found
+    assert any(f.where.split(" ")[0] == where and f.remedy.startswith(remedy) for f in found), found
     assert all(any(c.isdigit() for c in f.evidence) for f in found)
 
     changes = [change]
-    if "absent" in mend:
+    if "absent" in remedy:
         changes.append(('absent = ["brake_pressure"', 'absent = ["brake", "brake_pressure"'))
-    if 'frame = "world"' in mend:
+    if 'frame = "world"' in remedy:
         changes = [(VELOCITY, VELOCITY.replace("body", "world"))]
     if where == "steer" and also:
         changes.append((ANGLE, ANGLE + "\ndelay = 0.3"))
@@ -230,7 +230,7 @@ def test_a_fault_is_named_with_the_line_that_mends_it(
 
 
 @pytest.mark.parametrize(
-    ("change", "where", "mend"),
+    ("change", "where", "remedy"),
     [
         ((STEER, STEER + "\nsign = -1"), "steer", "channels.steer.sign = 1"),
         ((STEER, STEER + "\ndelay = -0.5"), "steer", "channels.steer.delay = 0.0"),
@@ -239,11 +239,11 @@ def test_a_fault_is_named_with_the_line_that_mends_it(
         ((ANGLE, ANGLE + '\nunit = "deg"'), "steer_angle", 'channels.steer_angle.unit = "rad"'),
     ],
 )
-def test_a_wrong_rig_is_told_the_right_line(change: tuple[str, str], where: str, mend: str) -> None:
+def test_a_wrong_rig_is_told_the_right_line(change: tuple[str, str], where: str, remedy: str) -> None:
     finding = the_only(complaints(CLEAN, change), where)
-    value = finding.mend.split(";")[0]
+    value = finding.remedy.split(";")[0]
     key, _, number = value.partition(" = ")
-    wanted_key, _, wanted = mend.partition(" = ")
+    wanted_key, _, wanted = remedy.partition(" = ")
     assert key == wanted_key
     if wanted[0] in '"':
         assert number == wanted
@@ -278,16 +278,16 @@ def test_a_drifting_clock_is_told_by_the_wheels() -> None:
         found = [f for f in inspect_log(log, given).findings if f.what == "has a clock that drifts"]
         assert len(found) == 1
         assert "wheels" in found[0].where
-        assert 'speed = { topic = "wheels", fields = ["rear"], scale = 0.0' in found[0].mend
+        assert 'speed = { topic = "wheels", fields = ["rear"], scale = 0.0' in found[0].remedy
 
 
 def test_a_heading_in_degrees_and_one_mirrored() -> None:
     _, odom = CLEAN.data["odom"]
     yaw = 2 * np.unwrap(np.arctan2(odom["qz"], odom["qw"]), period=np.pi)
     plain = (QUATERNION, 'fields = ["qz"]'), ("[channels.orientation]", "[channels.yaw]")
-    for values, mend in ((np.degrees(yaw), 'channels.yaw.unit = "deg"'), (-yaw, "channels.yaw.sign = -1")):
+    for values, remedy in ((np.degrees(yaw), 'channels.yaw.unit = "deg"'), (-yaw, "channels.yaw.sign = -1")):
         log = CLEAN.change("odom", "qz", lambda _, values=values: values)
-        assert mend in [f.mend for f in complaints(log, *plain)]
+        assert remedy in [f.remedy for f in complaints(log, *plain)]
     assert complaints(CLEAN.change("odom", "qz", lambda _: yaw), *plain) == []
 
 

@@ -6,7 +6,8 @@ import msgspec
 import pytest
 
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.inspect import Inspection, inspect_log
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.result import Inspection
 from offpiste.logs import open_log
 from offpiste.rig.rig import Rig, load_rig, parse_rig
 
@@ -26,8 +27,8 @@ def unknown(turnpike: Path) -> Inspection:
     return inspect_log(open_log(turnpike))
 
 
-def mends(found: Inspection) -> list[str]:
-    return [f.mend for f in found.findings]
+def remedies(found: Inspection) -> list[str]:
+    return [f.remedy for f in found.findings]
 
 
 def change(rig: Rig, name: str, **values: object) -> Rig:
@@ -40,8 +41,8 @@ def test_turnpike_without_a_rig(unknown: Inspection) -> None:
     assert unknown.summary.duration == pytest.approx(504, abs=1)
     assert unknown.summary.distance == pytest.approx(3750, rel=0.03)
     assert unknown.summary.speed_max == pytest.approx(14.6, abs=0.5)
-    assert "channels.steer.sign = -1" in mends(unknown)
-    assert any(m.startswith("channels.throttle.wrap = {") and "period = 6553.6" in m for m in mends(unknown))
+    assert "channels.steer.sign = -1" in remedies(unknown)
+    assert any(m.startswith("channels.throttle.wrap = {") and "period = 6553.6" in m for m in remedies(unknown))
     said = {f.where: f for f in unknown.findings}
     assert said["wheel_rpm[0]"].what == "isolated spikes"
     assert "copy" in said["cmd[1]"].what
@@ -52,7 +53,7 @@ def test_turnpike_without_a_rig(unknown: Inspection) -> None:
 def test_the_vehicle_bus_has_a_clock_that_drifts(unknown: Inspection) -> None:
     (finding,) = (f for f in unknown.findings if f.what == "has a clock that drifts")
     assert finding.where == "controls, shock_pos, wheel_rpm"
-    assert 'topic = "wheel_rpm"' in finding.mend
+    assert 'topic = "wheel_rpm"' in finding.remedy
 
 
 def test_frames_of_velocities(turnpike: Path, meadows: Path) -> None:
@@ -70,7 +71,7 @@ def test_the_preset_leaves_little_to_say(drive: str, request: pytest.FixtureRequ
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong", "mend"),
+    ("name", "wrong", "remedy"),
     [
         ("steer", {"sign": 1}, "channels.steer.sign = -1"),
         ("steer", {"delay": -0.6}, "channels.steer.delay = "),
@@ -79,10 +80,12 @@ def test_the_preset_leaves_little_to_say(drive: str, request: pytest.FixtureRequ
         ("orientation", {"fields": ("6", "3", "4", "5")}, 'channels.orientation.fields = ["3", "4", "5", "6"]'),
     ],
 )
-def test_a_wrong_preset_is_told_the_right_line(turnpike: Path, name: str, wrong: dict[str, object], mend: str) -> None:
+def test_a_wrong_preset_is_told_the_right_line(
+    turnpike: Path, name: str, wrong: dict[str, object], remedy: str
+) -> None:
     rig = change(load_rig("tartandrive2"), name, **wrong)
     found = inspect_log(open_log(turnpike), rig)
-    assert any(m.startswith(mend) for m in mends(found)), mends(found)
+    assert any(m.startswith(remedy) for m in remedies(found)), remedies(found)
 
 
 def test_cmd_is_no_command(turnpike: Path) -> None:

@@ -54,7 +54,7 @@ def test_the_vehicle_sees_itself():
     ]
     (finding,) = check_own_body(lidar, hit, WHEELS)
     assert finding.what == "sees the vehicle itself"
-    assert "lidars.top.own_body" in finding.mend
+    assert "lidars.top.own_body" in finding.remedy
     assert check_own_body(lidar, hit[:4] + scans[4:], WHEELS) == []  # a branch
 
 
@@ -80,7 +80,7 @@ def test_a_calibration_of_another_size_is_said_and_stops_nothing(tmp_path):
     path = record(tmp_path / "drive.mcap", messages)
     (finding,) = [f for f in check_sensors(open_log(path), sensor_rig()) if f.severity == "warning"]
     assert "images of 80x60, and a calibration for 8x6" in finding.what
-    assert "calibration of these images" in finding.mend
+    assert "calibration of these images" in finding.remedy
 
 
 def test_no_sensors_nothing_to_say(tmp_path):

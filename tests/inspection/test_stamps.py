@@ -78,7 +78,7 @@ def test_milliseconds_as_seconds() -> None:
         log = log.restamp(topic, lambda t: (t - t[0]) * 1e3)
     found = inspect_log(log, rig())
     assert not found.usable
-    assert found.findings[0].mend == 'clock.unit = "ms"'
+    assert found.findings[0].remedy == 'clock.unit = "ms"'
 
 
 def test_clocks_that_do_not_overlap() -> None:

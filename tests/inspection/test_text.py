@@ -5,14 +5,15 @@ import json
 import numpy as np
 from simulated import drive_log, rig
 
-from offpiste.inspection.inspect import inspect_log, render_text
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.render import render_text
 
 
-def test_people_read_the_worst_first_with_evidence_and_mend() -> None:
+def test_people_read_the_worst_first_with_evidence_and_remedy() -> None:
     log = drive_log(seconds=60).change("steering", "command", np.negative)
     text = render_text(inspect_log(log, rig()))
     assert "1. warning  steer: is positive to the right" in text
-    assert "mend: channels.steer.sign = -1" in text
+    assert "fix: channels.steer.sign = -1" in text
     assert text.rstrip().endswith("usable for training (1 warning)")
     assert "50.0" in text  # a topic's rate
 
@@ -21,6 +22,6 @@ def test_machines_get_plain_json() -> None:
     log = drive_log(seconds=60).change("steering", "command", np.negative)
     found = json.loads(json.dumps(inspect_log(log, rig()).as_dict(), allow_nan=False))
     assert found["usable"] is True
-    assert found["findings"][0]["mend"] == "channels.steer.sign = -1"
+    assert found["findings"][0]["remedy"] == "channels.steer.sign = -1"
     assert found["summary"]["distance"] > 100
     assert {row["name"] for row in found["topics"]} == {"odom", "pedals", "steering", "wheels"}

@@ -11,7 +11,8 @@ from rosbags.highlevel import AnyReader
 
 from offpiste.conventions import GRAVITY
 from offpiste.errors import LogError
-from offpiste.inspection.inspect import Inspection, inspect_log
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.result import Inspection
 from offpiste.logs import Drive, open_log, read_drive
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth

@@ -7,7 +7,6 @@ from pathlib import Path
 import tyro
 
 from offpiste.cli.commands import COMMANDS
-from offpiste.errors import RigError
 from offpiste.progress import show
 
 
@@ -26,29 +25,20 @@ class Inspect:
     """Print findings as JSON."""
 
     def run(self) -> int:
-        """Inspect, print."""
+        """Draft a rig, inspect, print."""
         from json import dumps
 
-        from offpiste.files import write_text
-        from offpiste.inspection.draft_rig import draft_rig
-        from offpiste.inspection.draft_sensors import missing
-        from offpiste.inspection.inspect import inspect_log, render
+        from offpiste.inspection.draft_rig import write_draft
+        from offpiste.inspection.inspect import inspect_log
+        from offpiste.inspection.render import render
         from offpiste.logs import open_log
         from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig) if self.rig else None
         log = open_log(self.log, clock=rig.clock if rig else None)
-        if self.write_rig and self.write_rig.exists():
-            raise RigError("is there already", where=self.write_rig, how="give --write-rig a new name")
         if self.write_rig:
-            drafted = draft_rig(log)
-            write_text(self.write_rig, drafted)
-            for line in (f"wrote {self.write_rig}", *(f"  missing: {what}" for what in missing(drafted))):
-                print(line, file=sys.stderr)  # noqa: T201
-        inspection = inspect_log(log, rig)
-        if rig is not None and inspection.usable:
-            from offpiste.inspection.sensors import check_sensors
-
-            inspection = inspection.with_findings(check_sensors(log, rig))
+            lacking = write_draft(log, self.write_rig)
+            print(f"wrote {self.write_rig}", *(f"  missing: {what}" for what in lacking), sep="\n", file=sys.stderr)  # noqa: T201
+        inspection = inspect_log(log, rig, sensors=True)
         show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         return 0 if inspection.usable else 1

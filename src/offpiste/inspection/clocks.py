@@ -67,8 +67,8 @@ def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides
         said = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
         said += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
         if high - low > _CHANGE:
-            mend = f"[alignment] topics = [{topics}], speed = {source}, max_lag = {_MAX_LAG}"
-            findings.append(Finding("warning", ", ".join(shared), "has a clock that drifts", said, mend, 0.9))
+            remedy = f"[alignment] topics = [{topics}], speed = {source}, max_lag = {_MAX_LAG}"
+            findings.append(Finding("warning", ", ".join(shared), "has a clock that drifts", said, remedy, 0.9))
         elif abs(middle) > 0.15:
             findings.append(_constant(shared, float(middle), said, rig))
     return findings

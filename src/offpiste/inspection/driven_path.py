@@ -74,7 +74,7 @@ def driven_path(drive: Drive) -> Path:
         raise LogError(
             f"stamps span {(end - start) / 3600:.0f} hours",
             where=drive.name,
-            how="mend clock.unit, or cut away the stamps that are far off",
+            how="fix clock.unit, or cut away the stamps that are far off",
         )
     time = np.arange(start, end, _STEP)
     window = max(_WINDOW, *(6 * float(np.median(np.diff(channel.time))) for channel in (place, yaw)))

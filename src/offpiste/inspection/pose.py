@@ -37,7 +37,7 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
                 "orientation",
                 "quaternions are not of length 1",
                 f"{off:.1%} of them; the median length is {np.median(norm):.3g}",
-                "mend channels.orientation.fields; such rows are dropped on reading",
+                "fix channels.orientation.fields; such rows are dropped on reading",
                 off,
             )
         )
@@ -47,13 +47,13 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
     source = rig.channels["orientation"]
     if _up(np.roll(known, -1, axis=1)) > 0.9:
         fields = ", ".join(f'"{f}"' for f in source.fields[1:] + source.fields[:1])
-        what, mend = "the quaternion is stored as w x y z", f"channels.orientation.fields = [{fields}]"
+        what, remedy = "the quaternion is stored as w x y z", f"channels.orientation.fields = [{fields}]"
     elif up < -_UPRIGHT:
-        what, mend = "the body's z axis points down (NED)", "convert the pose to x forward, y left, z up"
+        what, remedy = "the body's z axis points down (NED)", "convert the pose to x forward, y left, z up"
     else:
-        what, mend = "the body's z axis does not point up", "take another pose, or turn this one to z up"
+        what, remedy = "the body's z axis does not point up", "take another pose, or turn this one to z up"
     said = f"the median z component of the body's z axis is {up:.2f} where a vehicle's is near 1"
-    return [*findings, Finding("fatal", "orientation", what, said, mend, 1.0)]
+    return [*findings, Finding("fatal", "orientation", what, said, remedy, 1.0)]
 
 
 def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
@@ -105,7 +105,7 @@ def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
             "position",
             "jumps",
             f"{len(jumps)} times, by up to {excess[worst]:.2f} m between two samples; at {when}",
-            "no rig line mends it: cut the log there, or take a pose without corrections (odometry, not SLAM or GPS)",
+            "no rig line fixes it: cut the log there, or take a pose without corrections (odometry, not SLAM or GPS)",
             share,
         )
     ]
@@ -160,7 +160,7 @@ def _heading_apart(drive: Drive, path: Path, channel: str, fits: float) -> Findi
     if found[best] < _TOGETHER or channel != "yaw":
         if found["sign"] > _TOGETHER:
             said += f", and to {found['sign']:.2f} with the heading mirrored"
-        how = "take another pose, or mend its axes: heading must be anticlockwise with x forward"
+        how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
         return Finding("warning", channel, "the heading does not follow the course", said, how, 1.0)
     line = f"sign = {-drive.rig.channels['yaw'].sign}" if best == "sign" else f'unit = "{best}"'
     said += f", and to {found[best]:.2f} with the line below"

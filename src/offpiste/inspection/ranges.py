@@ -40,7 +40,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
                 "leaves its range" if not source.clip else "is clipped much of the time",
                 f"{outside:.0%} of the samples are outside of {low:g} to {high:g}; they lie between {first:.3g} "
                 f"and {last:.3g}",
-                _mend(name, source, low, high, first, last),
+                _remedy(name, source, low, high, first, last),
                 outside,
             )
         )
@@ -62,7 +62,7 @@ def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]
     return values
 
 
-def _mend(name: str, source: ChannelSource, low: float, high: float, first: float, last: float) -> str:
+def _remedy(name: str, source: ChannelSource, low: float, high: float, first: float, last: float) -> str:
     largest = max(abs(first), abs(last))
     plain = not source.unit and source.scale == 1.0
     for unit, factor in _ALTERNATIVES.items():

@@ -77,8 +77,8 @@ def _drift(sensor: Recorded, pose: Recorded) -> list[Finding]:
     if not abs(drift) > _DRIFT:
         return []
     said = f"from start to end, arrival moves by {drift:+.2f} s against the header's stamp, compared with the pose"
-    mend = 'synchronise its clock; or clock.stamps = "receive"'
-    return [Finding("warning", sensor.topic.name, "its clock drifts", said, mend, min(1.0, abs(drift)))]
+    remedy = 'synchronise its clock; or clock.stamps = "receive"'
+    return [Finding("warning", sensor.topic.name, "its clock drifts", said, remedy, min(1.0, abs(drift)))]
 
 
 def _late(recorded: Recorded, fifth: int) -> float:
@@ -104,8 +104,8 @@ def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[f
         return []
     said = f"points above the ground and between the wheels in {np.mean(seen):.0%} of {len(seen)} scans, "
     said += f"{points / len(seen):.0f} a scan, up to {top:.1f} m above the pose point"
-    mend = f"lidars.{lidar.name}.own_body = [[x, y, z], [x, y, z]] or min_range = {number(2.0)}"
-    return [Finding("warning", lidar.name, "sees the vehicle itself", said, mend, float(np.mean(seen)))]
+    remedy = f"lidars.{lidar.name}.own_body = [[x, y, z], [x, y, z]] or min_range = {number(2.0)}"
+    return [Finding("warning", lidar.name, "sees the vehicle itself", said, remedy, float(np.mean(seen)))]
 
 
 def check_frozen(name: str, images: Sequence[Grey]) -> list[Finding]:

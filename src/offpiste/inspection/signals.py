@@ -181,9 +181,9 @@ def _spiked(signal: Signal) -> list[Finding]:
     low, high = _limits(usual, at)
     room = np.ptp(usual) / 4
     if at.max() < usual.max() + room and at.min() > usual.min() - room:
-        return []  # a quick hand on a pedal looks like that, and no rig line could mend it
+        return []  # a quick hand on a pedal looks like that, and no rig line could fix it
     inside = int(((at >= low) & (at <= high)).sum())
-    mend = signal.line(f"valid = [{number(low)}, {number(high)}]")
+    remedy = signal.line(f"valid = [{number(low)}, {number(high)}]")
     return [
         Finding(
             "warning" if signal.key else "note",
@@ -191,7 +191,7 @@ def _spiked(signal: Signal) -> list[Finding]:
             "isolated spikes",
             f"{spikes.sum()} of {len(values)} samples, between {at.min():.4g} and {at.max():.4g} where the others "
             f"lie between {usual.min():.4g} and {usual.max():.4g}",
-            mend + (f", which removes all but {inside}" if inside else ""),
+            remedy + (f", which removes all but {inside}" if inside else ""),
             float(spikes.mean()),
         )
     ]

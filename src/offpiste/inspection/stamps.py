@@ -90,7 +90,7 @@ def _merged(findings: list[Finding]) -> list[Finding]:
     """Notes that say the same of several topics become one."""
     together: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:
-        key = (finding.what, finding.mend) if finding.severity == "note" else (finding.where, finding.what)
+        key = (finding.what, finding.remedy) if finding.severity == "note" else (finding.where, finding.what)
         together.setdefault(key, []).append(finding)
     return [
         group[0]
@@ -120,7 +120,7 @@ def check_spans(recorded: dict[str, Recorded], pose: str, *, used: bool) -> list
                     name,
                     f"its clock does not overlap that of {pose}",
                     f"{first:.2f} to {last:.2f} s against {start:.2f} to {end:.2f} s",
-                    'clock.stamps = "receive"' if topic.other is not None else "drop the topic, or mend its stamps",
+                    'clock.stamps = "receive"' if topic.other is not None else "drop the topic, or fix its stamps",
                     1.0,
                 )
             )

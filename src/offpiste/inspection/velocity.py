@@ -142,8 +142,8 @@ def _gain(name: str, gain: float, source: ChannelSource, unit: str, units: dict[
     findings = []
     said = f"it is {gain:.3g} times the pose's derivative"
     if gain < -0.5:
-        mend = f"channels.{name}.sign = {-source.sign}"
-        findings.append(Finding("warning", name, "has the wrong sign", said, mend, 1.0))
+        remedy = f"channels.{name}.sign = {-source.sign}"
+        findings.append(Finding("warning", name, "has the wrong sign", said, remedy, 1.0))
     size = abs(gain)
     if not 0.85 < size < 1.18:
         # A unit that is stated and should not be is as likely as one that should be and is not.
@@ -167,5 +167,5 @@ def _delay(name: str, delay: float, misfit: float, source: ChannelSource) -> lis
     if abs(delay) < 0.12 or misfit > 2 * _FITS:
         return []
     said = f"it fits the pose's derivative best when taken {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'}"
-    mend = f"channels.{name}.delay = {number(source.delay + delay)}"
-    return [Finding("warning", name, "is late" if delay > 0 else "is early", said, mend, 0.7)]
+    remedy = f"channels.{name}.delay = {number(source.delay + delay)}"
+    return [Finding("warning", name, "is late" if delay > 0 else "is early", said, remedy, 0.7)]

@@ -1,0 +1,133 @@
+"""The list of all checks of channels: a new check is a function in a file of its own, and an entry here."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from offpiste.inspection.clocks import check_clocks
+from offpiste.inspection.controls import check_controls
+from offpiste.inspection.driven_path import Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.pedals import check_pedals
+from offpiste.inspection.pose import heading_fits
+from offpiste.inspection.ranges import check_ranges
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.signals import channel_signals, check_signals, recorded_signals
+from offpiste.inspection.stamps import check_stamps
+from offpiste.inspection.steering import check_steering
+from offpiste.inspection.steering_copies import check_copies
+from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
+from offpiste.logs.drive import Drive
+from offpiste.rig.rig import Clock, Rig
+
+
+@dataclass(frozen=True)
+class Topics:
+    """The recorded topics that a check reads.
+
+    Attributes:
+        recorded: all topics with numbers, by name.
+        rig: the one that is given, or a drafted one; None where none could be drafted.
+        given: whether the rig is given.
+    """
+
+    recorded: dict[str, Recorded]
+    rig: Rig | None
+    given: bool
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that a given rig asks for."""
+        return self.rig.clock if self.rig and self.given else Clock()
+
+    @property
+    def used(self) -> set[str]:
+        """Topics that the rig reads."""
+        if self.rig is None:
+            return set()
+        aligned = {self.rig.alignment.speed.topic} if self.rig.alignment else set()
+        return {source.topic for source in self.rig.channels.values()} | aligned
+
+    @property
+    def inspected(self) -> dict[str, Recorded]:
+        """Topics that a given rig reads; all where none is given."""
+        return {name: r for name, r in self.recorded.items() if not self.given or name in self.used}
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The driven path that a check compares channels with.
+
+    Attributes:
+        follows: whether the heading follows the course, so that turning can be checked by it.
+    """
+
+    topics: Topics
+    drive: Drive
+    path: Path
+    follows: bool
+
+
+def _signals(topics: Topics) -> list[Finding]:
+    if topics.rig is not None and topics.given:
+        return check_signals(channel_signals(topics.recorded, topics.rig))
+    return check_signals(recorded_signals(topics.recorded, topics.rig))
+
+
+def _ranges(topics: Topics) -> list[Finding]:
+    return check_ranges(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
+
+
+def _stamps(topics: Topics) -> list[Finding]:
+    return check_stamps(topics.inspected, topics.clock, used=topics.used)
+
+
+TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (_signals, _ranges, _stamps)
+"""Checks of topics as recorded; a fatal finding ends the inspection."""
+
+
+def _linear_velocity(motion: Motion) -> list[Finding]:
+    recorded = motion.follows and "linear_velocity" in motion.drive.channels
+    return check_linear_velocity(motion.drive, motion.path) if recorded else []
+
+
+def _turn_rate(motion: Motion) -> list[Finding]:
+    return check_turn_rate(motion.drive, motion.path) if motion.follows else []
+
+
+def _clocks(motion: Motion) -> list[Finding]:
+    rig = motion.drive.rig
+    return check_clocks(motion.topics.recorded, motion.path, rig, besides={rig.channels["position"].topic})
+
+
+def _steering(motion: Motion) -> list[Finding]:
+    return check_steering(motion.drive, motion.path, measured=motion.topics.given) if motion.follows else []
+
+
+def _steering_copies(motion: Motion) -> list[Finding]:
+    return [] if motion.topics.given else check_copies(motion.drive, motion.topics.recorded)
+
+
+def _pedals(motion: Motion) -> list[Finding]:
+    return check_pedals(motion.drive, motion.path)
+
+
+def _controls(motion: Motion) -> list[Finding]:
+    return check_controls(motion.drive, motion.path, given=motion.topics.given)
+
+
+MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
+    _linear_velocity,
+    _turn_rate,
+    _clocks,
+    _steering,
+    _steering_copies,
+    _pedals,
+    _controls,
+)
+"""Checks of channels against the motion; they run where the pose can be trusted."""
+
+
+def motion_of(topics: Topics, drive: Drive, path: Path) -> Motion:
+    """What the checks of the motion read."""
+    return Motion(topics, drive, path, heading_fits(path))

@@ -1,0 +1,152 @@
+"""Steering against the yaw rate: sign, scale, delay, and whether it turns the vehicle at all."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.inspection.driven_path import TURNING, Path
+from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.lags import LAGS, LagFit, check_delay, fit_lags, lagged
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+from offpiste.rig.rig import Rig
+
+_OWN_DELAY = (-0.08, 0.4)
+"""Delays of the turning that are the vehicle's own [s]."""
+_EFFECT = 0.5
+"""Correlation of yaw rate with speed times steering above which the steering is one."""
+_CLEAR = 0.7
+"""Correlation above which a delay can be told."""
+_WINDOW = 8.0
+"""Length of a stretch whose delay is told by itself [s]."""
+_SLIDING = 0.35
+"""Sliding tyres leave at least this share of the turning that the wheels' angle asks for."""
+_MAX_LATERAL = 3.0
+"""Above this lateral acceleration tyres slip too much to tell the steering's scale [m/s^2]."""
+
+
+def steering_fit(channel: Channel, path: Path, rig: Rig) -> LagFit | None:
+    """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre."""
+    angle = lagged(channel, path.time, rig)
+    wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
+    rows = (path.speed > max(0.3, 0.2 * path.cruise)) & (np.abs(path.speed * path.yaw_rate) < _MAX_LATERAL)
+    if rows.sum() < 40:
+        rows = path.speed > max(0.3, 0.2 * path.cruise)
+    return fit_lags(path.yaw_rate, path.forward[:, None], path.forward * wheel, LAGS, rows)
+
+
+def check_steering(drive: Drive, path: Path, *, measured: bool) -> list[Finding]:
+    """Findings on `steer` and `steer_angle`.
+
+    Args:
+        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
+    """
+    findings: list[Finding] = []
+    for name, fit in _fits(drive, path).items():
+        if not _has_effect(fit):
+            said = f"correlation of yaw rate with speed times {name}: {fit.r[fit.best()]:.2f} at best, within 1.5 s"
+            other = f'look for another field, or absent = ["{name}"]'
+            findings.append(Finding("warning", name, "does not turn the vehicle", said, other, 1.0))
+            continue
+        findings += _steer_sign(name, fit, drive.rig)
+        drift = _drift(name, drive.channels[name], path, drive.rig)
+        findings += drift or check_delay(name, fit, _OWN_DELAY, drive.rig, clear=_CLEAR)
+        findings += _steer_scale(name, fit, drive.rig) if measured else _steer_radius(name, fit)
+    return findings
+
+
+def turns_vehicle(drive: Drive, path: Path) -> bool:
+    """Whether `steer` or `steer_angle` has a clear effect on the yaw rate."""
+    return any(_has_effect(fit) for fit in _fits(drive, path).values())
+
+
+def _fits(drive: Drive, path: Path) -> dict[str, LagFit]:
+    """Fits of the steering channels that can be told, by name."""
+    if np.nanstd(path.yaw_rate) < TURNING:
+        return {}
+    present = {name: drive.channels[name] for name in ("steer", "steer_angle") if name in drive.channels}
+    fits = {name: steering_fit(channel, path, drive.rig) for name, channel in present.items()}
+    return {name: fit for name, fit in fits.items() if fit is not None}
+
+
+def _has_effect(fit: LagFit) -> bool:
+    # A wrong sign explains as much as the right one: signs are compared, and a flip must be clearly better.
+    return bool(abs(fit.r[fit.best()]) >= _EFFECT)
+
+
+def _steer_sign(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
+    wrong, right = fit.best(sign=-1), fit.best(sign=1)
+    if -fit.r[wrong] < 1.3 * max(fit.r[right], 0.0):
+        return []
+    said = f"correlation of yaw rate (+ left) with speed times {name}: {fit.r[wrong]:+.2f}"
+    remedy = f"channels.{name}.sign = {-rig.channels[name].sign}"
+    return [Finding("warning", name, "is positive to the right", said, remedy, 1.0)]
+
+
+def _steer_scale(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
+    """Yaw rate over speed is tan(angle) / wheelbase."""
+    best = fit.best()
+    implied = abs(float(fit.gain[best])) * rig.vehicle.wheelbase
+    if abs(fit.r[best]) < 0.7:
+        return []
+    if name == "steer":
+        angle, stated = float(np.arctan(implied)), rig.vehicle.max_steer
+        said = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {angle:.3f} rad at steer = 1"
+        said += f"; the rig says {stated:.3f} rad"
+        factor, remedy = angle / stated, f"vehicle.max_steer = {number(angle)}"
+    else:
+        source = rig.channels[name]
+        said = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {implied:.3g} times the angle"
+        factor, remedy = implied, f"channels.{name}.scale = {number(source.scale * implied)}"
+        if abs(implied * 180 / np.pi - 1) < 0.4:
+            remedy = f'channels.{name}.unit = "deg"'
+        elif source.unit == "deg" and abs(implied * np.pi / 180 - 1) < 0.4:
+            remedy = f'channels.{name}.unit = "rad"'
+    if 0.6 < factor < 1.6:
+        return []
+    if factor > 1:
+        return [Finding("warning", name, "turns the vehicle more than the rig says", said, remedy, 0.6)]
+    # Sliding tyres turn a vehicle less than its wheels: on slippery ground down to a half is no fault of the rig.
+    slides = factor > _SLIDING
+    what = "turns the vehicle less than the rig says"
+    remedy += "; or the tyres slip" if slides else ""
+    return [Finding("note" if slides else "warning", name, what, said, remedy, 0.6)]
+
+
+def _steer_radius(name: str, fit: LagFit) -> list[Finding]:
+    """The scale of the steering where no wheelbase is known."""
+    curvature = abs(float(fit.gain[fit.best()]))
+    said = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
+    line = f"atan({curvature:.3g} * wheelbase)"
+    remedy = f"vehicle.max_steer = {line}" if name == "steer" else "compare with tan(angle) / wheelbase"
+    return [Finding("note", name, "has this scale", said, remedy, 0.4)]
+
+
+def _drift(name: str, channel: Channel, path: Path, rig: Rig) -> list[Finding]:
+    """A warning if the delay differs between stretches of the drive in which it turns enough."""
+    lags = _window_lags(channel, path, rig)
+    if len(lags) < 5:
+        return []
+    low, middle, high = np.percentile(lags, (10, 50, 90))
+    if high - low < 0.35 or low > -0.2:
+        return []
+    said = f"the motion comes {low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f}) in {len(lags)} "
+    said += f"stretches of {_WINDOW:.0f} s"
+    how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
+    return [Finding("warning", name, "has a delay that changes", said, how + " with [alignment]", 0.9)]
+
+
+def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " w"]:
+    turning = path.forward * lagged(channel, path.time, rig)
+    found = []
+    usual = np.nanstd(path.yaw_rate[path.speed > max(0.3, 0.2 * path.cruise)])
+    for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW):
+        rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
+        if not np.isfinite(path.yaw_rate[rows]).any() or np.nanstd(path.yaw_rate[rows]) < 0.7 * usual:
+            continue
+        fit = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, rows)
+        if fit is None:
+            continue
+        best = fit.best()
+        if abs(fit.r[best]) > 0.93 and 0 < best < len(LAGS) - 1:
+            found.append(float(LAGS[best]))
+    return np.array(found)
