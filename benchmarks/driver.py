@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from offpiste.conventions import DT, HORIZON_STEPS, MIN_EVALUATION_SPEED
-from offpiste.simulation.drive import FINAL, STUCK, drive, with_driver
+from offpiste.simulation.drive import FINAL_EVENTS, STUCK, drive, start_and_driver
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
@@ -27,13 +27,13 @@ SLIDING = 0.2
 def samples_of_drive(world_name: str, seed: int, seconds: float) -> list[VehicleSample]:
     """A drive in a world of its own."""
     world, parameters = make_world(WorldSettings(world_name, seed)), load_vehicle()
-    start, driver = with_driver(world, parameters, seed=seed)
+    start, driver = start_and_driver(world, parameters, seed=seed)
     return list(drive(world, parameters, start, driver, steps=round(seconds / DT)))
 
 
 def ending(samples: Sequence[VehicleSample]) -> str:
     """The event that ended a drive, or `complete`."""
-    return next((event for event in samples[-1].events if event in (*FINAL, STUCK)), "complete")
+    return next((event for event in samples[-1].events if event in (*FINAL_EVENTS, STUCK)), "complete")
 
 
 def figures_of_drive(samples: Sequence[VehicleSample]) -> dict[str, np.ndarray]:

@@ -11,17 +11,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from offpiste.conventions import DT
-from offpiste.simulation.drive import drive, with_driver
+from offpiste.simulation.drive import drive, start_and_driver
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import world_scene
-from offpiste.simulation.sample import Pose, VehicleSample, standing
-from offpiste.simulation.sensors.camera import Camera, render
+from offpiste.simulation.sample import Pose, VehicleSample, motionless
+from offpiste.simulation.sensors.camera import Camera, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar
 from offpiste.simulation.sensors.suite import full_suite
-from offpiste.simulation.top_view import draw_top_view, overlay
+from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
+from offpiste.visualization.images import overlay
 
 PRESETS = ("mojave", "halter-ranch", "dunes", "coastal-scrub")
 
@@ -35,15 +36,15 @@ def worlds() -> Figure:
     return figure
 
 
-def driven(world: World, seconds: float, seed: int) -> list[VehicleSample]:
-    """A drive without sensors."""
+def simulate_drive(world: World, seconds: float, seed: int) -> list[VehicleSample]:
+    """Samples of a drive without sensors."""
     parameters = load_vehicle()
-    start, driver = with_driver(world, parameters, seed=seed)
+    start, driver = start_and_driver(world, parameters, seed=seed)
     return list(drive(world, parameters, start, driver, steps=round(seconds / DT)))
 
 
 def path(world: World, samples: list[VehicleSample]) -> Figure:
-    """Where a drive went, coloured by speed."""
+    """Path of a drive, coloured by speed."""
     figure = Figure(figsize=(8.6, 8), dpi=80, layout="constrained")
     xy = np.array([s.position[:2] for s in samples])
     speed = np.array([np.hypot(*s.velocity[:2]) for s in samples])
@@ -52,21 +53,23 @@ def path(world: World, samples: list[VehicleSample]) -> Figure:
 
 
 def sensors(world: World, sample: VehicleSample) -> Figure:
-    """What the four cameras see at a moment, and the points of both LiDARs in them."""
+    """Images of the four cameras at one moment, and the points of both LiDARs in them."""
     scene, suite, rng = world_scene(world), full_suite(), np.random.default_rng(0)
-    look = make_appearance(world, scene, 0)
+    appearance = make_appearance(world, scene, 0)
     pose = Pose(sample.position, sample.orientation)
     clouds = [
-        settings.body_from_lidar.apply(Lidar(settings).scan(scene, standing(pose), 0.0, rng).points)
+        settings.body_from_lidar.apply(Lidar(settings).scan(scene, motionless(pose), 0.0, rng).points)
         for settings in (replace(lidar, dropout=0.0) for lidar in suite.lidars)
     ]
     points = np.concatenate(clouds)
     figure = Figure(figsize=(12, 15.2), dpi=70, layout="constrained")
     rows = figure.subplots(len(suite.cameras), 2)
     for (left, right), settings in zip(rows, suite.cameras, strict=True):
-        image = render(scene, look, Camera(settings), pose, rng)
+        image = render(scene, appearance, Camera(settings), pose, rng)
         left.imshow(image)
-        right.imshow(overlay(image, settings.body_from_camera.inverse().apply(points), settings))
+        points_camera = settings.body_from_camera.inverse().apply(points)
+        pixels, inside = project_points(points_camera, settings.model)
+        right.imshow(overlay(image, pixels[inside], np.linalg.norm(points_camera[inside], axis=1)))
         left.set_ylabel(settings.name)
         for axes in (left, right):
             axes.set_xticks([])
@@ -78,7 +81,7 @@ def main() -> None:
     """Write the three pictures."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
     world = make_world(WorldSettings(seed=3))
-    samples = driven(world, 120.0, 3)
+    samples = simulate_drive(world, 120.0, 3)
     figures = {
         "worlds": worlds(),
         "drive": path(world, samples),

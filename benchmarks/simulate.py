@@ -16,7 +16,7 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.logs.ros.writer import McapWriter
-from offpiste.simulation.drive import drive, with_driver
+from offpiste.simulation.drive import drive, start_and_driver
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sensors.sensing import Sensing
 from offpiste.simulation.sensors.suite import sensor_suite
@@ -41,7 +41,7 @@ def physics(world: World, seconds: float, *, sampled: bool) -> float:
 def recorded(world: World, sensing: Sensing | None, seconds: float, file: Path) -> float:
     """Real time over computing time of a drive that is recorded."""
     parameters = load_vehicle()
-    start, driver = with_driver(world, parameters, seed=3)
+    start, driver = start_and_driver(world, parameters, seed=3)
     begin, rows = time.perf_counter(), 0
     with McapWriter(file) as writer:
         recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=np.random.default_rng(0))

@@ -11,7 +11,7 @@ from safetensors.numpy import load_file, save_file
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.files import write_whole
 from offpiste.progress import track
-from offpiste.simulation.drive import FINAL, Start, drive, on_other_ground, with_driver
+from offpiste.simulation.drive import FINAL_EVENTS, Start, drive, on_other_ground, start_and_driver
 from offpiste.simulation.simulate import DriveSettings, record
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
@@ -55,7 +55,7 @@ def branches_of(settings: DriveSettings, world: World, ground: World, at: Int[np
         at: steps after which the drive is too short are left out.
     """
     parameters, steps = load_vehicle(), round(settings.seconds / DT)
-    start, driver = with_driver(world, parameters, seed=settings.seed, settings=settings.driver)
+    start, driver = start_and_driver(world, parameters, seed=settings.seed, settings=settings.driver)
     samples = list(drive(world, parameters, start, driver, steps=steps))
     path = np.array([sample.position[:2] for sample in samples])
     commands = [sample.command for sample in samples]
@@ -77,7 +77,7 @@ def _ends(
         for command in commands[step : step + HORIZON_STEPS]:
             twin.step(*command)
         sample = twin.sample()
-        if not set(sample.events) & set(FINAL):
+        if not set(sample.events) & set(FINAL_EVENTS):
             ends[number] = sample.position[:2]
     return ends
 
@@ -87,7 +87,7 @@ def record_on(settings: DriveSettings, world: World, ground: World, log: Path) -
     if log.exists():
         return
     parameters = load_vehicle()
-    start, driver = with_driver(world, parameters, seed=settings.seed, settings=settings.driver)
+    start, driver = start_and_driver(world, parameters, seed=settings.seed, settings=settings.driver)
     partial = log.with_name(f"{log.stem}.partial{log.suffix}")
     partial.unlink(missing_ok=True)
     partial.parent.mkdir(parents=True, exist_ok=True)

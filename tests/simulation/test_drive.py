@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from offpiste.simulation.drive import Replay, Start, drive, on_other_ground, with_driver
+from offpiste.simulation.drive import Replay, Start, drive, on_other_ground, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -77,7 +77,7 @@ def test_twins_begin_alike_and_part():
     ground = on_other_ground(world, other)
     np.testing.assert_array_equal(ground.elevation, world.elevation)
     np.testing.assert_array_equal(ground.properties, other.properties)
-    start, driver = with_driver(world, VEHICLE, seed=5)
+    start, driver = start_and_driver(world, VEHICLE, seed=5)
     mine = list(drive(world, VEHICLE, start, driver, steps=400))
     commands = np.stack([s.command for s in mine])
     twin = list(drive(ground, VEHICLE, start, Replay(commands), steps=len(commands)))
@@ -93,7 +93,7 @@ def test_twins_begin_alike_and_part():
 def test_a_replay_on_the_same_ground_is_the_same_drive():
     world = small(1)
     mine = [*_driven(world, 5, 300)]
-    start, _ = with_driver(world, VEHICLE, seed=5)
+    start, _ = start_and_driver(world, VEHICLE, seed=5)
     again = list(drive(world, VEHICLE, start, Replay(np.stack([s.command for s in mine])), steps=len(mine)))
     np.testing.assert_array_equal([s.position for s in mine], [s.position for s in again])
 
@@ -104,5 +104,5 @@ def test_twins_need_worlds_of_one_size():
 
 
 def _driven(world, seed, steps):
-    start, driver = with_driver(world, VEHICLE, seed=seed)
+    start, driver = start_and_driver(world, VEHICLE, seed=seed)
     return drive(world, VEHICLE, start, driver, steps=steps)

@@ -16,7 +16,7 @@ from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.simulate import Driven, DriveSettings, simulate
+from offpiste.simulation.simulate import DriveSettings, DriveSummary, simulate
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 
@@ -35,7 +35,7 @@ def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> list[Driven]:
+def driven(tmp_path_factory: pytest.TempPathFactory) -> list[DriveSummary]:
     """A drive and its twin."""
     return simulate(SETTINGS, tmp_path_factory.mktemp("simulate") / "drive.mcap", twins=1)
 
@@ -106,7 +106,7 @@ def test_ctrl_c_leaves_a_readable_file(tmp_path, monkeypatch):
                 raise KeyboardInterrupt
             yield sample
 
-    monkeypatch.setattr(simulation, "_shown", interrupted)
+    monkeypatch.setattr(simulation, "_with_progress", interrupted)
     with pytest.raises(KeyboardInterrupt):
         simulate(SETTINGS, tmp_path / "cut.mcap", twins=1)
     drive = read_drive(tmp_path / "cut.mcap", RIG)

@@ -36,7 +36,7 @@ PLANNER_EVENTS = "/planner/events"
 
 @dataclass
 class PlannerCommander:
-    """Hands readings to the run time and its controls to the vehicle (`simulation.drive.Commander`).
+    """Hands readings to the run time and its controls to the vehicle (`simulation.drive.Controller`).
 
     Attributes:
         rng: of the noise of the readings.

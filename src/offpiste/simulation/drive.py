@@ -1,4 +1,4 @@
-"""A drive: the vehicle and whoever commands it, in lockstep, one sample every `conventions.DT`."""
+"""A drive: the vehicle and its controller in lockstep, one sample every `conventions.DT`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,16 +13,16 @@ from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.world import World
 
-FINAL = ("rollover", "left the world")
+FINAL_EVENTS = ("rollover", "left the world")
 """Events that end a drive."""
 
 STUCK = "stuck"
-"""The event that a driver gives up with."""
+"""Event of a controller that gives up."""
 
 
 @runtime_checkable
-class Commander(Protocol):
-    """Whoever drives."""
+class Controller(Protocol):
+    """A driver, a planner, or recorded commands."""
 
     @property
     def stuck(self) -> bool:
@@ -36,7 +36,7 @@ class Commander(Protocol):
 
 @dataclass(frozen=True)
 class Start:
-    """Where a drive begins: x, y [m], yaw [rad], speed forwards [m/s]."""
+    """Start of a drive: x, y [m], yaw [rad], speed forwards [m/s]."""
 
     x: float
     y: float
@@ -60,21 +60,21 @@ class Replay:
 
 
 def drive(
-    world: World, parameters: VehicleParameters, start: Start, commander: Commander, *, steps: int
+    world: World, parameters: VehicleParameters, start: Start, controller: Controller, *, steps: int
 ) -> Iterator[VehicleSample]:
-    """Samples of a drive; ends early after a rollover, beyond the world's border, or when the driver gives up."""
+    """Samples of a drive; it ends early after a rollover, at the world's border, or if the controller gives up."""
     vehicle = VehicleSimulation(world, parameters, x=start.x, y=start.y, yaw=start.yaw, speed=start.speed)
     for _ in range(steps):
         sample = vehicle.sample()
-        command = commander.command(sample)
-        stuck = (STUCK,) if commander.stuck else ()
+        command = controller.command(sample)
+        stuck = (STUCK,) if controller.stuck else ()
         yield replace(sample, command=command, events=sample.events + stuck)
-        if stuck or set(sample.events) & set(FINAL):
+        if stuck or set(sample.events) & set(FINAL_EVENTS):
             return
         vehicle.step(*command)
 
 
-def with_driver(
+def start_and_driver(
     world: World, parameters: VehicleParameters, *, seed: int, settings: DriverSettings | None = None
 ) -> tuple[Start, Driver]:
     """A driver on a trail of a world."""
@@ -83,7 +83,7 @@ def with_driver(
 
 
 def on_other_ground(world: World, other: World) -> World:
-    """The same hills, trails and plants on the ground of another world of the same size: for twins.
+    """A world's hills, trails and plants on the ground of another world of the same size: for twins.
 
     Raises:
         ValueError: the worlds' grids differ.

@@ -1,4 +1,4 @@
-"""Write a simulated drive as a vehicle's computer would: standard ROS 2 messages in an MCAP file.
+"""Record a simulated drive as a vehicle's computer would: standard ROS 2 messages in an MCAP file.
 
 Ground truth, which no real log has, goes to topics of its own under /truth (`offpiste.logs.ground_truth`).
 """
@@ -22,22 +22,22 @@ from offpiste.simulation.sensors.messages import Mounting, mountings_message
 from offpiste.simulation.world.world import World
 
 START_NS = 1_700_000_000 * 10**9
-"""The stamp of a drive's time 0: always the same, so that files are."""
+"""Stamp of the start of a drive [ns]; constant, so that the same drive gives the same file."""
 FULL_PRESSURE = 10e6
-"""Brake pressure at 1 [Pa]: of the order of a hydraulic disc brake's at lock-up."""
+"""Pressure of the fully applied brake [Pa]: the order of a hydraulic disc brake's at lock-up."""
 MAP_RESOLUTION = 0.5
-"""Distance of the nodes of the true map in a log [m]: a kind of ground reaches further."""
+"""Spacing of the true map's nodes in a log [m]; patches of ground are larger."""
 BODY, MAP = "base_link", "map"
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Recorder:
-    """Turns what a simulation yields into messages, with the flaws of real ones.
+    """Writes a simulation's samples as messages, with the imperfections of real logs.
 
     Args:
         writer: an open file.
-        wheel_radius: the rolling radius that turned the wheels' rotation into their speed [m].
-        rng: of noise, drift and wrong calibrations.
+        wheel_radius: rolling radius, from wheel speeds back to rotation [m].
+        rng: random numbers of noise, drift and wrong calibrations.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Recorder:
         self._before: VehicleSample | None = None
 
     def start(self, world: World, mountings: Sequence[Mounting] = ()) -> None:
-        """Write what holds for the whole drive: where the sensors sit, as far as the log knows, and the true map."""
+        """Write the messages of the whole drive: the recorded mountings of the sensors, and the true map."""
         error = self._imperfections.extrinsic_error_deg
         recorded = [
             Mounting(
@@ -87,12 +87,12 @@ class Recorder:
         self._before = sample
 
     def sensor(self, topic: str, message: Any) -> None:
-        """Write a camera's or LiDAR's message (`sensor_messages`), stamped by `sensor_stamp_ns`."""
+        """Write a camera's or LiDAR's message, stamped by `sensor_stamp_ns`."""
         stamp = message.header.stamp
         self._writer.write(topic, message, stamp.sec * 10**9 + stamp.nanosec)
 
     def sensor_stamp_ns(self, time: float) -> int:
-        """What a camera or LiDAR stamps a measurement of this time [s] with."""
+        """Stamp of a camera's or LiDAR's measurement at a time since the start of the drive [s]."""
         return stamp_ns(time + self._imperfections.stamp_offset_ms / 1000)
 
     def _imu(self, before: VehicleSample, sample: VehicleSample, measured: VehicleSample, stamp: int) -> Any:
@@ -104,17 +104,17 @@ class Recorder:
 
 
 def stamp_ns(time: float) -> int:
-    """A drive's time [s] as a stamp."""
+    """Stamp [ns] of a time since the start of the drive [s]."""
     return START_NS + round(time * 1e9)
 
 
 def in_body(sample: VehicleSample, vector_world: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """A vector of the world as the vehicle's body sees it."""
+    """A world-frame vector in the body frame."""
     return vector_world @ rotation_from_quaternion(sample.orientation[None])[0]
 
 
 def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) -> dict[str, Any]:
-    """Messages by topic; `proving_ground.toml` reads them."""
+    """The vehicle's messages by topic, as rig `proving_ground` reads them."""
     body = header(stamp, BODY)
     throttle_brake_steer = np.asarray(sample.command, np.float32)
     return {
@@ -133,7 +133,7 @@ def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) 
 
 
 def odometry_message(sample: VehicleSample, stamp: int) -> Any:
-    """A nav_msgs/Odometry: the pose in frame map, the twist in the body's frame (nav_msgs/Odometry.msg)."""
+    """A nav_msgs/Odometry message: the pose in frame map, the twist in the body's frame (nav_msgs/Odometry.msg)."""
     velocity = in_body(sample, sample.velocity)
     pose = make(
         "geometry_msgs/Pose",
@@ -152,7 +152,7 @@ def odometry_message(sample: VehicleSample, stamp: int) -> Any:
 
 
 def imu_message(force: Float[np.ndarray, " 3"], rate: Float[np.ndarray, " 3"], stamp: int) -> Any:
-    """A sensor_msgs/Imu without orientation (its covariance says so: -1)."""
+    """A sensor_msgs/Imu message without orientation (marked by a covariance of -1)."""
     no_orientation = np.array([-1.0] + 8 * [0.0])
     return make(
         "sensor_msgs/Imu",
@@ -167,7 +167,7 @@ def imu_message(force: Float[np.ndarray, " 3"], rate: Float[np.ndarray, " 3"], s
 
 
 def events_message(events: Sequence[str], stamp: int) -> Any:
-    """A diagnostic_msgs/DiagnosticArray, every event an error."""
+    """A diagnostic_msgs/DiagnosticArray message with an error for each event."""
     error = 2
     status = [
         make("diagnostic_msgs/DiagnosticStatus", level=error, name=event, message=event, hardware_id="", values=[])
@@ -177,7 +177,7 @@ def events_message(events: Sequence[str], stamp: int) -> Any:
 
 
 def true_wheels_message(truth: WheelTruth, stamp: int) -> Any:
-    """A sensor_msgs/PointCloud2 of the four contact points (`offpiste.logs.ground_truth.WHEEL`)."""
+    """A sensor_msgs/PointCloud2 message of the four contact points (`offpiste.logs.ground_truth.WHEEL`)."""
     points = np.zeros(4, WHEEL)
     points["x"], points["y"], points["z"] = truth.contact.T
     for name, column in zip(GROUND_PROPERTIES, truth.properties.T, strict=True):
@@ -188,7 +188,7 @@ def true_wheels_message(truth: WheelTruth, stamp: int) -> Any:
 
 
 def true_map_message(world: World, stamp: int) -> Any:
-    """A grid_map_msgs/GridMap of the whole world: elevation, ground properties, kinds and wetness."""
+    """A grid_map_msgs/GridMap message of the whole world: elevation, ground properties, kinds and wetness."""
     layers = {"elevation": world.elevation, "wetness": world.wetness}
     layers |= {name: world.properties[:, :, i] for i, name in enumerate(GROUND_PROPERTIES)}
     layers |= dict(zip(GROUND_KINDS, world.kinds, strict=True))

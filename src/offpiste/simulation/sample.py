@@ -1,7 +1,4 @@
-"""Poses, and how a vehicle moves during one sweep of a sensor.
-
-What a simulated vehicle can say of itself at one moment: what its sensors measure, and the truth.
-"""
+"""State of a simulated vehicle: its pose, its motion during a sweep of a sensor, and all measurements at one moment."""
 
 from dataclasses import dataclass
 
@@ -12,10 +9,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a frame stands in another, e.g. `world_from_body`.
+    """Pose of a frame in another, e.g. `world_from_body`.
 
     Attributes:
-        position: of the frame's origin [m].
+        position: origin of the frame [m].
         orientation: quaternion xyzw.
     """
 
@@ -24,17 +21,17 @@ class Pose:
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """Turns vectors of the frame into vectors of the other."""
+        """Rotation matrix from the frame to the other."""
         return Rotation.from_quat(self.orientation).as_matrix()
 
     def apply(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Points of the frame, seen from the other."""
+        """Points of the frame, in the other [m]."""
         return points @ self.rotation.T + self.position
 
     def inverse(self) -> "Pose":
-        """The other frame, seen from this one."""
-        turned = Rotation.from_quat(self.orientation).inv()
-        return Pose(-turned.apply(self.position), turned.as_quat())
+        """Pose of the other frame in this one."""
+        rotation = Rotation.from_quat(self.orientation).inv()
+        return Pose(-rotation.apply(self.position), rotation.as_quat())
 
     def __matmul__(self, inner: "Pose") -> "Pose":
         """`world_from_body @ body_from_sensor` is `world_from_sensor`."""
@@ -44,7 +41,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Motion:
-    """Poses `world_from_body` at a few moments, straight lines and even turns between them.
+    """Poses `world_from_body` at a few moments, interpolated linearly between them.
 
     Attributes:
         time: rising [s].
@@ -57,7 +54,7 @@ class Motion:
     orientation: Float[np.ndarray, "n 4"]
 
     def at(self, time: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
-        """Positions [m] and rotations `world_from_body`; before the first and after the last moment, those."""
+        """Positions [m] and rotations `world_from_body` at given times; clamped to the first and last moment."""
         time = np.clip(time, self.time[0], self.time[-1])
         position = np.stack([np.interp(time, self.time, axis) for axis in self.position.T], axis=1)
         if len(self.time) == 1:
@@ -67,18 +64,18 @@ class Motion:
         return position, rotation
 
 
-def standing(pose: Pose) -> Motion:
-    """A vehicle that does not move."""
+def motionless(pose: Pose) -> Motion:
+    """Motion of a vehicle at a standstill."""
     return Motion(np.zeros(1), pose.position[None], pose.orientation[None])
 
 
 @dataclass(frozen=True)
 class WheelTruth:
-    """What no real log has; front-left, front-right, rear-left, rear-right.
+    """Ground truth at the wheels, which no real log has; front-left, front-right, rear-left, rear-right.
 
     Attributes:
-        contact: where the wheels touch the ground, in the world frame [m].
-        properties: of the ground there (`logs.ground_truth.GROUND_PROPERTIES`).
+        contact: contact points with the ground, in the world frame [m].
+        properties: properties of the ground there (`logs.ground_truth.GROUND_PROPERTIES`).
         kind: the ground's main kind there (index into `logs.ground_truth.GROUND_KINDS`).
         load: normal load [N].
         slip_ratio: (wheel speed - ground speed) / ground speed, limited to [-1, 1].
@@ -95,13 +92,13 @@ class WheelTruth:
 
 @dataclass(frozen=True)
 class VehicleSample:
-    """One moment of a drive.
+    """The vehicle at one moment of a drive.
 
     Attributes:
         time: since the start of the drive [s].
-        position: of the pose point, in the world frame [m].
+        position: pose point in the world frame [m].
         orientation: world_from_body, xyzw.
-        velocity: of the pose point, in the world frame [m/s].
+        velocity: velocity of the pose point in the world frame [m/s].
         angular_velocity: in the body frame [rad/s].
         command: throttle [0..1], brake [0..1], steer [-1..1], held since this moment.
         brake_pressure: [0..1 of full pressure].
@@ -109,8 +106,8 @@ class VehicleSample:
         steer_rate: [rad/s].
         engine_speed: [rev/min].
         wheel_speed: rolling speed of each wheel (its rotation times its radius) [m/s].
-        suspension: compression of each from full droop [m].
-        events: what happened since the last sample: "rollover", "collision with a tree", "left the world".
+        suspension: compression of each spring from full droop [m].
+        events: events since the last sample: "rollover", "collision with a tree", "left the world".
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""From settings to a recorded drive: world, driver, vehicle, sensors, recorder."""
+"""Simulate a drive and record it: world, driver, vehicle, sensors, recorder."""
 
 import logging
 from array import array
@@ -12,7 +12,7 @@ from offpiste.conventions import DT
 from offpiste.errors import OffpisteError
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
-from offpiste.simulation.drive import Commander, Replay, Start, drive, on_other_ground, with_driver
+from offpiste.simulation.drive import Controller, Replay, Start, drive, on_other_ground, start_and_driver
 from offpiste.simulation.driver.driver import DriverSettings
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
@@ -28,12 +28,12 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """A drive to be simulated; the same settings give the same bytes.
+    """Settings of a simulated drive; the same settings give the same bytes.
 
     Attributes:
-        world: where.
-        seconds: how long; a drive that rolls over or gets stuck ends early.
-        seed: of driver, noise and light; the world has its own.
+        world: the world to drive in.
+        seconds: duration [s]; a drive that rolls over or gets stuck ends early.
+        seed: seed of driver, noise and light; the world has its own.
         sensors: "full", "light" or "none".
     """
 
@@ -46,15 +46,16 @@ class DriveSettings:
 
 
 @dataclass(frozen=True)
-class Driven:
-    """How a drive went.
+class DriveSummary:
+    """Summary of a simulated drive.
 
     Attributes:
-        log: its file.
-        seconds: that were recorded.
-        metres: that were driven.
-        events: what happened, with the time [s].
-        path: of the pose point [m], and speed [m/s], at 50 Hz.
+        log: the recorded file.
+        seconds: recorded time [s].
+        metres: driven distance [m].
+        events: events with their times [s].
+        path: x, y of the pose point [m], every `conventions.DT`.
+        speed: horizontal speed in the same rows [m/s].
     """
 
     log: Path
@@ -65,12 +66,12 @@ class Driven:
     speed: np.ndarray
 
     def __str__(self) -> str:
-        told = "".join(f"; {event} at {time:.1f} s" for time, event in self.events)
+        events = "".join(f"; {event} at {time:.1f} s" for time, event in self.events)
         median = float(np.median(self.speed)) if len(self.speed) else 0.0
-        return f"{self.log}: {self.seconds:.0f} s, {self.metres:.0f} m, median {median:.1f} m/s{told}"
+        return f"{self.log}: {self.seconds:.0f} s, {self.metres:.0f} m, median {median:.1f} m/s{events}"
 
 
-def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[Driven]:
+def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[DriveSummary]:
     """Record a drive, and `twins` of it: the same start and the same commands, open loop, on other ground.
 
     Args:
@@ -83,20 +84,20 @@ def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[Driv
     steps = _check(settings, files)
     parameters = load_vehicle()
     world = make_world(settings.world)
-    start, driver = with_driver(world, parameters, seed=settings.seed, settings=settings.driver)
+    start, driver = start_and_driver(world, parameters, seed=settings.seed, settings=settings.driver)
     commands: list[np.ndarray] = []
-    driven = [record(settings, world, parameters, start, driver, files[0], steps=steps, commands=commands)]
-    logger.info(str(driven[0]))
+    drives = [record(settings, world, parameters, start, driver, files[0], steps=steps, commands=commands)]
+    logger.info(str(drives[0]))
     for k, file in enumerate(files[1:], start=1):
         other = make_world(replace(settings.world, seed=settings.world.seed + 1_000_003 * k))
         ground, replay = on_other_ground(world, other), Replay(np.stack(commands))
-        driven.append(record(settings, ground, parameters, start, replay, file, steps=len(commands)))
-        logger.info(str(driven[-1]))
-    return driven
+        drives.append(record(settings, ground, parameters, start, replay, file, steps=len(commands)))
+        logger.info(str(drives[-1]))
+    return drives
 
 
 def _check(settings: DriveSettings, files: Sequence[Path]) -> int:
-    """Number of steps; complain before minutes are spent on what cannot be done."""
+    """Number of steps of `DT`; refuses wrong settings before minutes are spent."""
     if not DT / 2 < settings.seconds < np.inf:
         raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
     if settings.seed < 0:
@@ -113,31 +114,31 @@ def record(
     world: World,
     parameters: VehicleParameters,
     start: Start,
-    commander: Commander,
+    controller: Controller,
     out: Path,
     *,
     steps: int,
     commands: list[np.ndarray] | None = None,
     seen: World | None = None,
-) -> Driven:
+) -> DriveSummary:
     """Drive and write every message; an interruption leaves a readable file.
 
     Args:
-        commands: what was commanded is appended here.
-        seen: what sensors see and the true map shows, where it is not the ground driven on.
+        commands: the controller's commands are appended to it.
+        seen: the world that the sensors and the true map show, where it differs from the one driven in.
     """
     suite, seen = sensor_suite(settings.sensors), seen or world
     noise, light = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2))
     sensing = Sensing(seen, suite, light) if suite.cameras or suite.lidars else None
     events: list[tuple[float, str]] = []
-    path, speed = array("d"), array("d")  # small, however long the drive
+    path, speed = array("d"), array("d")  # compact: drives can be long
     with McapWriter(out) as writer:
         recorder = Recorder(
             writer, wheel_radius=parameters.rolling_radius, rng=noise, imperfections=settings.imperfections
         )
         recorder.start(seen, suite.mountings())
-        samples = drive(world, parameters, start, commander, steps=steps)
-        for sample in _shown(samples, steps, out.name):
+        samples = drive(world, parameters, start, controller, steps=steps)
+        for sample in _with_progress(samples, steps, out.name):
             recorder.vehicle(sample)
             for topic, message in sensing.observe(sample, recorder.sensor_stamp_ns) if sensing else ():
                 recorder.sensor(topic, message)
@@ -146,12 +147,12 @@ def record(
             speed.append(float(np.hypot(*sample.velocity[:2])))
             if commands is not None:
                 commands.append(sample.command)
-    driven = np.array(path).reshape(-1, 2)
-    metres = float(np.hypot(*np.diff(driven, axis=0).T).sum())
-    return Driven(out, len(speed) * DT, metres, tuple(events), driven, np.array(speed))
+    xy = np.array(path).reshape(-1, 2)
+    metres = float(np.hypot(*np.diff(xy, axis=0).T).sum())
+    return DriveSummary(out, len(speed) * DT, metres, tuple(events), xy, np.array(speed))
 
 
-def _shown(samples: Iterator[VehicleSample], steps: int, name: str) -> Iterator[VehicleSample]:
-    """The same samples with a progress bar over the drive's seconds."""
+def _with_progress(samples: Iterator[VehicleSample], steps: int, name: str) -> Iterator[VehicleSample]:
+    """The same samples, with a progress bar over the drive."""
     for _, sample in zip(track(range(steps), f"simulate {name}"), samples, strict=False):
         yield sample

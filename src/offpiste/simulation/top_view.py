@@ -1,22 +1,17 @@
-"""A world seen from above, as a map for people: natural colours, hillshade, trails, plants and a driven path.
+"""A world from above, as a map for people: natural colours, hillshade, trails, plants and a driven path."""
 
-Pictures of what the sensors record.
-"""
-
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
-from offpiste.rig.camera import CameraModel
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.surface import normals_of
 from offpiste.simulation.world.world import World
 
 SUN = np.array([-0.5, 0.45, 0.74])
-"""Towards the light: from the upper left, as on maps."""
+"""Direction to the light: the upper left, as on maps."""
 
 _GRASS = np.array([0.62, 0.60, 0.30]), np.array([0.33, 0.43, 0.17])
 _CROWN, _BUSH, _SHADOW = "#3d5a2a", "#6f7a4a", "#2a2418"
@@ -25,11 +20,11 @@ _CROWN, _BUSH, _SHADOW = "#3d5a2a", "#6f7a4a", "#2a2418"
 def top_view(
     world: World, path: Float[np.ndarray, "n 2"] | None = None, speed: Float[np.ndarray, " n"] | None = None
 ) -> Figure:
-    """A picture of a world and, if given, of a drive through it.
+    """Figure of a world and, if given, of a drive through it.
 
     Args:
         path: x, y of the vehicle [m].
-        speed: along it, shown as the path's colour [m/s].
+        speed: speed along the path, shown as its colour [m/s].
     """
     figure = Figure(figsize=(8.6, 8) if speed is not None else (8, 8), dpi=150, layout="constrained")
     axes = figure.subplots()
@@ -45,7 +40,7 @@ def draw_top_view(
     path: Float[np.ndarray, "n 2"] | None = None,
     speed: Float[np.ndarray, " n"] | None = None,
 ) -> None:
-    """The same, into given axes."""
+    """Draw a world and a drive into given axes."""
     x0, y0 = world.origin
     ny, nx = world.elevation.shape
     extent = (x0, x0 + (nx - 1) * world.resolution, y0, y0 + (ny - 1) * world.resolution)
@@ -101,42 +96,3 @@ def _draw_path(axes: Axes, path: Float[np.ndarray, "n 2"], speed: Float[np.ndarr
     pieces.set_array((speed[:-1] + speed[1:]) / 2)
     axes.add_collection(pieces)
     axes.figure.colorbar(pieces, ax=axes, shrink=0.7, label="speed [m/s]")
-
-
-def project(
-    points_camera: Float[np.ndarray, "n 3"], model: CameraModel
-) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Pixels of the distorted image that points in the optical frame fall on, and whether they fall on it at all."""
-    x, y, z = points_camera.T
-    ahead = z > 0.1
-    pixels = np.full((len(points_camera), 2), -1.0)
-    if ahead.any():
-        pixels[ahead] = model.project(np.asarray(points_camera[ahead], float))
-    # Far outside the image the distortion polynomial folds points back into it.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.hypot(x, y) / z > 1.2 * np.hypot(*model.size) / (model.matrix[0, 0] + model.matrix[1, 1])
-    inside = ((pixels > -0.5) & (pixels < np.array(model.size) - 0.5)).all(axis=1)
-    return pixels, ahead & ~far & inside
-
-
-def overlay(
-    image: UInt8[np.ndarray, "height width 3"],
-    points_camera: Float[np.ndarray, "n 3"],
-    model: CameraModel,
-    *,
-    farthest: float = 40.0,
-) -> UInt8[np.ndarray, "height width 3"]:
-    """An image with LiDAR points drawn into it, red near and blue far.
-
-    Args:
-        points_camera: in the camera's optical frame [m].
-        farthest: distance that is drawn in the last colour [m].
-    """
-    pixels, seen = project(points_camera, model)
-    distance = np.linalg.norm(points_camera, axis=1)
-    shade = np.clip(255 * (1 - distance / farthest), 0, 255).astype(np.uint8)
-    colours = cv2.applyColorMap(shade[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
-    drawn = image.copy()
-    for n in np.flatnonzero(seen)[np.argsort(-distance[seen])]:
-        cv2.circle(drawn, tuple(np.rint(pixels[n]).astype(int).tolist()), 1, colours[n].tolist(), -1)
-    return drawn

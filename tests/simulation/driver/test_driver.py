@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.simulation.drive import drive, on_other_ground, with_driver
+from offpiste.simulation.drive import drive, on_other_ground, start_and_driver
 from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import load_vehicle
@@ -24,7 +24,7 @@ def world() -> World:
 @pytest.fixture(scope="module")
 def drives(world: World) -> list[list[VehicleSample]]:
     """Drives of 45 s, or until they end."""
-    started = (with_driver(world, VEHICLE, seed=seed) for seed in SEEDS)
+    started = (start_and_driver(world, VEHICLE, seed=seed) for seed in SEEDS)
     return [list(drive(world, VEHICLE, start, driver, steps=2250)) for start, driver in started]
 
 
@@ -81,7 +81,7 @@ def test_the_same_samples_bring_the_same_commands_on_any_ground(drives, world):
     """Commands follow from shapes and the vehicle's own motion: they reveal nothing about the ground."""
     other = make_world(WorldSettings("mojave", seed=2, size=160.0, resolution=0.5))
     ground = on_other_ground(world, replace(other, properties=np.ones_like(other.properties)))
-    _, driver = with_driver(ground, VEHICLE, seed=SEEDS[0])
+    _, driver = start_and_driver(ground, VEHICLE, seed=SEEDS[0])
     blind = [replace(s, truth=replace(s.truth, properties=np.zeros((4, 4)))) for s in drives[0]]
     np.testing.assert_array_equal([driver.command(s) for s in blind], [s.command for s in drives[0]])
 
@@ -93,7 +93,7 @@ def test_seeds_start_and_drive_differently(drives):
 
 
 def test_drives_start_at_a_standstill_or_at_speed(world):
-    speeds = np.array([with_driver(world, VEHICLE, seed=seed)[0].speed for seed in range(40)])
+    speeds = np.array([start_and_driver(world, VEHICLE, seed=seed)[0].speed for seed in range(40)])
     assert 2 <= (speeds == 0).sum() <= 20
     assert speeds[speeds > 0].min() >= 2
     assert speeds.max() <= 7
@@ -113,7 +113,7 @@ def test_a_vehicle_that_cannot_move_tries_and_gives_up(drives, world):
 
 def test_it_drives_around_a_tree(world):
     """A tree on the trail in front of the start."""
-    start, _ = with_driver(world, VEHICLE, seed=0)
+    start, _ = start_and_driver(world, VEHICLE, seed=0)
     ahead = np.array((start.x, start.y)) + 12 * np.array((np.cos(start.yaw), np.sin(start.yaw)))
     tree = replace(
         world.trees,
@@ -123,7 +123,7 @@ def test_it_drives_around_a_tree(world):
         height=world.trees.height[:1],
     )
     planted = replace(world, trees=tree)
-    start, driver = with_driver(planted, VEHICLE, seed=0)
+    start, driver = start_and_driver(planted, VEHICLE, seed=0)
     samples = list(drive(planted, VEHICLE, start, driver, steps=400))
     away = np.hypot(*(np.array([s.position[:2] for s in samples]) - ahead).T)
     assert not any(sample.events for sample in samples)

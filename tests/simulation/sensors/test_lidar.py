@@ -5,7 +5,7 @@ import pytest
 
 from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
-from offpiste.simulation.sample import Motion, Pose, standing
+from offpiste.simulation.sample import Motion, Pose, motionless
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, lost_share
 from offpiste.simulation.sensors.suite import mounted, sensor_suite
 from simulation import scenes
@@ -20,7 +20,7 @@ def _plane(slope=(0.0, 0.0)):
 
 def _scan(settings=SETTINGS, scene=None, motion=None, seed=0):
     scene = scene or _plane()
-    motion = motion or standing(Pose(np.array([0.0, 0.0, 0.36]), UPRIGHT))
+    motion = motion or motionless(Pose(np.array([0.0, 0.0, 0.36]), UPRIGHT))
     return Lidar(settings).scan(scene, motion, 0.0, np.random.default_rng(seed))
 
 
@@ -28,7 +28,7 @@ def test_points_of_a_plane_lie_on_it_to_the_noise():
     slope = (0.1, -0.05)
     up = np.array([-slope[0], -slope[1], 1.0])
     pose = Pose(np.array([1.0, 2.0, 0.5]), UPRIGHT)
-    scan = _scan(scene=_plane(slope), motion=standing(pose))
+    scan = _scan(scene=_plane(slope), motion=motionless(pose))
     of_ground = scan.surface == SURFACES.index("ground")
     points = (pose @ SETTINGS.body_from_lidar).apply(scan.points[of_ground].astype(float))
     # Noise acts along the ray: over the cosine of incidence to get from the plane's normal to the ray.

@@ -73,7 +73,8 @@ class RandomIntent:
             self._begin_manoeuvre()
         elif self._time_left <= 0:
             self._manoeuvre = ""
-        return Intent(*self._processes, self._manoeuvre, self._strength, self._side, self._time_left)
+        speed, cornering, steering = self._processes
+        return Intent(speed, cornering, steering, self._manoeuvre, self._strength, self._side, self._time_left)
 
     def _begin_manoeuvre(self) -> None:
         probabilities = [probability for probability, _, _ in _MANOEUVRES.values()]

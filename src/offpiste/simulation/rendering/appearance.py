@@ -1,7 +1,6 @@
-"""The light of one drive: sun, sky, clouds, haze and the camera's mood. It varies from drive to drive and says nothing
-about grip.
+"""Appearance of a world on one drive: colours and textures of its ground, sun, sky, clouds, haze and exposure.
 
-How a world looks on one drive: colours and textures of its ground, light, and what says nothing about grip.
+The light varies from drive to drive and is independent of grip.
 """
 
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from offpiste.simulation.rendering.shading import (
     SUN,
     TRAIL,
     TRAIL_REACH,
-    Ground,
+    GroundTexture,
 )
 from offpiste.simulation.rendering.texture_noise import WAVELENGTHS, octave_turns, random_lattice
 from offpiste.simulation.world.ground import colour_table
@@ -39,21 +38,21 @@ from offpiste.simulation.world.surface import normals_of
 from offpiste.simulation.world.world import World
 
 WARMER, GREENER = np.array((1.0, 0.0, -1.0)), np.array((-0.5, 1.0, -0.5))
-"""How a camera's white balance errs: mostly along the colours of daylight."""
+"""Directions of white balance errors: mostly along the colours of daylight."""
 
 
 class Light(NamedTuple):
-    """Colours are linear RGB; white ground in full sun has about 1.
+    """Light of one drive; colours are linear RGB, and white ground in full sun has about 1.
 
     Attributes:
         sun: unit vector to it, in the world frame.
         sun_colour, sky_colour: light of the sun on a surface that faces it, and of the whole sky on a level one.
-        horizon_colour, zenith_colour: of the sky as one sees it.
+        horizon_colour, zenith_colour: visible colours of the sky.
         haze: share of light lost per metre [1/m].
         overcast: share of the sky with clouds [0..1].
         clouds: offset of their pattern.
-        exposure: times what the automatic exposure chooses.
-        balance: of red, green and blue by the camera.
+        exposure: factor on the automatic exposure.
+        balance: white balance factors of red, green and blue.
     """
 
     sun: Float[np.ndarray, " 3"]
@@ -69,7 +68,7 @@ class Light(NamedTuple):
 
 
 def draw_light(rng: np.random.Generator, noise: float) -> Light:
-    """The light of a drive.
+    """Random light of a drive.
 
     Args:
         noise: 0: always the same clear afternoon; 1: any weather without rain, sun 20 to 70 degrees high.
@@ -101,7 +100,7 @@ def draw_light(rng: np.random.Generator, noise: float) -> Light:
 def sunlit_ground(
     world: World, scene: Scene, light: Light, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "ny nx"], Float[np.ndarray, "ny nx"]]:
-    """How much of the sun each node gets [0..1]: by the ground, with its slope and all shadows; by plants above it."""
+    """Share of the sun at each node [0..1]: on the ground, with its slope and all shadows, and on plants above it."""
     nodes = world.elevation.shape
     x, y = (origin + world.resolution * np.arange(n) for origin, n in zip(world.origin, nodes[::-1], strict=True))
     clouds = smooth_noise(rng, x, y, 40.0) + 0.4 * smooth_noise(rng, x, y, 15.0)
@@ -117,13 +116,13 @@ def sunlit_ground(
 
 @dataclass(frozen=True)
 class Texture:
-    """How one kind of ground varies from place to place; drawn after photographs, not measured.
+    """Texture of one kind of ground; chosen after photographs, not measured.
 
     Attributes:
         fine, coarse: share of brightness of each octave of noise up to 5 cm, and from 80 cm; half of both between.
-        accent: what large noise adds to the colour, linear RGB.
-        relief: how strongly bumps show against the sun.
-        stones, blades, ripples: shares of brightness of pebbles, of short grass, of wind ripples.
+        accent: colour that large noise adds, linear RGB.
+        relief: contrast of bumps against the sun.
+        stones, blades, ripples: shares of brightness of pebbles, short grass and wind ripples.
     """
 
     fine: float
@@ -146,39 +145,39 @@ TEXTURES: Final[dict[str, Texture]] = {
 }
 
 COMMON_ROCK: Final = 0.3
-"""How much alike the kinds of ground of one world are in colour, at `appearance_noise` 1."""
+"""Similarity in colour of one world's kinds of ground, at `appearance_noise` 1."""
 
 SOIL: Final = (0.20, 0.14, 0.09)
 PLANTS: Final = ((0.14, 0.11, 0.08), (0.12, 0.17, 0.06), (0.20, 0.22, 0.13), (1.1, 1.15, 1.0))
-"""Linear RGB of the soil between blades; of trunks, crowns and bushes; blades of tall grass over the ground below."""
+"""Linear RGB of the soil between blades, and of trunks, crowns and bushes; blades as a factor on the ground below."""
 
 PAINT: Final = {"hood": (0.25, 0.03, 0.02), "fender": (0.25, 0.03, 0.02), "roof": (0.05, 0.05, 0.06)}
 PLASTIC: Final = (0.03, 0.03, 0.033)
-"""Linear RGB of the vehicle's boxes, by a part of their names, and of all others."""
+"""Linear RGB of the vehicle's boxes whose names contain a key, and of all others."""
 
 SHADOWS: Final = ("roof", "hood", "cargo bed", "seats", "chassis")
-"""Boxes of the vehicle that throw a shadow on the ground."""
+"""Boxes of the vehicle that cast a shadow on the ground."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """All that shading needs to know beside where rays end."""
+    """Inputs of shading beside the hits of rays."""
 
-    ground: Ground
+    ground: GroundTexture
     light: Light
     shadow_boxes: Float[np.ndarray, "n 2 3"]
     paint: Float[np.ndarray, "m 3"]
 
 
 def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: float = 0.12) -> Appearance:
-    """The looks of a world on one drive; takes about 2 s for the shadows.
+    """Appearance of a world on one drive; takes about 2 s for the shadows.
 
-    The world's seed decides on what stays: textures, tints, colours of plants. The drive's decides on light and clouds.
+    The world's seed decides on textures, tints and colours of plants, the drive's on light and clouds.
     `WorldSettings.appearance_noise` scales all of it.
 
     Args:
-        scene: of the world; throws the shadows.
-        ragged: how far the borders of kinds wander in the texture [m].
+        scene: the world's scene, which casts the shadows.
+        ragged: amplitude of the borders between kinds of ground in the texture [m].
     """
     noise = world.settings.appearance_noise
     of_world, of_drive = np.random.default_rng([world.settings.seed, 5]), np.random.default_rng([drive_seed, 6])
@@ -200,13 +199,13 @@ def _ground(
     of_world: np.random.Generator,
     of_drive: np.random.Generator,
     ragged: float,
-) -> Ground:
+) -> GroundTexture:
     turn = octave_turns(of_world)
     unit = turn * WAVELENGTHS[:, None]
     # x' = cos x + sin y, y' = cos y - sin x: the sun's direction turned the same way.
     sun = np.stack((unit @ light.sun[:2], unit @ np.array((light.sun[1], -light.sun[0]))), axis=1)
     leaves = np.exp(np.clip(world.settings.appearance_noise * of_world.normal(0, 0.08, (len(PLANTS), 3)), -0.4, 0.4))
-    return Ground(
+    return GroundTexture(
         nodes=_nodes(world, scene, light, of_world, of_drive),
         x0=world.origin[0],
         y0=world.origin[1],
@@ -224,7 +223,7 @@ def _ground(
 def _nodes(
     world: World, scene: Scene, light: Light, of_world: np.random.Generator, of_drive: np.random.Generator
 ) -> UInt8[np.ndarray, "ny nx c"]:
-    """`Ground.nodes`."""
+    """`GroundTexture.nodes`."""
     noise, resolution = world.settings.appearance_noise, world.resolution
     nodes = np.empty((*world.elevation.shape, CHANNELS), np.uint8)
     shares = np.square(world.kinds, dtype=np.float32)
@@ -257,11 +256,11 @@ def _nodes(
 
 
 def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3 K"]:
-    """Linear RGB: dry and wet, either side of the accent. Soils differ from country to country, whatever their grip."""
+    """Linear RGB: dry and wet, either side of the accent. Soils differ from world to world, whatever their grip."""
     colour = linear_from_srgb(colour_table())
     local = noise * (rng.normal(0, 0.10, (len(GROUND_KINDS), 1)) + rng.normal(0, 0.04, (len(GROUND_KINDS), 3)))
     colour = colour * np.exp(np.clip(local, -0.6, 0.6))
-    # All soils of one country are made of much the same rock.
+    # All soils of one world are made of much the same rock.
     colour += min(COMMON_ROCK * noise, 0.6) * (colour.mean(axis=1, keepdims=True) - colour)
     accent = np.array([TEXTURES[kind].accent for kind in GROUND_KINDS])
     sides = np.stack((colour - accent, colour + accent), axis=1)

@@ -1,4 +1,4 @@
-"""Triangles of what stands in a world: ground, trees, bushes, blades of tall grass, and boxes of the vehicle itself."""
+"""Triangle meshes of a world's ground, trees, bushes and tall grass, and of the vehicle's boxes."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,20 @@ from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import Bushes, Trees, World
 
 SURFACES = ("sky", "ground", "trunk", "crown", "bush", "grass", "body")
-"""What a ray can end on; "sky" stands for nothing."""
+"""Surfaces that a ray can hit; "sky" means nothing."""
 
 LEAVES = 400_000
-"""Triangles that all crowns share, and as many again for all bushes."""
+"""Number of triangles of all crowns together, and again of all bushes."""
 
 BLADES = 600_000
-"""Triangles of tall grass at most; a wider blade makes up for fewer of them."""
+"""Largest number of triangles of tall grass; with fewer, blades are wider."""
 
 BLADES_PER_AREA = 40.0
-"""Blades where the grass is tall and there are few enough of it [1/m^2]."""
+"""Blades per area where the grass is tall and their number is not limited [1/m^2]."""
 
 BLADE_WIDTH = 0.03
-"""A blade stands for a small tuft [m]. At 40 of them on a square metre a level ray goes about 2 m far through grass,
-while a steep one meets a blade in one of ten cases."""
+"""Width of a blade, which represents a small tuft [m]. At 40 per square metre a level ray travels about 2 m through
+grass, while a steep one hits a blade in one of ten cases."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def bush_mesh(bushes: Bushes, rng: np.random.Generator) -> Mesh:
 
 
 def grass_mesh(world: World, rng: np.random.Generator) -> Mesh:
-    """Bent blades where `grass_height` says so: they hide the ground from far and let it be seen from above."""
+    """Bent blades where `grass_height` is positive: they hide the ground from afar, not from above."""
     cell = world.resolution**2
     height = np.asarray(world.grass_height, float)
     density = BLADES_PER_AREA * cell * np.clip(height / 0.3, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""What cameras and LiDAR see of the vehicle that carries them: a side-by-side, as a few boxes."""
+"""The vehicle as its own cameras and LiDARs see it: a side-by-side made of a few boxes."""
 
 from typing import Final
 
@@ -40,5 +40,5 @@ def body_boxes() -> Float[np.ndarray, "n 2 3"]:
 
 
 def body_hits(origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-    """Where rays given in the body frame end on the vehicle itself: the same at all times, so cast once."""
+    """Hits on the vehicle itself of rays given in the body frame: constant, so cast once."""
     return cast_rays(Scene([box_mesh(body_boxes())], threads=1), origins, directions)

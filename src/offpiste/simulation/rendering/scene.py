@@ -19,21 +19,21 @@ with extra("sim"):
     from embreex.rtcore_scene import EmbreeScene
 
 NOTHING = 1e30
-"""Embree's distances above this mean that nothing is met."""
+"""Embree's distances above this mean that nothing was hit."""
 
 BLOCK = 8192
-"""Rays of one piece of work: little enough that its arrays stay in the cache."""
+"""Rays of one block: few enough that its arrays stay in the cache."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays end.
+    """Ends of rays.
 
     Attributes:
-        distance: in lengths of the direction (metres, where that is a unit vector); infinite where nothing is met.
+        distance: in lengths of the direction (metres, where that is a unit vector); infinite where nothing is hit.
         surface: index into `SURFACES`.
-        item: the plant, blade or box that is met; 0 on the ground, -1 where nothing is met.
-        normal: unit vector on the side that the ray comes from; zero where nothing is met.
+        item: number of the plant, blade or box; 0 on the ground, -1 where nothing is hit.
+        normal: unit normal on the side that the ray comes from; zero where nothing is hit.
     """
 
     distance: Float[np.ndarray, " n"]
@@ -46,8 +46,8 @@ class Scene:
     """Triangles in one frame that rays can be cast at.
 
     Args:
-        parts: what stands in the scene.
-        threads: that rays are split over.
+        parts: meshes of the scene.
+        threads: number of threads that rays are split over.
     """
 
     def __init__(self, parts: Sequence[Mesh], *, threads: int = 2) -> None:
@@ -61,7 +61,7 @@ class Scene:
         self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # Embree builds its tree here
 
     def spread(self, rays: int, block: Callable[[int, int], None], *, size: int = BLOCK) -> None:
-        """Call `block(first, last)` on parts of the rays, several at once."""
+        """Call `block(first, last)` on parts of the rays, in several threads."""
         cuts = [*range(0, rays, size), rays]
         for _ in self._pool.map(lambda part: block(*part), pairwise(cuts)):
             pass
@@ -73,13 +73,13 @@ class Scene:
         surface, item = np.empty(len(directions), np.int8), np.empty(len(directions), np.int32)
         hits = Hits(found["tfar"], surface, item, found["Ng"])
         tables = (self._surfaces, self._first, self._items)
-        _name(found["geomID"], found["primID"], directions, *tables, hits.distance, surface, item, hits.normal)
+        _identify(found["geomID"], found["primID"], directions, *tables, hits.distance, surface, item, hits.normal)
         return hits
 
     def occluded(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Does a ray meet anything? For shadows."""
+        """Whether each ray hits anything; for shadows."""
         blocked = np.zeros(len(directions), bool)
 
         def block(first: int, last: int) -> None:
@@ -91,7 +91,7 @@ class Scene:
 
 
 def world_scene(world: World, *, threads: int = 2) -> Scene:
-    """The ground of a world and everything that grows on it. The same world gives the same leaves and blades.
+    """Scene of a world's ground and plants; the same world gives the same leaves and blades.
 
     Building takes about 4 s and 500 MB at 320 m and 0.25 m.
     """
@@ -101,11 +101,11 @@ def world_scene(world: World, *, threads: int = 2) -> Scene:
 
 
 def cast_rays(scene: Scene, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-    """The first thing that each ray meets.
+    """First hit of each ray.
 
     Args:
         origins: in the scene's frame [m].
-        directions: of any length; unit vectors make distances metres.
+        directions: vectors of any length; with unit vectors, distances are in metres.
     """
     n = len(directions)
     hits = Hits(np.empty(n, np.float32), np.empty(n, np.int8), np.empty(n, np.int32), np.empty((n, 3), np.float32))
@@ -135,8 +135,8 @@ def _single(vectors: np.ndarray) -> np.ndarray:
 
 
 @RAYS.entry
-def _name(geometry, triangle, directions, surfaces, first, items, distance, surface, item, normal):  # type: ignore[no-untyped-def]
-    # What was met, from Embree's numbers of meshes and triangles; normals of unit length, towards the ray's origin.
+def _identify(geometry, triangle, directions, surfaces, first, items, distance, surface, item, normal):  # type: ignore[no-untyped-def]
+    # Surface and item, from Embree's numbers of meshes and triangles; normals of unit length, towards the ray's origin.
     for n in range(len(distance)):
         if geometry[n] < 0 or distance[n] > NOTHING:
             distance[n], surface[n], item[n] = np.inf, 0, -1

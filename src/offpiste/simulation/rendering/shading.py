@@ -1,4 +1,4 @@
-"""What colour a ray brings home: compiled, one ray after the other, linear RGB."""
+"""Shading of rays: the colour that each one returns, linear RGB (compiled, one ray after the other)."""
 
 from typing import NamedTuple
 
@@ -11,23 +11,23 @@ SKY, GROUND, TRUNK, CROWN, BUSH, GRASS, BODY = range(7)
 
 LOW, HIGH = 0, 3
 FINE, COARSE, RELIEF, STONES, BLADES, RIPPLES, GLOSS, TRAIL, SUN, OPEN, CHANNELS = range(6, 17)
-"""Channels of `Ground.nodes`; LOW and HIGH are the first of three."""
+"""Channels of `GroundTexture.nodes`; LOW and HIGH are the first of three."""
 
 MOST_RELIEF = 0.5
-"""Relief and tones at which their channels are full."""
+"""Relief and tone at which their channels are full."""
 
 TRAIL_REACH = 4.0
 """Distance to a trail's centre line at which its channel is full [m]."""
 
 TRACK_OFFSET, TRACK_WIDTH = 0.66, 0.17
-"""Where tyres leave their tracks on a trail: half the vehicle's track; and how wide [m]."""
+"""Offset of tyre tracks from a trail's centre line (half the vehicle's track), and their width [m]."""
 
 STONE_SIZE, BLADE_WIDTH, BLADE_LENGTH, RIPPLE_LENGTH = 0.05, 0.012, 0.09, 0.13
-"""Of texture that is not noise [m]."""
+"""Sizes of texture that is not noise [m]."""
 
 
-class Ground(NamedTuple):
-    """The ground's looks, mixed at the nodes of the world.
+class GroundTexture(NamedTuple):
+    """The ground's appearance, mixed at the nodes of the world.
 
     Attributes:
         nodes: [ny, nx, CHANNELS], 0..255: square roots of the colours that large noise moves between (3 each), shares
@@ -35,7 +35,7 @@ class Ground(NamedTuple):
             trail's centre, direct sun on the ground, sun on plants.
         x0, y0, resolution: of the nodes [m].
         elevation: [ny, nx] [m].
-        lattice, turn: of the noise (`texture`).
+        lattice, turn: tables of the noise (`texture_noise`).
         sun: horizontal direction to the sun in each octave's lattice [O, 2].
         soil: colour between blades [3].
         ragged: how far borders between kinds wander [m].
@@ -80,7 +80,7 @@ def shade_ground(ground, light, x, y, facing, phase, footprint, shadow, n, d, c,
         phase: cosine between the ray back and the sun.
         footprint: size of the pixel on the ground [m].
         shadow: 0 where the vehicle itself keeps the sun off.
-        n, d, c: scratch: octaves, their slopes, channels.
+        n, d, c: buffers of octaves, their slopes, and channels.
         out: [3], overwritten.
     """
     octaves(ground.lattice, ground.turn, ground.sun, x, y, footprint, n, d)

@@ -13,10 +13,10 @@ from jaxtyping import Float
 from offpiste.compilation import RAYS
 
 WAVELENGTHS: Final = 0.0125 * 2.0 ** np.arange(10)
-"""Of the octaves, 1.25 cm to 6.4 m [m]."""
+"""Wavelengths of the octaves, 1.25 cm to 6.4 m [m]."""
 
 PERIOD: Final = 128
-"""Of the table, a power of two."""
+"""Period of the table, a power of two."""
 
 _WRAP = np.int32(PERIOD - 1)
 _ONE, _TWO, _THREE, _SIX = np.float32(1), np.float32(2), np.float32(3), np.float32(6)

@@ -1,4 +1,4 @@
-"""A camera with lens distortion: rays through the distorted pixels, so that the image is what a real lens records."""
+"""A camera with lens distortion: rays through the distorted pixels, so that images are like those of a real lens."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -6,7 +6,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from offpiste.compilation import RAYS
 from offpiste.rig.camera import CameraModel
@@ -18,7 +18,7 @@ from offpiste.simulation.rendering.texture_noise import hashed
 from offpiste.simulation.sample import Pose
 
 LENS_BLUR = 0.6
-"""Standard deviation of the lens's and the demosaicing's blur [px]."""
+"""Standard deviation of the blur by lens and demosaicing [px]."""
 
 MIDDLE_GREY = 0.20
 """Linear brightness that automatic exposure aims at; photographers' 18 %."""
@@ -35,10 +35,10 @@ MODEL: Final = CameraModel(
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """One camera.
+    """Settings of one camera.
 
     Attributes:
-        name: of the frame and the topic.
+        name: name of the frame and the topic.
         body_from_camera: optical frame: z forward, x right, y down.
         rate: images [1/s].
         model: image size, intrinsics and distortion.
@@ -57,13 +57,13 @@ class CameraSettings:
 
 
 class Camera:
-    """A camera on its vehicle; knows where its rays go and which of them end on the vehicle itself.
+    """A camera on its vehicle, with its rays and those of them that end on the vehicle itself.
 
     Attributes:
-        settings: what it was made from.
-        origin: of its rays in the body frame [m].
+        settings: the camera's settings.
+        origin: origin of the rays in the body frame [m].
         rays: unit vectors in the body frame, row after row of the distorted image.
-        own: where they end on the vehicle.
+        own: hits of the rays on the vehicle itself.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
@@ -74,7 +74,7 @@ class Camera:
         self.own = body_hits(np.broadcast_to(self.origin, self.rays.shape), self.rays)
 
     def hits(self, scene: Scene, world_from_body: Pose) -> Hits:
-        """What each pixel's middle shows, row after row: the truth."""
+        """True hit of the ray through each pixel's middle, row after row."""
         origin = world_from_body.apply(self.origin[None])
         rays = self.rays @ world_from_body.rotation.T.astype(np.float32)
         return nearest(self.own, cast_rays(scene, np.broadcast_to(origin, rays.shape), rays))
@@ -88,10 +88,26 @@ def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
+def project_points(
+    points_camera: Float[np.ndarray, "n 3"], model: CameraModel
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    """Pixels of points in the optical frame in the distorted image, and whether they lie inside the image."""
+    x, y, z = points_camera.T
+    ahead = z > 0.1
+    pixels = np.full((len(points_camera), 2), -1.0)
+    if ahead.any():
+        pixels[ahead] = model.project(np.asarray(points_camera[ahead], float))
+    # Far outside the image the distortion polynomial folds points back into it.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = np.hypot(x, y) / z > 1.2 * np.hypot(*model.size) / (model.matrix[0, 0] + model.matrix[1, 1])
+    inside = ((pixels > -0.5) & (pixels < np.array(model.size) - 0.5)).all(axis=1)
+    return pixels, ahead & ~far & inside
+
+
 def render(
     scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """One image, RGB, distorted, as the sensor's electronics hand it out."""
+    """One distorted RGB image, with exposure, noise and tone curve of a real camera."""
     s, (width, height) = camera.settings, camera.settings.model.size
     linear = np.empty((height, width, 3), np.float32)
     _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
@@ -120,7 +136,7 @@ def _shade(
     world_from_body: Pose,
     linear: Float[np.ndarray, "n 3"],
 ) -> None:
-    """Fill in the light that reaches each pixel."""
+    """Compute the light that reaches each pixel, linear RGB."""
     position, rotation = world_from_body.position, world_from_body.rotation
     origin = world_from_body.apply(camera.origin[None])[0]
     turned = np.ascontiguousarray(rotation.T, np.float32)
@@ -139,7 +155,7 @@ def _shade(
 
 @cache
 def _tone_curve() -> UInt8[np.ndarray, " n"]:
-    """Bytes by brightness 0 ... 2: sRGB (IEC 61966-2-1) with a soft shoulder, as cameras have it."""
+    """Tone curve of a camera: bytes for brightness 0 ... 2, sRGB (IEC 61966-2-1) with a soft shoulder."""
     value = np.linspace(0, 2, 4096)
     value = np.where(value < 0.6, value, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)))
     value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
@@ -148,7 +164,7 @@ def _tone_curve() -> UInt8[np.ndarray, " n"]:
 
 @RAYS.entry
 def develop(linear, first, last, gain, vignetting, full_well, read_noise, curve, seed, image):  # type: ignore[no-untyped-def]
-    """Rows of an image from the light that fell on them: fall-off, shot and read noise (EMVA 1288), tone curve.
+    """Develop rows of an image from their light: fall-off, shot and read noise (EMVA 1288), tone curve.
 
     Noise depends on the seed and the pixel alone, not on how rows are split over threads.
     """

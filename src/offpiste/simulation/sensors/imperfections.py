@@ -1,4 +1,4 @@
-"""What recorded logs get wrong: noise of the vehicle's channels, and chosen flaws of pose, calibration and stamps."""
+"""Imperfections of recorded logs: noise of the vehicle's channels, and errors of pose, calibration and stamps."""
 
 from dataclasses import dataclass, replace
 
@@ -14,10 +14,10 @@ class Noise:
     """Standard deviations of white noise in each sample.
 
     Attributes:
-        position: of a fused pose [m].
-        attitude: about each axis [deg].
+        position: fused position [m].
+        attitude: angle about each axis [deg].
         velocity: [m/s].
-        rate: of the gyro [rad/s].
+        rate: angular velocity of the gyro [rad/s].
         acceleration: [m/s^2].
         steer_angle, steer_rate: at the road wheels [deg, deg/s].
         pressure: share of the brake's full pressure.
@@ -39,7 +39,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Flaws of a log that its user cannot see in one sample; none by default.
+    """Errors of a log that do not show in a single sample; none by default.
 
     Attributes:
         pose_noise_m: further white noise of recorded positions [m].
@@ -56,7 +56,7 @@ class Imperfections:
 
 
 class Drift:
-    """The pose that drifting odometry reports: true steps, turned by the heading's error, and a random walk."""
+    """Drift of odometry: true steps, rotated by the heading error, and a random walk."""
 
     def __init__(self, amount: float, rng: np.random.Generator) -> None:
         self._amount, self._rng = amount, rng
@@ -87,7 +87,7 @@ class Drift:
 def with_noise(
     sample: VehicleSample, noise: Noise, imperfections: Imperfections, rng: np.random.Generator
 ) -> VehicleSample:
-    """What the vehicle's sensors make of a sample; commands and truth stay as they are."""
+    """A sample with the noise of the vehicle's sensors; commands and truth stay as they are."""
     place, tilt, velocity, rate, wheels, (pressure, angle, turning, engine) = np.split(
         rng.standard_normal(20), (3, 6, 9, 12, 16)
     )
@@ -106,14 +106,17 @@ def with_noise(
 
 
 def misaligned(rotation: Float[np.ndarray, " 4"], degrees: float, rng: np.random.Generator) -> Float[np.ndarray, " 4"]:
-    """A mounting's quaternion (xyzw) turned by an angle [deg] about a random axis: a calibration that is off."""
+    """A mounting's quaternion (xyzw) with a calibration error: rotated by an angle [deg] about a random axis."""
     axis = rng.standard_normal(3)
     turn = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
     return (Rotation.from_quat(rotation) * turn).as_quat()
 
 
 def _tilted(orientation: Float[np.ndarray, " 4"], angles: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 4"]:
-    """Turned about the body's axes by small angles [rad], to first order: SciPy's rotations take 50 times as long."""
+    """Quaternion rotated about the body's axes by small angles [rad], to first order.
+
+    SciPy's rotations take 50 times as long for one.
+    """
     x, y, z, w = orientation.tolist()
     a, b, c = (0.5 * angles).tolist()
     tilted = np.array(

@@ -1,4 +1,4 @@
-"""A spinning LiDAR: all rings fire at once, column after column, while the vehicle moves on."""
+"""A spinning LiDAR: all rings fire at once, column after column, while the vehicle moves."""
 
 from dataclasses import dataclass
 
@@ -10,24 +10,24 @@ from offpiste.simulation.rendering.scene import Scene, cast_rays, nearest
 from offpiste.simulation.sample import Motion, Pose
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)
-"""Of `SURFACES` near 900 nm [1]; soil 0.2 to 0.4, green leaves about 0.5 (ASTER spectral library, rounded)."""
+"""Reflectivity of `SURFACES` near 900 nm [1]; soil 0.2 to 0.4, green leaves about 0.5 (ASTER library, rounded)."""
 
 
 @dataclass(frozen=True)
 class LidarSettings:
-    """One unit. Defaults after the data sheet of an Ouster OS1-64 (1024 x 10): 45 degrees, sigma 1 to 3 cm.
+    """Settings of one LiDAR; the defaults follow the data sheet of an Ouster OS1-64 (1024 x 10).
 
     Attributes:
-        name: of the frame and the topic.
+        name: name of the frame and the topic.
         body_from_lidar: x forward, y left, z up.
-        rate: turns [1/s].
-        rings, columns: rays per turn.
+        rate: revolutions [1/s].
+        rings, columns: rays per revolution.
         highest, lowest: elevation of the first and the last ring [rad].
         min_range, max_range: [m].
         range_noise: standard deviation [m].
         dropout: share of rays lost at random.
-        lost: share lost of rays that meet a surface of reflectivity 0.1 squarely at the largest range; sets how fast
-            returns fade with range and grazing angle.
+        lost: share of rays lost at the largest range on a surface of reflectivity 0.1 that faces the LiDAR; it sets how
+            fast returns fade with range and grazing angle.
     """
 
     name: str
@@ -46,14 +46,14 @@ class LidarSettings:
 
 @dataclass(frozen=True)
 class Scan:
-    """Points of one turn, each in the LiDAR's frame at the moment it was measured.
+    """Points of one revolution, each in the LiDAR's frame at the moment it was measured.
 
     Attributes:
         points: [m].
         intensity: reflectivity times the cosine of incidence [1].
-        ring: 0 is the highest.
-        time: since the start of the turn [s].
-        surface: index into `SURFACES`; the truth, not to be recorded.
+        ring: number of the ring, 0 is the highest.
+        time: since the start of the revolution [s].
+        surface: index into `SURFACES`; ground truth, not recorded.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -64,7 +64,7 @@ class Scan:
 
 
 class Lidar:
-    """A unit on its vehicle; knows where its rays go and which of them end on the vehicle itself."""
+    """A LiDAR on its vehicle, with its rays and those of them that end on the vehicle itself."""
 
     def __init__(self, settings: LidarSettings) -> None:
         self.settings = settings
@@ -83,11 +83,11 @@ class Lidar:
         self._own = body_hits(np.broadcast_to(mount.position, rays.shape), rays)
 
     def scan(self, scene: Scene, motion: Motion, start: float, rng: np.random.Generator) -> Scan:
-        """One turn.
+        """Points of one revolution.
 
         Args:
             scene: in the world frame.
-            motion: `world_from_body` over the turn.
+            motion: `world_from_body` during the revolution.
             start: time of the first column [s].
         """
         s, shape = self.settings, self._ray.shape[:2]
@@ -116,7 +116,7 @@ class Lidar:
 def lost_share(
     settings: LidarSettings, distance: Float[np.ndarray, " n"], echo: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """How likely a ray is to bring no point back: `dropout`, and more as the echo fades with the square of the range.
+    """Probability that a ray returns no point: `dropout`, and more as the echo fades with the square of the range.
 
     Args:
         echo: reflectivity times the cosine of incidence [1].

@@ -17,16 +17,16 @@ _JPEG_QUALITY = 90
 LIDAR_POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")], align=True
 )
-"""A point as Ouster's driver lays it out in substance: `t` is the time since the message's stamp [ns]."""
+"""A LiDAR point, much as Ouster's driver lays it out: `t` is the time since the message's stamp [ns]."""
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """Where a sensor sits.
+    """Mounting of a sensor.
 
     Attributes:
         frame: the sensor's frame; cameras: z forward, x right, y down (REP 103, "optical").
-        translation: of the sensor in its parent's frame [m].
+        translation: position of the sensor in its parent's frame [m].
         rotation: parent_from_sensor, xyzw.
     """
 
@@ -37,7 +37,7 @@ class Mounting:
 
 
 def mountings_message(mountings: Sequence[Mounting], stamp_ns: int) -> Any:
-    """A tf2_msgs/TFMessage."""
+    """A tf2_msgs/TFMessage of all mountings."""
     transforms = [
         make(
             "geometry_msgs/TransformStamped",
@@ -55,14 +55,14 @@ def mountings_message(mountings: Sequence[Mounting], stamp_ns: int) -> Any:
 
 
 def image_message(image: UInt8[np.ndarray, "h w 3"], stamp_ns: int, frame: str) -> Any:
-    """A sensor_msgs/CompressedImage: JPEG of an RGB image."""
+    """A sensor_msgs/CompressedImage message: JPEG of an RGB image."""
     done, data = cv2.imencode(".jpg", image[:, :, ::-1], (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
     assert done, "OpenCV encodes every RGB image"
     return make("sensor_msgs/CompressedImage", header=header(stamp_ns, frame), format="jpeg", data=data.reshape(-1))
 
 
 def camera_info_message(model: CameraModel, stamp_ns: int, frame: str) -> Any:
-    """A sensor_msgs/CameraInfo of a camera on its own: the rectified image keeps K (P = [K 0])."""
+    """A sensor_msgs/CameraInfo message of a monocular camera; the rectified image keeps K (P = [K 0])."""
     projection = np.hstack((model.matrix, np.zeros((3, 1))))
     region = make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     return make(
@@ -89,7 +89,7 @@ def points_message(
     stamp_ns: int,
     frame: str,
 ) -> Any:
-    """A sensor_msgs/PointCloud2 of one turn of a LiDAR (`LIDAR_POINT`).
+    """A sensor_msgs/PointCloud2 message of one revolution of a LiDAR (`LIDAR_POINT`).
 
     Args:
         xyz: in the sensor's frame [m].

@@ -1,4 +1,4 @@
-"""What cameras and LiDARs see along a drive: each at its own rate, as messages."""
+"""Cameras and LiDARs along a drive: each measures at its own rate, as messages."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -21,19 +21,19 @@ StampNs = Callable[[float], int]
 
 
 class Sensing:
-    """Looks at a world from a moving vehicle.
+    """All cameras and LiDARs of a moving vehicle.
 
     Args:
         suite: the sensors; their rates must divide 50 Hz.
-        rng: of noise, and of the light of the day.
-        scene: of the world, where it is built already.
+        rng: random numbers of noise and of the drive's light.
+        scene: the world's scene, if it has been built already.
     """
 
     def __init__(
         self, world: World, suite: SensorSuite, rng: np.random.Generator, *, scene: Scene | None = None
     ) -> None:
-        self._scene, day = scene or world_scene(world), int(rng.integers(2**31))
-        self._look = make_appearance(world, self._scene, day) if suite.cameras else None
+        self._scene, light_seed = scene or world_scene(world), int(rng.integers(2**31))
+        self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
         self._cameras = [Camera(settings) for settings in suite.cameras]
         self._lidars = [Lidar(settings) for settings in suite.lidars]
         self._rng = rng
@@ -41,26 +41,26 @@ class Sensing:
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
     def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
-        """Topics and messages of all measurements that are complete with this sample."""
+        """Topics and messages of all measurements that this sample completes."""
         self._past.append(sample)
         row = round(sample.time / DT)
         for camera in self._cameras:
             if row % round(1 / (camera.settings.rate * DT)) == 0:
-                yield from self._picture(camera, sample, stamp_ns)
+                yield from self._image(camera, sample, stamp_ns)
         for lidar in self._lidars:
             turn = round(1 / (lidar.settings.rate * DT))
             if row % turn == 0 and row >= turn:
-                yield self._turn(lidar, list(self._past)[-turn - 1 :], stamp_ns)
+                yield self._scan(lidar, list(self._past)[-turn - 1 :], stamp_ns)
 
-    def _picture(self, camera: Camera, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
+    def _image(self, camera: Camera, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
         s = camera.settings
-        assert self._look is not None
-        image = render(self._scene, self._look, camera, Pose(sample.position, sample.orientation), self._rng)
+        assert self._appearance is not None
+        image = render(self._scene, self._appearance, camera, Pose(sample.position, sample.orientation), self._rng)
         stamp = stamp_ns(sample.time)
         yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)
         yield f"/{s.name}/camera_info", camera_info_message(s.model, stamp, s.name)
 
-    def _turn(self, lidar: Lidar, samples: list[VehicleSample], stamp_ns: StampNs) -> tuple[str, Any]:
+    def _scan(self, lidar: Lidar, samples: list[VehicleSample], stamp_ns: StampNs) -> tuple[str, Any]:
         motion = Motion(
             np.array([s.time for s in samples]),
             np.stack([s.position for s in samples]),

@@ -1,4 +1,4 @@
-"""Which sensors the vehicle carries, and where: profiles `full`, as in the paper, and `light`, for long drives."""
+"""Sensors and their mountings on the vehicle: profiles `full` as in the paper, `light` for long drives, `none`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,25 +14,25 @@ from offpiste.simulation.sensors.lidar import LidarSettings
 from offpiste.simulation.sensors.messages import Mounting
 
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Body axes from those of a camera that looks ahead: z forward, x right, y down."""
+"""Rotation to body axes from those of a camera that looks ahead: z forward, x right, y down."""
 
 
 @dataclass(frozen=True)
 class SensorSuite:
-    """What a vehicle carries."""
+    """Cameras and LiDARs of a vehicle."""
 
     cameras: tuple[CameraSettings, ...]
     lidars: tuple[LidarSettings, ...]
 
     def mountings(self) -> tuple[Mounting, ...]:
-        """Where the sensors sit, for the recorder."""
+        """Mountings of all sensors, for the recorder."""
         poses = [(camera.name, camera.body_from_camera) for camera in self.cameras]
         poses += [(lidar.name, lidar.body_from_lidar) for lidar in self.lidars]
         return tuple(Mounting(n, tuple(p.position.tolist()), tuple(p.orientation.tolist())) for n, p in poses)
 
 
 def full_suite() -> SensorSuite:
-    """Four cameras around the roof, a LiDAR above it and one low over the tail, which sees what was just driven over.
+    """Four cameras around the roof, a LiDAR above it and one low over the tail, which sees the ground just driven over.
 
     Rates and image sizes are the paper's (section "Visual features"); its lenses and mountings are not published.
     """

@@ -1,6 +1,6 @@
-"""What acts on the chassis itself: air, plants, the ground where it touches, and trees (compiled scalars).
+"""Forces on the chassis itself: air, plants, contact with the ground, and trees (compiled scalars).
 
-Touching is a soft penalty: nothing here is meant to be a crash test, only to keep the vehicle above ground.
+Contact is a soft penalty: it only keeps the vehicle above ground and is no crash test.
 """
 
 import numpy as np
@@ -12,24 +12,24 @@ from offpiste.simulation.world.surface import height
 from offpiste.simulation.world.world import World
 
 TOUCH_STIFFNESS, TOUCH_DAMPING, TOUCH_FRICTION = 80e3, 4e3, 0.5
-"""Of one chassis point on the ground [N/m, N s/m, 1]."""
+"""Contact of one chassis point with the ground [N/m, N s/m, 1]."""
 
 TREE_STIFFNESS, TREE_DAMPING = 300e3, 30e3
-"""Of a trunk against the body [N/m, N s/m]."""
+"""Contact of a trunk with the body [N/m, N s/m]."""
 
 PUSH_SPEED = 0.3
-"""Below it drag of plants and friction of the body fade out [m/s]."""
+"""Speed below which drag of plants and friction of the body fade out [m/s]."""
 
 
-def surroundings(
+def nearby_obstacles(
     world: World, x: float, y: float, cos_yaw: float, sin_yaw: float, length: float, width: float
 ) -> Float[np.ndarray, " 4"]:
-    """The nearest trunk's x, y, radius [m] (radius 0: none near) and the drag of all bushes under the body [N].
+    """Obstacles around the body: x, y, radius of the nearest trunk [m] (radius 0: none), drag of bushes under it [N].
 
     Args:
         x, y: centre of the body [m].
-        cos_yaw, sin_yaw: of its heading.
-        length, width: of the body [m].
+        cos_yaw, sin_yaw: its heading.
+        length, width: its size [m].
     """
     around = np.zeros(4)
     trees, bushes = world.trees, world.bushes
@@ -48,7 +48,7 @@ def surroundings(
 
 @PHYSICS.entry
 def chassis_forces(q, around, body, qpos, qvel, elevation, x0, y0, resolution, touched, body_forces):  # type: ignore[no-untyped-def]
-    """Add the forces on the chassis to row 1 of `body_forces`; arguments as of `forces.substep`."""
+    """Add the forces on the chassis to row 1 of `body_forces`; arguments as in `forces.substep`."""
     velocity = (qvel[0], qvel[1], qvel[2])
     com = (q.sprung_com_x, q.sprung_com_y, q.sprung_com_z)
     speed = np.sqrt(dot(velocity, velocity))

@@ -1,4 +1,4 @@
-"""From the commands to torques at the wheels: engine, CVT, four-wheel drive, brakes and steering (compiled scalars).
+"""Drive train from commands to the wheels: engine, CVT, four-wheel drive, brakes and steering (compiled scalars).
 
 Engine and wheels are five inertias (engine, then wheels in the order of `WHEELS`) joined by couplings that turn slip
 into torque: a centrifugal clutch behind which the belt's ratio applies, a centre coupling (four-wheel drive without
@@ -11,7 +11,7 @@ import numpy as np
 from offpiste.compilation import PHYSICS
 
 COULOMB_SPEED = 1e-4
-"""Below this wheel speed [rad/s] a brake holds like stiff oil instead of like dry friction."""
+"""Wheel speed below which a brake holds like stiff oil instead of like dry friction [rad/s]."""
 
 
 @PHYSICS.entry
@@ -66,7 +66,7 @@ def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: i
         throttle: 0..1.
         brake: pressure, 0..1.
         tyre_torque: [4], of the ground on the wheels [N m].
-        matrix: [5, 6], scratch.
+        matrix: [5, 6], a buffer.
     """
     total = ratio * p.final_ratio
     matrix[:] = 0.0

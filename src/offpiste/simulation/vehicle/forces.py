@@ -1,4 +1,4 @@
-"""Every force on the vehicle at one moment, and one small step of its own states (compiled).
+"""All forces on the vehicle, and one small step of its internal states (compiled).
 
 MuJoCo holds the rigid bodies; this writes the forces on them: tyres, suspension, air, plants, and the chassis where
 it touches ground or a tree. Newton's law for a wheel and its spin: the spin turns with J dw/dt = drive - brake - F r,
@@ -18,13 +18,13 @@ from offpiste.simulation.vehicle.wheel_contact import contact_axes, ground_under
 from offpiste.simulation.world.surface import properties_at
 
 RATIO, PRESSURE, STEER, STEER_RATE = range(4)
-"""Columns of the actuators' state."""
+"""Columns of the actuator states."""
 
 CONTACT, PROPERTIES, LOAD, SLIP_RATIO, SLIP_ANGLE = 0, 3, 7, 8, 9
-"""First columns of the truth of a wheel."""
+"""First columns of each quantity in a wheel's truth."""
 
 MIN_SLIP_SPEED = 0.5
-"""Slip ratios and angles are told over at least this ground speed [m/s]; no force depends on it but sinkage drag."""
+"""Least ground speed in slip ratios and angles [m/s]; of all forces only sinkage drag depends on it."""
 
 
 @PHYSICS.entry
@@ -37,7 +37,7 @@ def substep(  # type: ignore[no-untyped-def]
     Args:
         q: `VehicleParameters.as_record()`.
         command: [3] throttle, (delayed) brake, steer.
-        around: `chassis.surroundings`.
+        around: `chassis.nearby_obstacles`.
         elevation, properties, x0, y0, resolution: of the world.
         qpos, qvel: [11], [10] of MuJoCo.
         actuators: [4], overwritten.
@@ -47,7 +47,7 @@ def substep(  # type: ignore[no-untyped-def]
         touched: [2] roof, tree: set to 1 where the chassis touched.
         body_forces: [6, 6] force and torque on each body, world frame, overwritten.
         joint_forces: [10], overwritten.
-        scratch: [5, 6].
+        buffers: [6, 6].
     """
     body = axes(qpos[3], qpos[4], qpos[5], qpos[6])
     actuators[PRESSURE] = braked_pressure(actuators[PRESSURE], command[1], dt, q)

@@ -1,4 +1,4 @@
-"""What a vehicle is made of: numbers with their sources in a TOML, checked key by key when they are read."""
+"""Parameters of the simulated vehicle: numbers with their sources in a TOML file, validated when they are read."""
 
 import tomllib
 from importlib import resources
@@ -21,7 +21,7 @@ class VehicleError(OffpisteError):
 
 
 class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A side-by-side; meaning, unit and source of every value stand in side_by_side.toml.
+    """A side-by-side; side_by_side.toml has meaning, unit and source of every value.
 
     The pose point is the centre of the wheel base at the height of the wheel centres at rest; wheels stand at
     x = +-wheelbase / 2, y = +-track / 2 of it.
@@ -108,27 +108,27 @@ class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     @property
     def static_load_front(self) -> float:
-        """Of one front wheel on flat ground [N]."""
+        """Load of one front wheel on flat ground [N]."""
         return self.mass * GRAVITY * self.front_share / 2
 
     @property
     def static_load_rear(self) -> float:
-        """Of one rear wheel on flat ground [N]."""
+        """Load of one rear wheel on flat ground [N]."""
         return self.mass * GRAVITY * (1 - self.front_share) / 2
 
     @property
     def rest_height(self) -> float:
-        """Of the pose point above flat ground at rest [m]: mean of the loaded radii."""
+        """Height of the pose point above flat ground at rest [m]: mean of the loaded radii."""
         return self.wheel_radius - self.mass * GRAVITY / 4 / self.tyre_stiffness
 
     @property
     def sprung_mass(self) -> float:
-        """Chassis without the wheels [kg]."""
+        """Mass of the chassis without the wheels [kg]."""
         return self.mass - 4 * self.unsprung_mass
 
     @property
     def sprung_com(self) -> tuple[float, float, float]:
-        """Centre of the sprung mass from the pose point, in the body frame [m]."""
+        """Centre of the sprung mass relative to the pose point, in the body frame [m]."""
         scale = self.mass / self.sprung_mass
         return (
             scale * self.wheelbase * (self.front_share - 0.5),
@@ -137,7 +137,7 @@ class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         )
 
     def as_record(self) -> np.record:
-        """The same for compiled code: a record with a float64 field of each name."""
+        """The parameters for compiled code: a record with a float64 field for each name."""
         values: dict[str, Any] = msgspec.structs.asdict(self)
         values |= {name: getattr(self, name) for name in ("static_load_front", "static_load_rear", "rest_height")}
         values |= dict(zip(("sprung_com_x", "sprung_com_y", "sprung_com_z"), self.sprung_com, strict=True))
@@ -158,5 +158,5 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     except tomllib.TOMLDecodeError as error:
         raise VehicleError(f"not TOML: {error}", where=str(file)) from error
     except msgspec.ValidationError as error:
-        how = "compare with offpiste/simulation/side_by_side.toml"
+        how = "compare with offpiste/simulation/vehicle/side_by_side.toml"
         raise VehicleError(f"{error}".replace("$.", ""), where=str(file), how=how) from error

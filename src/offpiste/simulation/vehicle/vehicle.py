@@ -1,9 +1,8 @@
-"""The rigid bodies of the vehicle as MuJoCo sees them: a free chassis and four wheels that slide up and down on it.
+"""A side-by-side that drives in a `World`: MuJoCo's rigid bodies under our own tyres, drive train and ground.
 
-MuJoCo integrates the bodies; every force on them is ours (`offpiste.simulation.vehicle.forces`), so contacts and
-constraints are off. Wheels do not spin here: their spin is a state of its own, and its reaction acts as a torque.
-
-A side-by-side that drives in a `World`: MuJoCo's rigid bodies under our own tyres, drive train and ground.
+The bodies are a free chassis and four wheels that slide up and down on it. MuJoCo integrates them; every force on them
+is ours (`offpiste.simulation.vehicle.forces`), so contacts and constraints are off. Wheels do not spin in MuJoCo: their
+spin is a state of its own, and its reaction acts as a torque.
 """
 
 from collections import deque
@@ -15,7 +14,7 @@ import numpy as np
 from offpiste.conventions import DT, GRAVITY
 from offpiste.extras import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
-from offpiste.simulation.vehicle.chassis import surroundings
+from offpiste.simulation.vehicle.chassis import nearby_obstacles
 from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.surface import height, main_kind
@@ -53,7 +52,7 @@ def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
     """The `mujoco.MjModel` of a vehicle: qpos = pose point (3), quaternion wxyz (4), travel of the wheels, + up (4).
 
     Args:
-        timestep: of one `mj_step` [s].
+        timestep: duration of one `mj_step` [s].
     """
     p = parameters
     x, y = p.wheelbase / 2, p.track / 2
@@ -75,14 +74,16 @@ def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
 
 
 SUBSTEPS = 10
-"""Of 2 ms in one step of `DT`; the fastest oscillation (a wheel's spin on its tyre) has about 100 rad/s."""
+"""Substeps of 2 ms in one step of `DT`; the fastest oscillation (a wheel's spin on its tyre) has about 100 rad/s."""
 
 SETTLING_STEPS = 40
-"""Steps in which a vehicle that is put on the ground finds its springs' rest."""
+"""Steps after which a vehicle that is put on the ground rests on its springs."""
 
 TILT_LIMIT = np.cos(np.radians(70))
+"""Cosine of the tilt beyond which the vehicle has rolled over."""
+
 BORDER = 3.0
-"""Leaving the world: nearer than this to its edge [m]."""
+"""Distance from the world's edge at which the vehicle leaves it [m]."""
 
 
 class VehicleSimulation:
@@ -92,10 +93,10 @@ class VehicleSimulation:
 
     Args:
         world: the ground, trees and bushes.
-        parameters: of the vehicle.
-        x, y: of the pose point at the start [m].
-        yaw: heading there [rad].
-        speed: forwards [m/s].
+        parameters: parameters of the vehicle.
+        x, y: pose point at the start [m].
+        yaw: heading at the start [rad].
+        speed: speed forwards at the start [m/s].
     """
 
     def __init__(
@@ -105,10 +106,10 @@ class VehicleSimulation:
         self._record = parameters.as_record()
         self._grid = _grid_of(world)
         self._model = build_bodies(parameters, DT / SUBSTEPS)
-        self._look_into(mujoco.MjData(self._model))
+        self._view_state(mujoco.MjData(self._model))
         self._actuators, self._speeds = np.zeros(4), np.zeros(5)
         self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
-        self._touched, self._scratch = np.zeros(2), np.zeros((6, 6))
+        self._touched, self._buffers = np.zeros(2), np.zeros((6, 6))
         self._command = np.zeros(3)
         self._brakes: deque[float] = deque([0.0] * round(parameters.brake_delay / DT))
         self._steps = 0
@@ -123,12 +124,12 @@ class VehicleSimulation:
             self, {id(shared): shared for shared in (self._world, self._grid, self._model, self._parameters)}
         )
         other._world, other._grid = world, _grid_of(world)
-        other._look_into(other._data)
+        other._view_state(other._data)
         return other
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """Time since the start [s]."""
         return self._steps * DT
 
     def step(self, throttle: float, brake: float, steer: float) -> None:
@@ -141,15 +142,15 @@ class VehicleSimulation:
         self._command[:] = np.clip((throttle, brake, steer), (0, 0, -1), (1, 1, 1))
         self._brakes.append(float(self._command[1]))
         held = np.array((self._command[0], self._brakes.popleft(), self._command[2]))
-        around = self._surroundings()
+        around = self._obstacles()
         for _ in range(SUBSTEPS):
             self._apply(held, around)
             mujoco.mj_step(self._model, self._data)
         self._steps += 1
-        self._watch()
+        self._report_events()
 
     def sample(self) -> VehicleSample:
-        """What the vehicle's sensors and the truth say now; events are told once."""
+        """Measurements and ground truth of this moment; each event is reported once."""
         quaternion = self._qpos[[4, 5, 6, 3]]
         events, self._events = tuple(self._events), []
         return VehicleSample(
@@ -169,7 +170,7 @@ class VehicleSimulation:
             events=events,
         )
 
-    def _look_into(self, data: mujoco.MjData) -> None:
+    def _view_state(self, data: mujoco.MjData) -> None:
         # Views into MuJoCo's memory: they move with it.
         self._data = data
         self._qpos, self._qvel = data.qpos, data.qvel
@@ -179,14 +180,14 @@ class VehicleSimulation:
         substep(
             self._record, DT / SUBSTEPS, command, around, *self._grid,
             self._qpos, self._qvel, self._actuators, self._speeds, self._deflection, self._truth, self._touched,
-            self._body_forces, self._joint_forces, self._scratch,
+            self._body_forces, self._joint_forces, self._buffers,
         )  # fmt: skip
 
-    def _surroundings(self) -> np.ndarray:
+    def _obstacles(self) -> np.ndarray:
         w, x, y, z = self._qpos[3:7]
         yaw = np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
         p = self._parameters
-        return surroundings(
+        return nearby_obstacles(
             self._world, self._qpos[0], self._qpos[1], float(np.cos(yaw)), float(np.sin(yaw)), p.length, p.width
         )
 
@@ -229,7 +230,7 @@ class VehicleSimulation:
         self._speeds[0] = max(p.idle_speed, shaft * self._actuators[RATIO])
         self._touched[:] = 0
 
-    def _watch(self) -> None:
+    def _report_events(self) -> None:
         x, y = self._qpos[:2]
         elevation, _, x0, y0, resolution = self._grid
         ny, nx = elevation.shape
@@ -238,12 +239,12 @@ class VehicleSimulation:
             and y0 + BORDER <= y <= y0 + (ny - 1) * resolution - BORDER
         )
         tilt = 1 - 2 * (self._qpos[4] ** 2 + self._qpos[5] ** 2)
-        found = {
+        happening = {
             "rollover": tilt < TILT_LIMIT or bool(self._touched[0]),
             "collision with a tree": bool(self._touched[1]),
             "left the world": not inside,
         }
-        for event, happened in found.items():
+        for event, happened in happening.items():
             if happened and event not in self._reported:
                 self._reported.add(event)
                 self._events.append(event)
@@ -263,7 +264,7 @@ class VehicleSimulation:
 
 
 def _grid_of(world: World) -> tuple[np.ndarray, np.ndarray, float, float, float]:
-    """What `substep` reads of a world."""
+    """The world's grids as `substep` reads them: elevation, properties, origin and resolution."""
     return (
         np.ascontiguousarray(world.elevation, dtype=np.float64),
         np.ascontiguousarray(world.properties, dtype=np.float64),

@@ -1,4 +1,4 @@
-"""Contact of a wheel with the ground: where it touches, how far it is pressed in, and its load (compiled scalars)."""
+"""Contact of a wheel with the ground: contact point, compression of the tyre, and load (compiled scalars)."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from offpiste.simulation.world.surface import height
 
 @PHYSICS.entry
 def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ignore[no-untyped-def]
-    """The plane that a tyre feels: five heights under it, averaged as the tyre envelops unevenness.
+    """Effective plane under a tyre: five heights, averaged as the tyre envelops unevenness.
 
     Args:
-        elevation, x0, y0, resolution: as of `surface.height`.
-        centre: of the wheel, world frame [m].
+        elevation, x0, y0, resolution: as in `surface.height`.
+        centre: centre of the wheel, world frame [m].
         forward: heading of the wheel, world frame.
 
     Returns:
@@ -38,11 +38,11 @@ def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
     """Compression of the tyre along its plane [m], negative in the air, and the point of contact, world frame.
 
     Args:
-        centre: of the wheel [m].
+        centre: centre of the wheel [m].
         ground: height of the plane under the centre [m].
-        normal: of that plane.
+        normal: unit normal of that plane.
         axle: unit vector of the wheel's spin, to the left.
-        radius: free [m].
+        radius: free radius of the tyre [m].
     """
     radial = unit(add(normal, axle, -dot(normal, axle)))
     upright = max(dot(radial, normal), 0.2)  # a wheel that lies flat has no tread on the ground
@@ -55,8 +55,8 @@ def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
     """Load of a tyre: spring, damper and rim, never pulling [N].
 
     Args:
-        compression: [m].
-        closing: its rate [m/s].
+        compression: compression of the tyre [m].
+        closing: rate of the compression [m/s].
     """
     if compression <= 0.0:
         return 0.0

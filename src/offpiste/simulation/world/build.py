@@ -1,4 +1,4 @@
-"""A world from its settings."""
+"""Build a world from its settings: trails, hills, kinds of ground, plants."""
 
 import zlib
 
@@ -13,14 +13,14 @@ from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant
 from offpiste.simulation.world.world import World, WorldSettings
 
 MIN_SIZE = 60.0
-"""A smaller square has no room for a trail [m]."""
+"""Smallest side of a world [m]: a smaller one has no room for a trail."""
 
 _PARTS = ("trails", "hills", "carving", "grounds", "trees", "bushes", "grass")
-"""Each draws from its own stream, so that changing one leaves the others as they are."""
+"""Parts of a world; each draws from its own random stream, so that changing one leaves the others as they are."""
 
 
 def make_world(settings: WorldSettings) -> World:
-    """The world of some settings: the same ones give the same bytes on the same machine.
+    """Build a world; the same settings give the same bytes on the same machine.
 
     Raises:
         OffpisteError: a setting is out of its range, or there is no such preset.
@@ -34,18 +34,18 @@ def make_world(settings: WorldSettings) -> World:
     nodes = round(settings.size / settings.resolution) + 1
     x = y = (np.arange(nodes) - (nodes - 1) / 2) * settings.resolution
 
-    # The country, and where one can drive through it.
+    # Trails and the heightfield.
     trails = make_trails(random["trails"], float(x[-1] - x[0]))
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     trail_distance = distance_to_trails(trails, places).reshape(nodes, nodes)
     hills = make_hills(random["hills"], preset, x, y)
     elevation = carve_trails(random["carving"], preset, x, y, hills, trails, trail_distance)
 
-    # What it is made of, and what that does to a tyre.
+    # Kinds of ground, and their properties.
     kinds, wetness = lay_grounds(random["grounds"], preset, x, y, elevation, trail_distance)
     properties = mix_properties(kinds, wetness, settings.grip_contrast * preset.grip)
 
-    # What grows there.
+    # Plants.
     return World(
         settings=settings,
         origin=(float(x[0]), float(y[0])),
@@ -62,7 +62,7 @@ def make_world(settings: WorldSettings) -> World:
 
 
 def _check(settings: WorldSettings) -> None:
-    """Complain about the first setting out of its range."""
+    """Refuse the first setting out of its range."""
     allowed = {
         "seed": (settings.seed >= 0, "0 or more"),
         "size": (MIN_SIZE <= settings.size <= 2000, f"{MIN_SIZE:g} to 2000 m"),

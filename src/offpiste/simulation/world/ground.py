@@ -1,4 +1,4 @@
-"""Kinds of ground: where they lie, and what they do to a tyre (grounds.toml)."""
+"""Kinds of ground: where they lie, and their properties (grounds.toml)."""
 
 import tomllib
 from functools import cache
@@ -15,17 +15,17 @@ from offpiste.simulation.world.preset import WorldPreset
 from offpiste.simulation.world.trails import HALF_WIDTH
 
 PATCH_GRAIN = 13.0
-"""Grain of the patches [m]: one meets other ground every 8 to 25 m."""
+"""Grain of the patches [m]: the ground changes every 8 to 25 m."""
 
 SHARPNESS = 20.0
-"""Of the borders between kinds: they are about 1 m wide."""
+"""Sharpness of the borders between kinds, which are about 1 m wide."""
 
 _GUMBEL = np.sqrt(6) / np.pi
 """Scale of the Gumbel distribution with variance 1: with it, the largest of noise + scale log(w) has share about w."""
 
 
 class Property(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One property of one kind of ground: at wetness 0 and 1, and where the numbers come from."""
+    """One property of one kind of ground at wetness 0 and 1, with the source of the numbers."""
 
     dry: float
     wet: float
@@ -39,8 +39,8 @@ class Colour(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     wet: tuple[float, float, float]
 
 
-class Ground(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of grounds.toml, which explains the entries."""
+class GroundKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One kind of ground: a table of grounds.toml, which explains the entries."""
 
     friction: Property
     cornering_stiffness: Property
@@ -51,21 +51,21 @@ class Ground(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @cache
-def grounds() -> tuple[Ground, ...]:
-    """The table, in the order of `GROUND_KINDS`."""
+def grounds() -> tuple[GroundKind, ...]:
+    """All kinds of ground, in the order of `GROUND_KINDS`."""
     text = resources.files("offpiste.simulation.world").joinpath("grounds.toml").read_text(encoding="utf-8")
-    rows = msgspec.convert(tomllib.loads(text), dict[str, Ground])
+    rows = msgspec.convert(tomllib.loads(text), dict[str, GroundKind])
     return tuple(rows[kind] for kind in GROUND_KINDS)
 
 
 def property_table() -> Float[np.ndarray, "2 K 4"]:
-    """Properties of the kinds: dry, wet."""
+    """Properties of each kind of ground, dry and wet."""
     properties = [[getattr(ground, name) for name in GROUND_PROPERTIES] for ground in grounds()]
     return np.array([[[p.dry for p in row] for row in properties], [[p.wet for p in row] for row in properties]])
 
 
 def colour_table() -> Float[np.ndarray, "2 K 3"]:
-    """Colours of the kinds, dry and wet, sRGB [0..1]."""
+    """Colours of each kind of ground, dry and wet, sRGB [0..1]."""
     return np.array([[g.colour.dry for g in grounds()], [g.colour.wet for g in grounds()]])
 
 
@@ -77,7 +77,7 @@ def lay_grounds(
     elevation: Float[np.ndarray, "ny nx"],
     trail_distance: Float[np.ndarray, "ny nx"],
 ) -> tuple[Float[np.ndarray, "K ny nx"], Float[np.ndarray, "ny nx"]]:
-    """Shares of the kinds (they sum to 1), and wetness 0..1.
+    """Shares of the kinds at each node (they sum to 1), and wetness 0..1.
 
     Every kind has its own smooth noise; at each place the strongest wins, softly. Open ground and trails differ in how
     often a kind wins, not in where its patches lie.
@@ -134,7 +134,7 @@ def _water(
     y: Float[np.ndarray, " ny"],
     elevation: Float[np.ndarray, "ny nx"],
 ) -> Float[np.ndarray, "ny nx"]:
-    """How wet a place is before its ground is known, about the preset's wetness: more where it lies low and level."""
+    """Wetness before the ground is known, around the preset's: more where the terrain is low and level."""
     step = x[1] - x[0]
     low = (elevation.mean() - elevation) / (elevation.std() + np.float32(0.1))
     slope = np.hypot(*np.gradient(gaussian_filter(elevation, 2.0 / step), step))

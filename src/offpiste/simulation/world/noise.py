@@ -13,12 +13,12 @@ def smooth_noise(
 ) -> Float[np.ndarray, "ny nx"]:
     """A random field with mean 0 and variance about 1: a cubic B-spline with normal coefficients.
 
-    The coefficients are smoothed, so that nothing shows of the lattice of knots. The field depends on place,
+    The coefficients are smoothed, so that the lattice of knots does not show. The field depends on place,
     not on how finely it is read: the same generator gives the same hills at every resolution.
 
     Args:
-        x, y: of the columns and rows [m].
-        grain: size of what is in it, along x and y: a bump is about three grains wide [m].
+        x, y: coordinates of the columns and rows [m].
+        grain: size of features along x and y: a bump is about three grains wide [m].
     """
     knots_x, knots_y = np.broadcast_to(grain, 2) / 2
     (first_x, weight_x), (first_y, weight_y) = _weights(x, float(knots_x)), _weights(y, float(knots_y))
@@ -30,7 +30,7 @@ def smooth_noise(
 
 
 _VARIANCE = 0.2440
-"""Of a cubic B-spline whose coefficients were smoothed over one knot: along one axis, mean over an interval."""
+"""Variance along one axis of a cubic B-spline whose coefficients were smoothed over one knot, mean over an interval."""
 
 
 def _weights(at: Float[np.ndarray, " n"], knots: float) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:

@@ -1,7 +1,7 @@
-"""The world's grids read at one place: what lies under a wheel, thousands of times a second.
+"""Sample a world's grids: elevation, normals, properties and kind of the ground under a wheel.
 
-Plain scalars in and out, compiled; a place beyond the border reads the border. `read_grid` is the same reading for many
-places at once, the plain reference in tests and the way for everything that is not in a hurry.
+Compiled functions of plain scalars, as called thousands of times a second; places beyond the border read the border.
+`read_grid` samples many places at once: the reference in tests, and for everything that is not critical.
 """
 
 import numpy as np
@@ -28,8 +28,8 @@ def height(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
 
     Args:
         elevation: [ny, nx], at least 2 x 2 [m].
-        x0, y0: of node [0, 0] [m].
-        resolution: distance of the nodes [m].
+        x0, y0: position of node [0, 0] [m].
+        resolution: distance between nodes [m].
     """
     i, u = _cell(x - x0, resolution, elevation.shape[1])
     j, v = _cell(y - y0, resolution, elevation.shape[0])
@@ -42,7 +42,7 @@ def height(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
 def normal(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
     """Unit normal (nx, ny, nz), pointing up, of the bilinear surface at (x, y), in the world frame.
 
-    Args: as of `height`.
+    Args: as in `height`.
     """
     i, u = _cell(x - x0, resolution, elevation.shape[1])
     j, v = _cell(y - y0, resolution, elevation.shape[0])
@@ -96,7 +96,7 @@ def read_grid(
     resolution: float,
     places: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n ..."]:
-    """A grid of nodes read at many places, bilinear, clamped at the border.
+    """Values of a grid at many places, bilinear, clamped at the border.
 
     Args:
         grid: e.g. `World.elevation` or `World.properties`.

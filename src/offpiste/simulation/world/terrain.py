@@ -10,16 +10,16 @@ from offpiste.simulation.world.preset import WorldPreset
 from offpiste.simulation.world.trails import HALF_WIDTH, resample
 
 STEEPEST = np.radians(39.0)
-"""Steeper ground slumps [rad]."""
+"""Slope beyond which ground slumps [rad]."""
 
 RUT_OFFSET = 0.65
-"""Of each rut from the centre line: half the track of a side-by-side vehicle [m]."""
+"""Distance of each rut from the centre line: half the track of a side-by-side [m]."""
 
 
 def make_hills(
     rng: np.random.Generator, preset: WorldPreset, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
 ) -> Float[np.ndarray, "ny nx"]:
-    """Elevation of the country before anyone drove there [m]."""
+    """Elevation of the landscape without trails [m]."""
     elevation = np.zeros((len(y), len(x)), np.float32)
     for grain, height in preset.hills:
         elevation += np.float32(height) * smooth_noise(rng, x, y, grain)
@@ -77,7 +77,7 @@ def _banks(
 
 @PHYSICS.entry
 def _slump(elevation, rise):  # type: ignore[no-untyped-def]
-    """Lower what stands more than `rise` above a neighbour, in place, until nothing does (a chamfer sweep)."""
+    """Lower nodes that are more than `rise` above a neighbour, in place, until none is (a chamfer sweep)."""
     ny, nx = elevation.shape
     diagonal = rise * np.float32(np.sqrt(2.0))
     changed = True
@@ -111,7 +111,7 @@ def _trail_bed(
 ) -> Float[np.ndarray, "ny nx"]:
     """Mean elevation of the centre lines around each place, weighted by a Gaussian.
 
-    Seen from beside a straight trail the weights along it do not depend on the distance, so the bed is level across;
+    Beside a straight trail the weights along it do not depend on the distance, so the bed is level across;
     where trails cross it passes smoothly from one to the other.
     """
     lines = np.concatenate([resample(loop, step / 2) for loop in trails])

@@ -5,19 +5,19 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 SPACING = 0.5
-"""Of the points of a centre line [m]."""
+"""Spacing of the points of a centre line [m]."""
 
 MARGIN = 15.0
-"""No trail comes closer to the world's border [m]."""
+"""Least distance of a trail from the world's border [m]."""
 
 HALF_WIDTH = 2.0
-"""Of the driven surface [m]."""
+"""Half the width of the driven surface [m]."""
 
 NEAR = 8.0
-"""Distances to a trail are known up to here [m]."""
+"""Largest distance to a trail that is computed [m]."""
 
 SHARPEST = (8.3, 11.0)
-"""Radius of a loop's tightest bend, drawn evenly [m]."""
+"""Least and greatest radius of a loop's tightest bend, drawn uniformly [m]."""
 
 
 def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray, "_ 2"], ...]:
@@ -64,7 +64,7 @@ def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray
 
 
 def curvature(loop: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Of a closed, evenly spaced loop, + to the left, from central differences [1/m]."""
+    """Curvature of a closed, evenly spaced loop, + to the left, from central differences [1/m]."""
     ahead, behind = np.roll(loop, -1, axis=0) - loop, loop - np.roll(loop, 1, axis=0)
     turn = np.arctan2(ahead[:, 0] * -behind[:, 1] + ahead[:, 1] * behind[:, 0], (ahead * behind).sum(axis=1))
     return turn / ((np.linalg.norm(ahead, axis=1) + np.linalg.norm(behind, axis=1)) / 2)

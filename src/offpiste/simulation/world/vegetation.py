@@ -13,7 +13,7 @@ from offpiste.simulation.world.trails import HALF_WIDTH
 from offpiste.simulation.world.world import Bushes, Trees
 
 CLEARANCE = 3.0
-"""Of tree trunks from the trail's edge [m]."""
+"""Distance of tree trunks from the trail's edge [m]."""
 
 BUSH_DRAG = (100.0, 500.0)
 """Force on a vehicle that drives through the smallest and the largest bush [N].
@@ -95,7 +95,11 @@ def _scatter(
     grain: float,
     clumping: float,
 ) -> Float[np.ndarray, "n 2"]:
-    """Random places, dense where a smooth noise is high (log-normal density), so many a hectare on average."""
+    """Random places, dense where a smooth noise is high (log-normal density).
+
+    Args:
+        per_hectare: mean number per hectare.
+    """
     low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
     largest = 4.0
     candidates = rng.poisson(per_hectare * np.prod(high - low) / 1e4 * largest)
@@ -105,7 +109,7 @@ def _scatter(
 
 
 def _apart(place: Float[np.ndarray, "n 2"], distance: float) -> Bool[np.ndarray, " n"]:
-    """Which places to keep so that none lies within `distance` of an earlier one that is kept."""
+    """Mask of places to keep, so that none lies within `distance` of an earlier one that is kept."""
     keep = np.ones(len(place), bool)
     for first, second in sorted(cKDTree(place).query_pairs(distance)) if len(place) else ():
         keep[second] &= not keep[first]
