@@ -11,10 +11,11 @@ from jaxtyping import Int
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.error_files import saved_errors
-from offpiste.evaluation.errors import Errors, MapSource, pool
+from offpiste.evaluation.errors import Errors, pool
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
 from offpiste.reproduction.runs import evaluation_windows, run_errors
+from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import on_map
 

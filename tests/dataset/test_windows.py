@@ -51,6 +51,26 @@ def test_gathered_windows_equal_a_slow_loop(part, start):
         assert batch.terrain.latent.shape == (7, HORIZON_STEPS, 4, 0)
 
 
+@pytest.mark.parametrize("chosen", [slice(3, 20, 4), [5, 2, 2], -1])
+def test_some_of_the_windows_are_a_view(chosen):
+    windows = Windows(TWO, "train")
+    some, index = windows[chosen], np.atleast_1d(np.arange(len(windows))[chosen])
+    assert len(some) == len(index)
+    batch, wanted = some.gather(np.arange(len(some))), windows.gather(index)
+    assert (batch.state == wanted.state).all()
+    assert (batch.target == wanted.target).all()
+    assert len(some.maps.snapped) == len(some)
+    assert some[:1].gather(np.arange(1)).state.tolist() == wanted.state[:1].tolist()
+
+
+def test_a_mask_chooses_windows_and_there_are_none_beyond_the_last():
+    windows = Windows(TWO, "train")
+    second = windows[windows.drive == 1]
+    assert set(second.drive) == {1}
+    with pytest.raises(IndexError):
+        windows[len(windows)]
+
+
 def test_starts_lie_at_the_origin_with_yaw_in_one_turn():
     batch = (windows := Windows(TWO, "train")).gather(np.arange(0, len(windows), 50))
     assert (batch.state[:, :2] == 0).all()

@@ -30,7 +30,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.inputs import drive_train
 from offpiste.training.run import vehicle_of
-from offpiste.training.train import predict
+from offpiste.training.prediction import predict
 
 dataset = open_dataset(sys.argv[1])
 vehicle = vehicle_of(dataset)

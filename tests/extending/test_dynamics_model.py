@@ -30,7 +30,7 @@ import numpy as np
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.training.run import load_run
-from offpiste.training.train import predict
+from offpiste.training.prediction import predict
 
 dataset, run = open_dataset(sys.argv[1]), load_run(sys.argv[2])
 assert run.dynamics.vehicle.control_columns[-2:] == ("left_track", "right_track")

@@ -66,9 +66,10 @@ from offpiste.simulation.world.world import WorldSettings
 from offpiste.state import History, ModelState, RecordedTerrain, Terrain
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
+from offpiste.training.prediction import predict
 from offpiste.training.run import build, load_run
 from offpiste.training.terrain_sources import encoded
-from offpiste.training.train import predict, standardise, train
+from offpiste.training.train import standardise, train
 from planning_grounds import layers, situation
 from runtime.stream import parametric, settings
 from seen_drives import seen_dataset

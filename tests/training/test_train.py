@@ -2,6 +2,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -13,11 +14,12 @@ from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid
 from offpiste.errors import DatasetError, RunError, TrainingError
-from offpiste.training import optimise
+from offpiste.training import optimise, prediction
 from offpiste.training.config import TrainConfig
 from offpiste.training.cross_validation import fold_folders, train_folds
+from offpiste.training.prediction import predict
 from offpiste.training.run import load_run, refuse_seen
-from offpiste.training.train import predict, train
+from offpiste.training.train import train
 
 QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
 
@@ -109,6 +111,26 @@ def test_a_loaded_run_predicts_as_the_trained_model(dataset: Dataset, run: Path,
     with torch.no_grad():
         assert torch.equal(predict(trained, batch).state, predict(loaded.dynamics, batch).state)
     assert (loaded.model, loaded.seed, loaded.split) == ("b", 0, "blocks:0.6,0.2,0.2")
+
+
+def test_a_run_predicts_windows_in_one_call(dataset: Dataset, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    windows, loaded = Windows(dataset, "test"), load_run(run)
+    with torch.no_grad():
+        wanted = predict(loaded.dynamics, windows.gather(np.arange(10))).state
+    predicted = loaded.predict(windows[:10])
+    assert not predicted.state.requires_grad
+    torch.testing.assert_close(predicted.state, wanted)
+    torch.testing.assert_close(loaded.predict(windows[3]).state, wanted[3:4], atol=1e-5, rtol=1e-5)
+    monkeypatch.setattr(prediction, "AT_ONCE", 4)
+    torch.testing.assert_close(loaded.predict(windows[:10]).state, wanted, atol=1e-5, rtol=1e-5)
+    assert loaded.predict(windows[:3], lookup="map").state.shape == wanted[:3].shape
+
+
+def test_a_run_refuses_windows_of_another_rig(dataset: Dataset, run: Path) -> None:
+    channels = {name: source for name, source in dataset.rig.channels.items() if name != "brake"}
+    other = replace(dataset, rig=msgspec.structs.replace(dataset.rig, channels=channels))
+    with pytest.raises(RunError, match="was trained with control throttle, brake, steer; the dataset has throttle"):
+        load_run(run).predict(Windows(other, "test")[:2])
 
 
 def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_last_checkpoint(

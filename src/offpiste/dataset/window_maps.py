@@ -1,6 +1,7 @@
 """The maps that predictions are judged on: one of a whole drive, or a snapshot for each window."""
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import torch
@@ -36,6 +37,13 @@ class WindowMaps:
                 self._snapshot[mine] = np.where(snapshots.row[place] == row[mine], place, -1)
         self._whole: MapStack | None = None
         self._numbers = np.full(len(drives), -1)
+
+    def take(self, index: Int[np.ndarray, " m"]) -> "WindowMaps":
+        """The maps of some of the windows."""
+        other = copy(self)
+        other._drive, other._snapshot = self._drive[index], self._snapshot[index]
+        other._whole, other._numbers = None, np.full_like(self._numbers, -1)
+        return other
 
     @property
     def snapped(self) -> Bool[np.ndarray, " n"]:

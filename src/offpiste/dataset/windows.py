@@ -1,6 +1,6 @@
 """Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -98,7 +98,7 @@ class Windows:
         feature_set: str = "hindsight",
         device: torch.device | str = "cpu",
     ) -> None:
-        self.part, self.horizon, self.start = part, horizon, start
+        self.dataset, self.part, self.horizon, self.start = dataset, part, horizon, start
         rows = [drive.rows for drive in dataset.drives]
         self.device = torch.device(device)
         self._columns = {
@@ -140,6 +140,17 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __getitem__(self, chosen: int | slice | Sequence[int] | np.ndarray) -> "Windows":
+        """Some of the windows, by number, slice, list or mask; nothing is copied.
+
+        Raises:
+            IndexError: there is no such window.
+        """
+        index = np.atleast_1d(np.arange(len(self))[chosen])
+        other = copy(self)
+        other.rows, other.drive, other.maps = self.rows[index], self.drive[index], self.maps.take(index)
+        return other
 
     def every(self, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
         """Indices of the windows whose row in their drive is `phase` modulo `stride`."""

@@ -1,6 +1,6 @@
 """Errors of predictions, window by window, after every whole second."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -10,13 +10,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT
-from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics, rollout
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import Dynamics
 from offpiste.geometry import wrap_angle
-from offpiste.state import TerrainSource
 from offpiste.training.losses import summed_loss
-from offpiste.training.terrain_sources import encoded, on_map
-from offpiste.training.train import predict as predict_recorded
+from offpiste.training.prediction import Lookup, MapSource, in_parts, roll_out
+from offpiste.training.terrain_sources import on_map
 
 HORIZONS = (1, 2, 3, 4, 5)
 """Times at which errors are kept [s after the start]."""
@@ -26,15 +25,6 @@ COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps
 
 LOOKUPS = ("recorded", "map")
 """Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
-
-CHUNK = 1024
-"""Number of windows rolled out side by side."""
-
-SNAPSHOT_CHUNK = 32
-"""Number of windows rolled out side by side where each has a map of its own, some 10 MB each."""
-
-MapSource = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
-"""From a model, windows, their indices and their encoded batch to the batch and the map that the model reads."""
 
 Item = TypeVar("Item")
 
@@ -116,12 +106,13 @@ def positions(windows: Errors, among: Errors) -> Int[np.ndarray, " n"]:
     return np.asarray(found)
 
 
+@torch.no_grad()
 def prediction_errors(
     dynamics: Dynamics,
     windows: Windows,
     index: Int[np.ndarray, " n"],
     *,
-    lookup: str | None,
+    lookup: Lookup | None,
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
     map_source: MapSource = on_map,
@@ -136,14 +127,15 @@ def prediction_errors(
         lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the terrain.
         scale, weights: of the loss (`offpiste.training.losses.summed_loss`).
         map_source: the map that "map" reads, where it is not the windows' own.
-        chunk: windows rolled out side by side, when not `CHUNK` or `SNAPSHOT_CHUNK`.
+        chunk: windows rolled out side by side, when not as many as usual.
         track: shows progress over the chunks.
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
     scale, weights = scale.to(windows.device), weights.to(windows.device)
     values, losses = [], []
-    for part in track(_chunks(index, chunk or _chunk(windows, lookup)), description):
-        batch, state = _rolled_out(dynamics, windows, part, lookup, map_source)
+    for part in track(in_parts(index, windows, lookup, chunk), description):
+        batch, predicted = roll_out(dynamics, windows, part, lookup, map_source)
+        state = predicted.state
         values.append(_absolute_errors(state[:, steps], batch.target[:, steps]))
         losses.append(summed_loss(state, batch.target, scale, weights))
     return Errors(
@@ -154,13 +146,14 @@ def prediction_errors(
     )
 
 
+@torch.no_grad()
 def trajectories(
-    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: str | None
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: Lookup | None
 ) -> Float[np.ndarray, "n T 6"]:
     """Predicted states after each step, positions relative to each window's start."""
     if not len(index):
         return np.empty((0, windows.horizon, 6))
-    states = [_rolled_out(dynamics, windows, part, lookup)[1] for part in _chunks(index, _chunk(windows, lookup))]
+    states = [roll_out(dynamics, windows, part, lookup)[1].state for part in in_parts(index, windows, lookup)]
     return np.asarray(torch.cat(states).cpu().numpy())
 
 
@@ -169,31 +162,6 @@ def in_start_frame(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n
     cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     x, y = paths[..., 0], paths[..., 1]
     return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
-
-
-def _chunk(windows: Windows, lookup: str | None) -> int:
-    return SNAPSHOT_CHUNK if lookup == "map" and windows.maps.snapped.any() else CHUNK
-
-
-def _chunks(index: Int[np.ndarray, " n"], size: int) -> list[np.ndarray]:
-    return [index[first : first + size] for first in range(0, len(index), size)]
-
-
-@torch.no_grad()
-def _rolled_out(
-    dynamics: Dynamics,
-    windows: Windows,
-    index: Int[np.ndarray, " B"],
-    lookup: str | None,
-    map_source: MapSource = on_map,
-) -> tuple[Batch, Float[Tensor, "B T 6"]]:
-    batch = windows.gather(index)
-    if lookup != "map":
-        return batch, predict_recorded(dynamics, batch).state
-    batch = encoded(dynamics, batch)
-    batch, source = map_source(dynamics, windows, index, batch)
-    model_state = dynamics.start(batch.history, batch.state, batch.actuators)
-    return batch, rollout(dynamics, model_state, batch.control, source).state
 
 
 def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B 5 6"]) -> Float[Tensor, "B 5 5"]:

@@ -26,9 +26,10 @@ from offpiste.evaluation.evaluated_models import (
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import LossUnits, Metrics, WindowNumbers, provenance
-from offpiste.evaluation.result_rows import Case, Cases, Lookup, RunErrors, Start, headlines, pooled, result_rows
+from offpiste.evaluation.result_rows import Case, Cases, RunErrors, Start, headlines, pooled, result_rows
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
+from offpiste.training.prediction import Lookup
 
 
 class Prediction(NamedTuple):

@@ -12,10 +12,11 @@ from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import MIN_BLOCKS
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
-from offpiste.evaluation.result_rows import Lookup, Start
+from offpiste.evaluation.result_rows import Start
 from offpiste.progress import track
 from offpiste.training.cross_validation import fold_folders
-from offpiste.training.run import Run, load_run, refuse_seen, vehicle_of
+from offpiste.training.prediction import Lookup
+from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +45,7 @@ def evaluate_runs(
         for number, member in enumerate(folds or [folder]):
             run = load_run(member, device=device)
             split = parse_split(run.split) if folds else None
-            _refuse_unfit(run, dataset)
+            refuse_unfit(run, dataset)
             refuse_seen(run, dataset if split is None else dataset.relabelled(split), "test")
             runs.append(run)
             fold = number if folds else None
@@ -79,29 +80,3 @@ def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
             where=reading[0].folder,
             how="look at the dataset with `offpiste view`, fix the rig's cameras and LiDARs and extract again",
         )
-
-
-def _refuse_unfit(run: Run, dataset: Dataset) -> None:
-    """Raise if a run's features or channels are not those of the dataset."""
-    needed, given = run.dynamics.vehicle, vehicle_of(dataset)
-    reads = run.dynamics.encoder is not None
-    if reads and needed.features != given.features:
-        raise RunError(
-            f"reads {needed.features} terrain features; the dataset has {given.features}",
-            where=run.folder,
-            how="evaluate it on a dataset that was extracted with the same --features",
-        )
-    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
-        raise RunError(
-            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
-            where=run.folder,
-            how="evaluate it on a dataset that was extracted with the PCA of its training",
-        )
-    for kind in ("control", "actuators"):
-        if getattr(needed, kind) != getattr(given, kind):
-            raise RunError(
-                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
-                f"{', '.join(getattr(given, kind)) or 'none'}",
-                where=run.folder,
-                how="evaluate it on a dataset whose rig has the same channels",
-            )

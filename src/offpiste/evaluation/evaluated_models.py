@@ -12,7 +12,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.evaluation.metrics import label
-from offpiste.evaluation.result_rows import Lookup
+from offpiste.training.prediction import Lookup
 from offpiste.training.run import vehicle_of
 
 Reading = tuple[Lookup | None, str | None]

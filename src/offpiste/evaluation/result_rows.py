@@ -8,12 +8,12 @@ from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, pool, positions
 from offpiste.evaluation.intervals import Sampling, paired, relative, summary
 from offpiste.evaluation.metrics import Headline, Minus, ResultRow, label, reading_label
+from offpiste.training.prediction import Lookup
 
 REFERENCE = "kinematic"
 """The model that headlines compare with."""
 
 Start = Literal["causal", "smoothed"]
-Lookup = Literal["recorded", "map"]
 
 
 class Case(NamedTuple):

@@ -18,12 +18,13 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.error_files import save_errors
-from offpiste.evaluation.errors import Errors, MapSource, prediction_errors
+from offpiste.evaluation.errors import Errors, prediction_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.files import write_bytes
 from offpiste.progress import track
 from offpiste.reproduction.pieces import Piece
 from offpiste.reproduction.settings import BASELINE, Figure, Member, Reproduction, feature_sets
+from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run, load_run, refuse_seen
 from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train

@@ -11,11 +11,14 @@ from torch import Tensor
 
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
+from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_json, save_tensors
 from offpiste.training.config import TrainConfig, Weights
 from offpiste.training.losses import COMPONENTS
+from offpiste.training.prediction import Lookup, predict_windows
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,21 @@ class Run:
     split: str
     seen: tuple[tuple[str, float, float], ...]
     pca: str | None = None
+
+    def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
+        """Predicted states and actuators of windows; positions are relative to each window's start.
+
+            run.predict(windows[:64]).state[:, -1, :2]  # where the vehicle is after 5 s [m]
+
+        Args:
+            lookup: whether the terrain is read under the recorded wheels, or on a map at predicted places.
+
+        Raises:
+            RunError: the run was trained with other features or channels than the dataset has.
+            DatasetError: the map is asked for and a drive has none.
+        """
+        refuse_unfit(self, windows.dataset)
+        return predict_windows(self.dynamics, windows, lookup)
 
 
 def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
@@ -133,6 +151,36 @@ def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
                     where=run.folder,
                     how="judge it on the dataset and split it was trained with, or on another drive",
                 )
+
+
+def refuse_unfit(run: Run, dataset: Dataset) -> None:
+    """Raise if a run's features or channels are not those of a dataset.
+
+    Raises:
+        RunError: says what it was trained with.
+    """
+    needed, given = run.dynamics.vehicle, vehicle_of(dataset)
+    reads = run.dynamics.encoder is not None
+    if reads and needed.features != given.features:
+        raise RunError(
+            f"reads {needed.features} terrain features; the dataset has {given.features}",
+            where=run.folder,
+            how="evaluate it on a dataset that was extracted with the same --features",
+        )
+    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
+        raise RunError(
+            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
+            where=run.folder,
+            how="evaluate it on a dataset that was extracted with the PCA of its training",
+        )
+    for kind in ("control", "actuators"):
+        if getattr(needed, kind) != getattr(given, kind):
+            raise RunError(
+                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
+                f"{', '.join(getattr(given, kind)) or 'none'}",
+                where=run.folder,
+                how="evaluate it on a dataset whose rig has the same channels",
+            )
 
 
 def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:

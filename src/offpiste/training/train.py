@@ -16,17 +16,17 @@ from offpiste.conventions import DT, STATE
 from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import MODELS, Dynamics, rollout
+from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.actuators import Actuators
-from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.dynamics.models import reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
-from offpiste.state import RecordedTerrain, Trajectory
+from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
 from offpiste.training.optimise import MEND, Stage, also_tensorboard, metrics_writer, run_stage
+from offpiste.training.prediction import predict
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.training.terrain_sources import encoded
 
@@ -135,15 +135,6 @@ def _draw(model: str, windows: Windows) -> Draw | None:
             how="extract visual features (`extract --pca`), or train `cf`",
         )
     return draw
-
-
-def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
-    """Roll out a batch of windows over its recorded terrain, by the kernels where they can."""
-    batch = encoded(dynamics, batch)
-    model_state = dynamics.start(batch.history, batch.state, batch.actuators)
-    if supports(dynamics, batch.state.device, batch.state.dtype):
-        return rollout_recorded(dynamics, model_state, batch.control, batch.terrain)
-    return rollout(dynamics, model_state, batch.control, RecordedTerrain(batch.terrain))
 
 
 def standardise(dynamics: Dynamics, windows: Windows) -> None:

@@ -1,0 +1,80 @@
+"""Predictions of windows: a batch over its recorded terrain, as training rolls out, or any windows of a dataset."""
+
+from collections.abc import Callable
+from typing import Final, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Int
+
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics, rollout
+from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
+from offpiste.training.terrain_sources import encoded, on_map
+
+Lookup = Literal["recorded", "map"]
+"""Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
+
+MapSource = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
+"""From a model, windows, their indices and their encoded batch to the batch and the map that the model reads."""
+
+AT_ONCE: Final = 1024
+"""Windows that are rolled out side by side."""
+
+AT_ONCE_ON_SNAPSHOTS: Final = 32
+"""The same where each has a map of its own, some 10 MB each."""
+
+
+def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
+    """Roll out a batch of windows over its recorded terrain, by the kernels where they can, with gradients."""
+    batch = encoded(dynamics, batch)
+    model_state = dynamics.start(batch.history, batch.state, batch.actuators)
+    if supports(dynamics, batch.state.device, batch.state.dtype):
+        return rollout_recorded(dynamics, model_state, batch.control, batch.terrain)
+    return rollout(dynamics, model_state, batch.control, RecordedTerrain(batch.terrain))
+
+
+@torch.no_grad()
+def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
+    """Predicted states and actuators of windows; positions are relative to each window's start.
+
+    Raises:
+        DatasetError: the model reads features and the dataset has none, or a drive has no map.
+    """
+    parts = in_parts(np.arange(len(windows)), windows, lookup)
+    found = [roll_out(dynamics, windows, part, lookup)[1] for part in parts]
+    return Trajectory(torch.cat([part.state for part in found]), torch.cat([part.actuators for part in found]))
+
+
+def in_parts(
+    index: Int[np.ndarray, " n"], windows: Windows, lookup: Lookup | None, size: int | None = None
+) -> list[np.ndarray]:
+    """Indices of windows in parts that are rolled out side by side.
+
+    Args:
+        size: of a part, where it is not the usual one.
+    """
+    usual = AT_ONCE_ON_SNAPSHOTS if lookup == "map" and windows.maps.snapped.any() else AT_ONCE
+    size = size or usual
+    return [index[first : first + size] for first in range(0, len(index), size)]
+
+
+def roll_out(
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " B"],
+    lookup: Lookup | None,
+    map_source: MapSource = on_map,
+) -> tuple[Batch, Trajectory]:
+    """Some windows as one batch, and what the model predicts for them.
+
+    Args:
+        lookup: None for models that do not read the terrain.
+        map_source: the map that "map" reads, where it is not the windows' own.
+    """
+    batch = windows.gather(index)
+    if lookup != "map":
+        return batch, predict(dynamics, batch)
+    batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
+    return batch, rollout(dynamics, dynamics.start(batch.history, batch.state, batch.actuators), batch.control, source)
