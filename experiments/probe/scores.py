@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from experiments.probe.cells import SeenCells
-from experiments.ridge import Ridge, Score, fit_ridge, score
+from experiments.probe.ridge import Ridge, Score, fit_ridge, score
 from offpiste.conventions import FEATURE_SETS
 from offpiste.evaluation.intervals import Resampling, blocks, resampling
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES

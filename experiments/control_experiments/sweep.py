@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.controls.data import driven_dataset, planned
-from experiments.controls.errors import MAP, Gain, errors_of, evaluation_index, gain
-from experiments.controls.models import trained
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.tables import gain_table, write_control
+from experiments.control_experiments.data import driven_dataset, planned
+from experiments.control_experiments.errors import MAP, Gain, errors_of, evaluation_index, gain
+from experiments.control_experiments.models import trained
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.dataset.ground_truth import LAYERS, truth_map, with_ground_truth
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.store import Dataset, StoredDrive

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.controls.data import planned
-from experiments.controls.errors import MAP, gain
-from experiments.controls.sweep import _named, draw_gains, noisy
+from experiments.control_experiments.data import planned
+from experiments.control_experiments.errors import MAP, gain
+from experiments.control_experiments.sweep import _named, draw_gains, noisy
 from made_errors import BASE, errors
 from offpiste.mapping.terrain_map import TerrainMap
 

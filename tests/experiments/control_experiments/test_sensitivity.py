@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.controls.branches import branches_of, load_branches, save_branches, twin_worlds
-from experiments.controls.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
-from experiments.controls.twins import _turned
+from experiments.control_experiments.branches import branches_of, load_branches, save_branches, twin_worlds
+from experiments.control_experiments.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
+from experiments.control_experiments.twins import _turned
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.controls.snapshots import own_drives, read_as_stored, read_on_snapshot
+from experiments.control_experiments.snapshots import own_drives, read_as_stored, read_on_snapshot
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset

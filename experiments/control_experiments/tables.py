@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 from matplotlib.figure import Figure
 
-from experiments.controls.errors import Gain
+from experiments.control_experiments.errors import Gain
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.files import write_text
 from offpiste.report.figure import write_png

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from experiments.controls.errors import MAP, gain, share
-from experiments.controls.tables import gain_table, write_control
+from experiments.control_experiments.errors import MAP, gain, share
+from experiments.control_experiments.tables import gain_table, write_control
 from made_errors import BASE, ROW, errors
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from experiments.controls.errors import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.tables import gain_table, percent, write_control
+from experiments.control_experiments.errors import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import gain_table, percent, write_control
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.controls.data import RIG
-from experiments.controls.errors import MAP, errors_of, evaluation_index, gain
-from experiments.controls.models import trained
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.tables import gain_table, write_control
+from experiments.control_experiments.data import RIG
+from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, gain
+from experiments.control_experiments.models import trained
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.extract import make_dataset

@@ -3,11 +3,11 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.controls.data import driven_dataset, planned
-from experiments.controls.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
-from experiments.controls.models import trained
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.tables import gain_table, write_control
+from experiments.control_experiments.data import driven_dataset, planned
+from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
+from experiments.control_experiments.models import trained
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.dataset.windows import Windows
 
 ABOUT = (

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from experiments.controls.branches import branches_of, load_branches, record_on, save_branches, twin_worlds
-from experiments.controls.data import driven_dataset, oracle_dataset
-from experiments.controls.errors import same_windows
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
-from experiments.controls.tables import write_control
+from experiments.control_experiments.branches import branches_of, load_branches, record_on, save_branches, twin_worlds
+from experiments.control_experiments.data import driven_dataset, oracle_dataset
+from experiments.control_experiments.errors import same_windows
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
+from experiments.control_experiments.tables import write_control
 from offpiste.conventions import DT
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows

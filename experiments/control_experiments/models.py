@@ -6,9 +6,9 @@ Runs that controls need beside those of a reproduction; a finished one is used a
 import logging
 from pathlib import Path
 
-from experiments.controls.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.tables import gain_table, write_control
+from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors

@@ -1,4 +1,4 @@
-"""`python -m experiments.controls WHAT --reproduction results/ --out controls/`; docs/controls.md."""
+"""`python -m experiments.control_experiments WHAT --reproduction results/ --out controls/`; docs/controls.md."""
 
 import logging
 from collections.abc import Callable
@@ -9,14 +9,14 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.command import run
-from experiments.controls.models import models_control
-from experiments.controls.oracle import oracle_control
-from experiments.controls.reproduced import open_reproduction
-from experiments.controls.shift import shift_control
-from experiments.controls.snapshots import snapshots_control
-from experiments.controls.sweep import Sweep, sweep_control
-from experiments.controls.twins import twins_control
-from experiments.controls.uniform import UniformDrives, uniform_control
+from experiments.control_experiments.models import models_control
+from experiments.control_experiments.oracle import oracle_control
+from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.shift import shift_control
+from experiments.control_experiments.snapshots import snapshots_control
+from experiments.control_experiments.sweep import Sweep, sweep_control
+from experiments.control_experiments.twins import twins_control
+from experiments.control_experiments.uniform import UniformDrives, uniform_control
 from offpiste.reproduction.pieces import claim_folder
 
 logger = logging.getLogger("experiments")

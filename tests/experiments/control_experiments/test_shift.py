@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.controls.errors import same_windows
-from experiments.controls.shift import ShiftedMap, further, shifted
+from experiments.control_experiments.errors import same_windows
+from experiments.control_experiments.shift import ShiftedMap, further, shifted
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows

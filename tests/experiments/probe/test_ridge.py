@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from experiments.ridge import PENALTIES, fit_ridge, score
+from experiments.probe.ridge import PENALTIES, fit_ridge, score
 from offpiste.evaluation.intervals import resampling
 
 N = 4000

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.controls.data import oracle_dataset
-from experiments.controls.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain, same_windows, share
-from experiments.controls.models import trained
-from experiments.controls.reproduced import Reproduced
-from experiments.controls.tables import gain_table, percent, write_control
+from experiments.control_experiments.data import oracle_dataset
+from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain, same_windows, share
+from experiments.control_experiments.models import trained
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import gain_table, percent, write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, pool

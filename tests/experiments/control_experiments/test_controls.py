@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.controls.models import models_control, trained
-from experiments.controls.reproduced import open_reproduction
-from experiments.controls.shift import shift_control
+from experiments.control_experiments.models import models_control, trained
+from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.shift import shift_control
 from offpiste.errors import RunError
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
