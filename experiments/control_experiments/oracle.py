@@ -6,7 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from experiments.control_experiments.data import oracle_dataset
-from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain, same_windows, share
+from experiments.control_experiments.errors import (
+    HINDSIGHT,
+    MAP,
+    errors_of,
+    evaluation_index,
+    gain,
+    same_windows,
+    share,
+)
 from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, percent, write_control
