@@ -1,4 +1,4 @@
-"""Functions that Python calls: compiled, and kept until a source changes."""
+"""Compiled entries: cached until a source changes."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from offpiste.compilation import KERNELS, MAPPING, OCCLUSION, PHYSICS, PLANNING, RAYS, Compiler
 
 
-def test_an_entry_works_where_machine_code_cannot_be_kept():
+def test_an_entry_works_where_machine_code_cannot_be_cached():
     names: dict = {}
     exec("def double(x):\n    return x + x\n", names)  # has no file, so Numba has no place beside it
     assert Compiler(()).entry(names["double"])(np.float32(2)) == 4
@@ -29,6 +29,6 @@ def test_the_name_of_an_entry_depends_on_the_sources(tmp_path):
 
 
 @pytest.mark.parametrize("compiler", [MAPPING, OCCLUSION, KERNELS, PLANNING, PHYSICS, RAYS])
-def test_sources_are_there(compiler, tmp_path):
+def test_sources_exist(compiler, tmp_path):
     empty = Compiler((str(tmp_path / "nothing"),))
     assert compiler._digest != empty._digest

@@ -1,31 +1,69 @@
-"""Which parts of the blocks the threads get."""
+"""Parts of the blocks in each thread, and torch beside the kernels."""
 
 import threading
 
 import pytest
+import torch
 
-from offpiste.threads import spread
+from offpiste.threads import single_threaded_torch, spread_blocks, spread_kernel
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
 @pytest.mark.parametrize("blocks", [1, 2, 5, 7])
 def test_every_block_is_in_one_part(threads, blocks):
-    found, callers = [], set()
+    done, callers = [], set()
 
-    def loop(first, last, told):
-        assert told == "told"
-        found.extend(range(first, last))
+    def loop(first, last, given):
+        assert given == "given"
+        done.extend(range(first, last))
         callers.add(threading.current_thread())
 
-    spread(threads, blocks, loop, "told")
-    assert sorted(found) == list(range(blocks))
+    spread_blocks(threads, blocks, loop, "given")
+    assert sorted(done) == list(range(blocks))
     assert threading.current_thread() in callers, "the caller works too"
 
 
-def test_what_fails_in_a_thread_fails_here():
+def test_an_error_in_a_thread_is_raised_in_the_caller():
     def loop(first, last):
         if first:
             raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        spread(2, 2, loop)
+        spread_blocks(2, 2, loop)
+
+
+@pytest.fixture
+def two_torch_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def parts(blocks):
+    found = []
+    spread_kernel(blocks, lambda first, last: found.append((first, last)))
+    return sorted(found)
+
+
+def test_kernels_use_as_many_threads_as_torch(two_torch_threads):
+    assert parts(5) == [(0, 2), (2, 5)]
+    assert parts(1) == [(0, 1)]
+
+
+def test_kernels_keep_their_threads_where_torch_has_one(two_torch_threads):
+    with single_threaded_torch():
+        assert torch.get_num_threads() == 1
+        assert parts(4) == [(0, 2), (2, 4)]
+        with single_threaded_torch():
+            assert parts(4) == [(0, 2), (2, 4)]
+        assert parts(4) == [(0, 2), (2, 4)]
+    assert torch.get_num_threads() == 2
+
+
+def test_torch_has_its_threads_back_after_an_error(two_torch_threads):
+    with pytest.raises(ValueError, match="no"), single_threaded_torch():
+        raise ValueError("no")
+    assert torch.get_num_threads() == 2
+    torch.set_num_threads(1)
+    assert parts(4) == [(0, 4)]

@@ -1,4 +1,4 @@
-"""Numba, as all of offpiste uses it: functions that compiled loops call, and functions that Python calls."""
+"""Compilation by Numba: options of each part of offpiste, for functions called by compiled loops and by Python."""
 
 import hashlib
 import inspect
@@ -15,15 +15,14 @@ Function = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Compiler:
-    """How one part of offpiste compiles its loops.
+    """Compiler options of one part of offpiste.
 
     Attributes:
         sources: folders and files, relative to the package, whose code an entry may call.
-        fastmath: liberties that LLVM may take; none assumes that numbers are finite, since a diverged rollout must
-            say so.
-        loops_make_arrays, entries_make_arrays: whether such functions make or keep arrays. Those that do not need not
-            count references to arrays, and run up to three times as fast without; they cannot assign slices then,
-            which may need a copy.
+        fastmath: fast-math flags of LLVM; none assumes finite numbers, since diverged rollouts must be detected.
+        loops_make_arrays, entries_make_arrays: whether such functions create or keep arrays. Those that do not are
+            compiled without reference counting, and run up to three times as fast; they cannot assign slices, which
+            may need a copy.
     """
 
     sources: tuple[str, ...]
@@ -36,23 +35,23 @@ class Compiler:
         return _compiled(function, forceinline=True, **self._options(self.loops_make_arrays))
 
     def loop(self, function: Function) -> Function:
-        """Compile a function that other compiled functions call: once, not anew wherever it is called."""
+        """Compile a function that other compiled functions call, once for all callers."""
         return _compiled(function, **self._options(self.loops_make_arrays))
 
     def summing_loop(self, function: Function) -> Function:
-        """Compile a function that adds up numbers in any order, for other compiled functions."""
+        """Compile a function for other compiled functions that may sum numbers in any order."""
         options = self._options(self.loops_make_arrays)
         return _compiled(function, **options | {"fastmath": {*self.fastmath, "reassoc"}})
 
     def maker(self, function: Function) -> Function:
-        """Compile a function that makes arrays, for other compiled functions."""
+        """Compile a function for other compiled functions that creates arrays."""
         return _compiled(function, **self._options(makes_arrays=True))
 
     def entry(self, function: Function, *, salt: str = "") -> Function:
-        """Compile a function that Python calls; it releases the GIL, and its machine code is kept on disk if possible.
+        """Compile a function that Python calls; it releases the GIL, and its code is cached on disk if possible.
 
-        Numba looks only at the file of the function itself to see whether what it kept is still valid, hence a digest
-        of all sources in its name.
+        Numba checks only the file of the function itself to see whether the cache is still valid, hence the digest of
+        all sources in its name.
 
         Args:
             salt: other code that the function calls.
@@ -64,7 +63,7 @@ class Compiler:
         options = self._options(self.entries_make_arrays) | {"nogil": True}
         try:
             return _compiled(function, cache=True, **options)
-        except RuntimeError:  # no folder to keep it in
+        except RuntimeError:  # no folder for the cache
             return _compiled(function, **options)
 
     def _options(self, makes_arrays: bool) -> dict[str, Any]:
@@ -80,12 +79,12 @@ class Compiler:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    # Tests wrap every function of offpiste to check its types; Numba needs what is inside.
+    # Tests wrap every function of offpiste to check types; Numba needs the wrapped function.
     return numba.njit(error_model="numpy", **options)(inspect.unwrap(function))  # type: ignore[no-any-return]
 
 
 FUSED: Final = frozenset({"contract"})
-"""Fused multiply-add, and nothing else."""
+"""Fast-math flags: fused multiply-add, and nothing else."""
 
 MAPPING: Final = Compiler(("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False)
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
@@ -96,6 +95,6 @@ PLANNING: Final = Compiler(
     loops_make_arrays=False,
 )
 PHYSICS: Final = Compiler(("simulation",))
-"""The simulated vehicle: functions of scalars for Python and for each other, without any liberty."""
+"""Compiler of the simulated vehicle: functions of scalars for Python and for each other, without fast math."""
 RAYS: Final = Compiler(("simulation",), frozenset({"contract", "nsz", "arcp"}))
-"""The simulated sensors."""
+"""Compiler of the simulated sensors."""

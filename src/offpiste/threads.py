@@ -1,6 +1,6 @@
-"""Spreads blocks over threads: compiled loops release the GIL (Numba's layers were slower beside torch's OpenMP).
+"""Spread blocks of work over threads; compiled loops release the GIL.
 
-How many threads the kernels are spread over.
+Numba's own threading layers were slower beside torch's OpenMP.
 """
 
 import os
@@ -14,7 +14,7 @@ from itertools import pairwise
 import torch
 
 
-def spread(threads: int, blocks: int, loop: Callable[..., None], *arguments: object) -> None:
+def spread_blocks(threads: int, blocks: int, loop: Callable[..., None], *arguments: object) -> None:
     """Call `loop(first, last, *arguments)` on contiguous parts of the blocks, one in each thread."""
     threads = min(threads, blocks)
     if threads <= 1:
@@ -36,25 +36,25 @@ if hasattr(os, "register_at_fork"):  # threads do not survive a fork
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
-_spread_over: ContextVar[int | None] = ContextVar("spread_over", default=None)
+_kernel_threads: ContextVar[int | None] = ContextVar("kernel_threads", default=None)
 
 
-def spread_threads(blocks: int, kernel: Callable[..., None], *arguments: object) -> None:
-    """Call `kernel(first, last, *arguments)` on parts of the blocks, one in each of torch's number of threads."""
-    spread(_spread_over.get() or torch.get_num_threads(), blocks, kernel, *arguments)
+def spread_kernel(blocks: int, kernel: Callable[..., None], *arguments: object) -> None:
+    """Call `kernel(first, last, *arguments)` on contiguous parts of the blocks, in as many threads as torch uses."""
+    spread_blocks(_kernel_threads.get() or torch.get_num_threads(), blocks, kernel, *arguments)
 
 
 @contextmanager
-def only_kernels_spread() -> Iterator[None]:
-    """Within, torch's own operations keep to one thread.
+def single_threaded_torch() -> Iterator[None]:
+    """Context in which torch's own operations use one thread; kernels use as many as before.
 
-    After each that does not, OpenMP's threads spin for milliseconds, on the cores that the kernels want.
+    After each multi-threaded operation OpenMP's threads spin for milliseconds, on cores that the kernels need.
     """
     before = torch.get_num_threads()
-    token = _spread_over.set(_spread_over.get() or before)
+    token = _kernel_threads.set(_kernel_threads.get() or before)
     torch.set_num_threads(1)
     try:
         yield
     finally:
         torch.set_num_threads(before)
-        _spread_over.reset(token)
+        _kernel_threads.reset(token)

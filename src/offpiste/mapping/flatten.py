@@ -23,7 +23,7 @@ from offpiste.mapping.normals import SUMS, fit_planes
 from offpiste.mapping.settings import FlattenSettings
 from offpiste.mapping.terrain_map import TerrainLayers, empty_layers
 from offpiste.mapping.voxel_map import VoxelMap
-from offpiste.threads import spread
+from offpiste.threads import spread_blocks
 
 
 class Layers(NamedTuple):
@@ -174,12 +174,12 @@ class Flattener:
         arrays = Layers(*(getattr(out, name) for name in Layers._fields))
         limit, floor = np.float32(settings.feature_height), reference * size
 
-        spread(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
+        spread_blocks(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
         self._since = voxel_map.changes
-        spread(threads, n, read_columns, low, reference, step, self._overhang_cells, surface, buffers)
-        spread(threads, n, drop_overhangs, self._overhang_cells, reach, limit, buffers)
-        spread(threads, threads, fit_planes, threads, self._plane_cells, step, buffers)
-        spread(threads, threads, smooth_residuals, threads, self._plane_cells, buffers)
-        spread(threads, threads, fill_gaps, threads, self._offsets, limit, buffers)
-        spread(threads, threads, write_layers, threads, floor, low, self._offsets, surface, buffers, arrays)
+        spread_blocks(threads, n, read_columns, low, reference, step, self._overhang_cells, surface, buffers)
+        spread_blocks(threads, n, drop_overhangs, self._overhang_cells, reach, limit, buffers)
+        spread_blocks(threads, threads, fit_planes, threads, self._plane_cells, step, buffers)
+        spread_blocks(threads, threads, smooth_residuals, threads, self._plane_cells, buffers)
+        spread_blocks(threads, threads, fill_gaps, threads, self._offsets, limit, buffers)
+        spread_blocks(threads, threads, write_layers, threads, floor, low, self._offsets, surface, buffers, arrays)
         return replace(out, origin=voxel_map.origin, resolution=size)

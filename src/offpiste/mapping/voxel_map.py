@@ -19,7 +19,7 @@ from offpiste.mapping.voxel_kernels import (
     forget_left_behind,
     point_inserter,
 )
-from offpiste.threads import spread
+from offpiste.threads import spread_blocks
 
 
 class VoxelMap:
@@ -147,7 +147,7 @@ class VoxelMap:
             self.changes,
             self.voxels,
         )
-        spread(self.settings.threads, PARTS, self._insert_points, *arguments)
+        spread_blocks(self.settings.threads, PARTS, self._insert_points, *arguments)
 
 
 def _aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:

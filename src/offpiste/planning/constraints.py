@@ -9,7 +9,7 @@ from torch import Tensor
 
 from offpiste.channels import CONTROLS
 from offpiste.compilation import PLANNING
-from offpiste.threads import spread_threads
+from offpiste.threads import spread_kernel
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def keep_within(
     first = torch.full_like(low, torch.nan) if previous is None else previous.to(low.dtype).clamp(low, high)
     kept = torch.empty(controls.shape, dtype=controls.dtype)
     bounds = (part.numpy() for part in (first, low, high, change))
-    spread_threads(len(controls), _walk, controls.detach().numpy(), *bounds, previous is None, kept.numpy())
+    spread_kernel(len(controls), _walk, controls.detach().numpy(), *bounds, previous is None, kept.numpy())
     return kept
 
 

@@ -17,7 +17,7 @@ from offpiste.compilation import PLANNING
 from offpiste.errors import PlanningError
 from offpiste.mapping.flatten import neighbour_offsets
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.threads import spread_threads
+from offpiste.threads import spread_kernel
 
 BLOCK = 4
 """Cells to a side, far from the path, that share their nearest point of it."""
@@ -45,7 +45,7 @@ def along_path(
     found = np.empty((len(y), len(x), 1 + values.shape[1]), np.float32)
     slack = STRIDE * float(np.linalg.norm(np.diff(path, axis=0), axis=1).max())
     resolution = float(x[1] - x[0]) if len(x) > 1 else 0.0
-    spread_threads(-(-len(y) // BLOCK), _fill, np.ascontiguousarray(path), values, slack, x, y, resolution, found)
+    spread_kernel(-(-len(y) // BLOCK), _fill, np.ascontiguousarray(path), values, slack, x, y, resolution, found)
     return found
 
 

@@ -26,7 +26,7 @@ from offpiste.planning.kernel_rollout import KernelWeights, roll_out
 from offpiste.planning.kernel_terrain import CostLayers, Grid, Ground
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState
-from offpiste.threads import spread_threads
+from offpiste.threads import spread_kernel
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Of the cells of a map, and of a cell without features."""
@@ -168,7 +168,7 @@ def _bind(
             raise ValueError(f"controls are {found}; the kernel wants [K, T, {width}], float32 on the CPU")
         costs = torch.empty(len(controls))
         blocks = -(-len(controls) // layout.LANES)
-        spread_threads(blocks, roll_out, start, controls.contiguous().numpy(), *given, costs.numpy(), states.numpy())
+        spread_kernel(blocks, roll_out, start, controls.contiguous().numpy(), *given, costs.numpy(), states.numpy())
         return costs
 
     return roll

@@ -38,7 +38,7 @@ from offpiste.runtime.prediction import (
 )
 from offpiste.runtime.schedule import Launch, LaunchSettings, Schedule, TimedPlan
 from offpiste.state import ModelState
-from offpiste.threads import only_kernels_spread
+from offpiste.threads import single_threaded_torch
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Runtime:
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
             if decision.mode != "stopping" or decision.why in ("no plan", "empty map"):
-                with only_kernels_spread():
+                with single_threaded_torch():
                     self._plan(now, decision)
                 decision = self._judge(now)
         controls = self._follow(now, decision)

@@ -26,7 +26,7 @@ from offpiste.dynamics.kernels.model_arrays import (
 )
 from offpiste.dynamics.kernels.rollout import backward, forward
 from offpiste.state import ModelState, Terrain, Trajectory
-from offpiste.threads import spread_threads
+from offpiste.threads import spread_kernel
 
 
 def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
@@ -91,7 +91,7 @@ class _Rollout(torch.autograd.Function):
         slots = steps + 1 if given.differentiate else 2
         tape = np.empty((blocks, slots, given.start.shape[1] * layout.LANES), np.float32)
         states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (len(STATE), len(ACTUATORS)))
-        spread_threads(blocks, forward, *given[:4], tape, states.numpy(), actuators.numpy())
+        spread_kernel(blocks, forward, *given[:4], tape, states.numpy(), actuators.numpy())
         ctx.given, ctx.tape = given, tape
         return states, actuators
 
@@ -110,7 +110,7 @@ class _Rollout(torch.autograd.Function):
         ]
         by_block = [np.zeros((len(tape), *shape), np.float32) for shape in ((len(layout.LEARNED),), *shapes)]
         seeds = (bar.contiguous().numpy() for bar in bars)
-        spread_threads(len(tape), backward, *given[1:4], tape, *seeds, start, codes, *by_block)
+        spread_kernel(len(tape), backward, *given[1:4], tape, *seeds, start, codes, *by_block)
         learned, *matrices = (blocks.sum(axis=0) for blocks in by_block)
         adjoints = zip((start, learned, codes, *matrices), ctx.needs_input_grad[1:], strict=True)
         return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
