@@ -18,7 +18,8 @@ from jaxtyping import Float
 from ruamel.yaml import YAML
 
 from offpiste.errors import LogError
-from offpiste.logs.log import LOG_FORMATS, Log, RawImage, Samples, Topic, Transform
+from offpiste.logs.log import LOG_FORMATS, Log, RawImage, Samples, Topic
+from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 
 MODELS = {"radial-tangential": "plumb_bob", "equidistant": "equidistant"}

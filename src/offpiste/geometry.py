@@ -26,7 +26,8 @@ def planar_body_from_world(vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndar
 
 
 def rotation_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3 3"]:
-    """Rotation matrices `world_from_body` of quaternions xyzw; they need not be normalised."""
+    """Rotation matrices `world_from_body` of quaternions xyzw of any length; NaN for zeros."""
+    # SciPy's matrices differ in the last bit, which would change simulated logs, and it refuses NaN and zeros.
     x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),

@@ -181,7 +181,7 @@ BAD = {
     "no TF": ([(0, "/info", info()), ONE_IMAGE, ONE_CLOUD], r"no fixed transform joins 'camera' to 'base_link'.*none"),
     "another body": (
         [(0, "/tf_static", transforms(("base", "camera", (0, 0, 0), (0, 0, 0, 1)))), STILL[1], ONE_IMAGE, ONE_CLOUD],
-        r"no fixed transform joins 'camera' to 'base_link'.*base, camera; mend frames\.body",
+        r"no fixed transform joins 'camera' to 'base_link'.*base, camera; fix frames\.body",
     ),
     "no rotation": (
         [
@@ -190,7 +190,7 @@ BAD = {
             ONE_IMAGE,
             ONE_CLOUD,
         ],
-        r"from 'base_link' to 'camera' is no rotation and shift; give body_from_camera",
+        r"from 'base_link' to 'camera' is not rigid; give body_from_camera",
     ),
     "no calibration": ([STILL[0], ONE_IMAGE, ONE_CLOUD], r"'front': images without calibration: no topic '/info'"),
     "empty calibration": (

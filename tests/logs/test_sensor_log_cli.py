@@ -55,7 +55,7 @@ BAD = {
     "no TF": ((STATIC[1:], images(), clouds(), poses()), r"no fixed transform joins 'camera' to 'base_link'"),
     "another tree": (
         (ANOTHER_TREE, images(), clouds(), poses()),
-        r"no fixed transform joins 'camera' to 'base_link'; frames with transforms: base, odom; mend frames\.body",
+        r"no fixed transform joins 'camera' to 'base_link'; frames with transforms: base, odom; fix frames\.body",
     ),
     "no calibration": (
         (STATIC[:1], images(), clouds(), poses()),

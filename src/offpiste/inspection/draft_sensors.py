@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log, Transform
-from offpiste.logs.poses import between
+from offpiste.logs.log import Log
+from offpiste.logs.transforms import Transform, between
 from offpiste.rig.sensors import TIME_FIELDS
 
 BODY = "base_link"

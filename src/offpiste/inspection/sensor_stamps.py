@@ -13,6 +13,7 @@ from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_samples import Grey, Scan
 from offpiste.inspection.stamps import check_spans, check_stamps
+from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.sensor_log import SensorLog
@@ -46,7 +47,7 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     # Where a sensor is silent, rows lack visual features and no more: as long as half of the drive has them.
     for finding in check_spans(recorded, pose, used=True):
         said.append(replace(finding, severity="note" if finding.score < _HALF else "warning"))
-    return [*said, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose]))]
+    return [*said, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose], rig.clock.stamps))]
 
 
 def untimed_points(log: Log, lidars: Mapping[str, Lidar]) -> dict[str, str]:
@@ -67,23 +68,20 @@ def _recorded(log: Log, topic: str, rig: Rig) -> Recorded:
     return Recorded(log.topics[topic], time, arrivals, (), np.zeros((len(time), 0)))
 
 
-def _drift(sensor: Recorded, pose: Recorded) -> list[Finding]:
-    """Messages arrive ever later, or ever earlier, after their header than the pose's do."""
+def _drift(sensor: Recorded, pose: Recorded, stamps: str) -> list[Finding]:
+    """Messages that arrive ever later, or ever earlier, after their header than the poses' do."""
     if sensor.other is None or pose.other is None or min(len(sensor.time), len(pose.time)) < _STAMPS:
         return []
-    # The quickest messages: queues make others late now and then.
-    change = [_late(r, -1) - _late(r, 0) for r in (sensor, pose)]
-    drift = change[0] - change[1]
-    if not abs(drift) > _DRIFT:
+    clocks = (sensor.time, sensor.other), (pose.time, pose.other)
+    own, poses = clocks if stamps == "header" else (pair[::-1] for pair in clocks)
+    found = clock_difference(*own, *poses)
+    if found is None or not abs(found.drift) > _DRIFT:
         return []
-    said = f"from start to end, arrival moves by {drift:+.2f} s against the header's stamp, compared with the pose"
+    said = (
+        f"from start to end, arrival moves by {found.drift:+.2f} s against the header's stamp, compared with the pose"
+    )
     remedy = 'synchronise its clock; or clock.stamps = "receive"'
-    return [Finding("warning", sensor.topic.name, "its clock drifts", said, remedy, min(1.0, abs(drift)))]
-
-
-def _late(recorded: Recorded, fifth: int) -> float:
-    assert recorded.other is not None, "both clocks are there"
-    return float(np.nanpercentile(np.array_split(recorded.other - recorded.time, 5)[fifth], 20))
+    return [Finding("warning", sensor.topic.name, "its clock drifts", said, remedy, min(1.0, abs(found.drift)))]
 
 
 def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[float, float]]) -> list[Finding]:

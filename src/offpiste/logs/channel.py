@@ -92,7 +92,7 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
         raise RigError(
             f"channel '{name}' (topic '{source.topic}') has no usable samples",
             where=path,
-            how="mend its entry in the rig, or declare it absent",
+            how="fix its entry in the rig, or declare it absent",
         )
     return Channel(name, known_channels()[name][0], time, values), notes
 

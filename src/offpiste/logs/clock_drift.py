@@ -1,10 +1,12 @@
-"""A clock that drifts against the pose's, found by a signal that both know: the speed of the wheels.
+"""Clocks that drift against the poses': by the speed of the wheels, which both know, or by the messages' arrivals.
 
 Buses and bridges stamp messages when they arrive. In the TartanDrive 2 drives the vehicle's bus arrives between 0.3 s
-early and 1.5 s late, changing within seconds: a constant delay cannot mend that.
+early and 1.5 s late, changing within seconds: no constant delay corrects that, a lag by the wheels' speed does.
+Cameras and LiDARs do not measure the speed; their clocks are compared by when their messages reach the recorder.
 """
 
 from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,16 +16,24 @@ from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.log import Log
 from offpiste.rig.rig import Alignment, Rig
 
-_BIN = 0.1
+_BIN: Final = 0.1
 """Time step of the lag [s]."""
+_BLOCKS: Final = 12
+"""Number of blocks of time; the quickest arrival of each counts, as a message can only be delayed."""
+_DRIFTS: Final = 0.02
+"""Drift above which a clock is reported [s]: 0.2 m at 10 m/s."""
+DRIFT_LIMIT: Final = 0.2
+"""Drift above which images and scans are refused [s]."""
+_OFFSET: Final = 0.5
+"""Offset above which a clock is reported [s]; no sensor takes so long to send."""
 
 
 @dataclass(frozen=True)
 class ClockLag:
-    """How much later than it happened a sample is stamped.
+    """Lag of a clock: how much later than it happened a sample is stamped.
 
     Attributes:
-        time: when it happened, by the pose's clock [s].
+        time: moments by the poses' clock [s].
         lag: stamp minus time [s]; `time + lag` never decreases.
     """
 
@@ -31,7 +41,7 @@ class ClockLag:
     lag: Float[np.ndarray, " n"]
 
     def happened(self, stamps: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """When samples with these stamps happened [s]."""
+        """Moments at which samples with these stamps happened [s]."""
         stamped = self.time + self.lag
         inside = np.interp(stamps, stamped, self.time)
         before = np.minimum(stamps - stamped[0], 0.0)
@@ -42,7 +52,7 @@ class ClockLag:
 def align_clock(
     log: Log, rig: Rig, alignment: Alignment, channels: dict[str, Channel]
 ) -> tuple[dict[str, Channel], list[str]]:
-    """Move the channels of a drifting clock to the pose's clock; also says by how much, in words.
+    """Channels with those of a drifting clock moved to the poses' clock, and by how much, in words.
 
     The whole drive is used, as in any synchronisation after the fact: a planner on the vehicle has no such lag.
     """
@@ -61,7 +71,7 @@ def align_clock(
 
 
 def pose_speed(channels: dict[str, Channel]) -> Channel:
-    """Speed by the pose's clock [m/s]: the length of the log's velocity, which no frame changes, or of the pose's."""
+    """Speed by the poses' clock [m/s]: norm of the log's velocity, whatever its frame, or of the derived position."""
     velocity = channels.get("linear_velocity")
     if velocity is not None:
         return replace(velocity, name="speed", values=np.linalg.norm(velocity.values, axis=1, keepdims=True))
@@ -85,7 +95,7 @@ def estimate_lag(
         recorded: the same speed by the other clock [m/s].
         max_lag: lags from -max_lag/2 to max_lag are tried [s].
         step: between tried lags [s].
-        stiffness: what a change by 1 s costs, in m/s lasting one second.
+        stiffness: cost of a change by 1 s, in m/s lasting one second.
     """
     time = np.arange(reference.time[0], reference.time[-1], _BIN)
     lags = np.arange(-max_lag / 2, max_lag + step / 2, step)
@@ -93,18 +103,18 @@ def estimate_lag(
     misfit = np.stack([np.interp(time + lag, recorded.time, recorded.values[:, 0]) - known for lag in lags], axis=1)
 
     change = lags[None, :] - lags[:, None]
-    price = stiffness / _BIN * np.abs(change)
+    cost = stiffness / _BIN * np.abs(change)
     # A later sample must not have happened earlier: the lag cannot fall faster than time passes.
-    price[change < -_BIN + 1e-9] = np.inf
-    return ClockLag(time, lags[_cheapest_path(np.abs(misfit), price)])
+    cost[change < -_BIN + 1e-9] = np.inf
+    return ClockLag(time, lags[_cheapest_path(np.abs(misfit), cost)])
 
 
-def _cheapest_path(misfit: Float[np.ndarray, "n L"], price: Float[np.ndarray, "L L"]) -> Int[np.ndarray, " n"]:
-    """Viterbi: the sequence of columns with the least misfit plus price[from, to] of its changes."""
+def _cheapest_path(misfit: Float[np.ndarray, "n L"], cost: Float[np.ndarray, "L L"]) -> Int[np.ndarray, " n"]:
+    """Viterbi: the sequence of columns with the least misfit plus cost[from, to] of its changes."""
     total = misfit[0].copy()
     came_from = np.zeros(misfit.shape, dtype=np.int64)
     for row in range(1, len(misfit)):
-        arrival = total[:, None] + price
+        arrival = total[:, None] + cost
         came_from[row] = arrival.argmin(axis=0)
         total = arrival[came_from[row], np.arange(len(total))] + misfit[row]
     path = np.empty(len(misfit), dtype=np.int64)
@@ -112,3 +122,66 @@ def _cheapest_path(misfit: Float[np.ndarray, "n L"], price: Float[np.ndarray, "L
     for row in range(len(misfit) - 1, 0, -1):
         path[row - 1] = came_from[row, path[row]]
     return path
+
+
+class ClockDifference(NamedTuple):
+    """Difference between a sensor's clock and the poses'.
+
+    Attributes:
+        offset: by how much the sensor's is behind in the middle of the drive [s].
+        drift: by how much it falls further behind from the drive's start to its end [s].
+    """
+
+    offset: float
+    drift: float
+
+
+def clock_difference(
+    stamps: Float[np.ndarray, " n"],
+    arrivals: Float[np.ndarray, " n"],
+    pose_stamps: Float[np.ndarray, " m"],
+    pose_arrivals: Float[np.ndarray, " m"],
+) -> ClockDifference | None:
+    """Difference between a sensor's clock and the poses' by their messages' arrivals; None for too few messages.
+
+    Both are compared with the recorder's clock, on which all messages arrive: the difference is a line through the
+    quickest arrivals of each block of time.
+
+    Args:
+        stamps, arrivals: of the sensor's messages [s].
+        pose_stamps, pose_arrivals: of the poses' messages [s].
+    """
+    start = max(arrivals.min(), pose_arrivals.min()) if min(len(stamps), len(pose_stamps)) else 0.0
+    end = min(arrivals.max(), pose_arrivals.max()) if min(len(stamps), len(pose_stamps)) else 0.0
+    if not end > start:
+        return None
+    edges = np.linspace(start, end, _BLOCKS + 1)
+    own, poses = (_quickest(a, a - s, edges) for s, a in ((stamps, arrivals), (pose_stamps, pose_arrivals)))
+    apart, middle = own - poses, (edges[1:] + edges[:-1]) / 2 - (start + end) / 2
+    known = np.isfinite(apart)
+    if known.sum() < _BLOCKS // 2:
+        return None
+    slope, offset = np.polyfit(middle[known], apart[known], 1)
+    return ClockDifference(float(offset), float(slope * (end - start)))
+
+
+def clock_note(name: str, difference: ClockDifference) -> list[str]:
+    """A sensor's clock in words; nothing where it agrees with the poses'."""
+    offset, drift = difference
+    if abs(drift) > _DRIFTS:
+        return [f"{name}: its stamps drift against the poses' by {1000 * abs(drift):.0f} ms over the drive"]
+    if abs(offset) > _OFFSET:
+        before = "before" if offset > 0 else "after"
+        return [f"{name}: stamped {abs(offset):.2f} s {before} poses that arrive with it; fix its clock or its delay"]
+    return []
+
+
+def _quickest(
+    arrivals: Float[np.ndarray, " n"], delay: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
+) -> Float[np.ndarray, " b"]:
+    """Least delay of each block of time; NaN where no message arrived."""
+    block = np.clip(np.searchsorted(edges, arrivals, side="right") - 1, 0, len(edges) - 2)
+    inside = (arrivals >= edges[0]) & (arrivals <= edges[-1])
+    least = np.full(len(edges) - 1, np.inf)
+    np.minimum.at(least, block[inside], delay[inside])
+    return np.where(np.isfinite(least), least, np.nan)

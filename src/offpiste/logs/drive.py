@@ -72,6 +72,6 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
         raise LogError(
             f"'{early.name}' ends at {early.time[-1]:.3f} s, before '{late.name}' begins at {late.time[0]:.3f} s",
             where=path,
-            how='their clocks differ: use clock.stamps = "receive", mend a delay, or drop the channel',
+            how='their clocks differ: use clock.stamps = "receive", fix a delay, or drop the channel',
         )
     return start, end

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.errors import LogError
+from offpiste.logs.transforms import Transform
 from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import Clock
@@ -49,15 +50,6 @@ class Samples:
 
     time: Float[np.ndarray, " n"]
     values: Float[np.ndarray, "n k"]
-
-
-@dataclass(frozen=True)
-class Transform:
-    """`parent_from_child`, fixed."""
-
-    parent: str
-    child: str
-    matrix: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)

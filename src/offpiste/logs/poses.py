@@ -1,36 +1,28 @@
-"""Where the vehicle was at any moment of a log.
+"""Poses of the vehicle at any moment of a log, and the jumps in them, across which no map and no window may reach."""
 
-Where poses jump: a vehicle cannot be there so soon. Maps and windows must not reach across.
-
-Where sensors sit on the body, from a log's fixed transforms.
-"""
-
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
-from offpiste.errors import LogError, RigError
+from offpiste.errors import RigError
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.logs.log import Transform
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses `world_from_body` between samples: straight lines, and even turns the short way round.
+    """Poses `world_from_body`, interpolated linearly in position and by slerp in orientation.
 
     Attributes:
         position: [m].
         orientation: quaternions xyzw.
         max_gap: nothing is interpolated between samples further apart [s].
-        jumps: the last moment before and the first one after each place where they jump [s]; nothing is interpolated
-            between the two, and what was mapped before fits nothing after.
+        jumps: last moment before and first moment after each jump [s]; nothing is interpolated between the two, and a
+            map from before does not fit after.
     """
 
     position: Channel
@@ -56,7 +48,7 @@ class Poses:
         return matrix
 
     def stretch(self, time: float) -> int:
-        """How many jumps there were until a moment [s]: places of one stretch fit together."""
+        """Number of jumps until a moment [s]: positions of one stretch fit together."""
         return int(np.searchsorted(self.jumps[:, 1], time, side="right"))
 
 
@@ -77,6 +69,8 @@ def poses_from_drive(drive: Drive) -> Poses:
 
 def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) -> Float[np.ndarray, "n 4"]:
     """Quaternions between samples (Shoemake, SIGGRAPH 1985); NaN outside of the record and across gaps."""
+    # SciPy's Slerp gives the same to 6e-16, but takes 2.5 ms instead of 0.5 ms for the 2000 moments of a scan, and
+    # 10 ms more to build on 6000 samples.
     time, q = orientation.time, orientation.values
     after = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
     begin, end = q[after - 1], q[after]
@@ -95,20 +89,20 @@ def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) 
 
 
 FARTHEST: Final = 1.0
-"""A step that is longer than the speed explains by more than this is a jump [m]: five cells of the map. Shorter ones,
-GPS has many; `offpiste inspect` lists them."""
+"""Least excess of a step, over what the speed explains, that is a jump [m]: five cells of the map. GPS has many shorter
+ones, which `offpiste inspect` lists."""
 _AROUND: Final = 21
-"""Samples whose median speed explains a step."""
+"""Number of samples whose median speed explains a step."""
 _ACCELERATION: Final = 10.0
-"""No vehicle changes its speed faster [m/s^2]; counts where samples are far apart."""
+"""Largest change of speed [m/s^2]; counts where samples are far apart."""
 _TURN: Final = np.deg2rad(20.0)
-"""A turn between two samples that is larger than this ..."""
+"""Least turn between two samples that is a jump [rad] ..."""
 _TURN_RATE: Final = 4.0
-"""... and than what the vehicle could turn meanwhile [rad/s] is a jump."""
+"""... if it is also faster than this [rad/s], which no vehicle turns."""
 
 
 def find_jumps(position: Channel, orientation: Channel | None = None) -> Float[np.ndarray, "j 2"]:
-    """The last moment before and the first one after each jump, in the order of time [s]."""
+    """Last moment before and first moment after each jump, in the order of time [s]."""
     found = [_between(position, position_excess(position) > FARTHEST)]
     if orientation is not None and len(orientation.time) > 1:
         turned = _turns(orientation)
@@ -119,7 +113,7 @@ def find_jumps(position: Channel, orientation: Channel | None = None) -> Float[n
 
 
 def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
-    """By how much each of the m = n - 1 steps is longer than the speed around it explains [m]."""
+    """Excess of each of the m = n - 1 steps over what the speed around it explains [m]."""
     step = np.linalg.norm(np.diff(position.values, axis=0), axis=1)
     dt = np.diff(position.time)
     speed = median_filter(step / dt, _AROUND, mode="nearest")
@@ -127,7 +121,7 @@ def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
 
 
 def _turns(orientation: Channel) -> Float[np.ndarray, " m"]:
-    """Angle between neighbouring samples [rad]."""
+    """Angles between neighbouring samples [rad]."""
     matrix = rotation_from_quaternion(orientation.values)
     trace = np.einsum("nij,nij->n", matrix[:-1], matrix[1:])
     return np.arccos(np.clip((trace - 1) / 2, -1, 1))
@@ -138,37 +132,11 @@ def _between(channel: Channel, jumps: np.ndarray) -> Float[np.ndarray, "j 2"]:
     return np.stack((channel.time[first], channel.time[first + 1]), axis=1)
 
 
-def between(transforms: Sequence[Transform], parent: str, child: str, *, path: Path) -> Float[np.ndarray, "4 4"]:
-    """`parent_from_child` along the chain of fixed transforms that joins two frames, up and down the tree.
-
-    Raises:
-        LogError: no chain joins them, or a transform on it is no rotation and shift.
-    """
-    steps: dict[str, list[tuple[str, Float[np.ndarray, "4 4"]]]] = {}
-    for t in transforms:
-        usable = _is_rigid(t.matrix)
-        steps.setdefault(t.parent, []).append((t.child, t.matrix))
-        steps.setdefault(t.child, []).append((t.parent, np.linalg.inv(t.matrix) if usable else t.matrix))
-    known, border = {parent: np.eye(4)}, [parent]
-    while border and child not in known:
-        frame = border.pop(0)
-        for other, matrix in steps.get(frame, []):
-            if other not in known:
-                known[other] = known[frame] @ matrix
-                border.append(other)
-    if child not in known:
-        frames = ", ".join(sorted(steps)) or "none"
-        raise LogError(
-            f"no fixed transform joins '{child}' to '{parent}'; frames with transforms: {frames}",
-            where=path,
-            how="mend frames.body or frames.topics, or give body_from_camera or body_from_lidar in the rig",
-        )
-    if not _is_rigid(known[child]):
-        what = f"the transform from '{parent}' to '{child}' is no rotation and shift"
-        raise LogError(what, where=path, how="give body_from_camera or body_from_lidar in the rig")
-    return known[child]
-
-
-def _is_rigid(matrix: Float[np.ndarray, "4 4"]) -> bool:
-    turn = matrix[:3, :3]
-    return bool(np.isfinite(matrix).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-3))
+def jump_note(poses: Poses) -> list[str]:
+    """Times of the jumps in words; nothing where there are none."""
+    jumps = poses.jumps
+    if not len(jumps):
+        return []
+    when = ", ".join(f"{before - poses.span[0]:.2f}" for before, _ in jumps[:5]) + (", ..." if len(jumps) > 5 else "")
+    times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
+    return [f"poses jump {times}, {when} s after they start: the map begins anew there, and no window reaches across"]

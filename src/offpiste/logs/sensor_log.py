@@ -3,23 +3,26 @@
 import heapq
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.coverage import DRIFT_LIMIT, clock_difference, clock_note, jump_note, span_notes
+from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.log import Log, RawCloud, RawImage, Transform
+from offpiste.logs.log import Log, RawCloud, RawImage
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
-from offpiste.logs.poses import Poses, between, poses_from_drive
+from offpiste.logs.poses import Poses, jump_note, poses_from_drive
+from offpiste.logs.transforms import Transform, between
 from offpiste.rig.camera import model_from_intrinsics
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource, Mounting
 
-_PATIENCE = 10
-"""Messages in a row without anything usable, after which a sensor is given up."""
+_USELESS: Final = 10
+"""Number of messages in a row without anything usable, after which a sensor is given up."""
+_LATE: Final = 1.0
+"""Part of the drive at either end that a sensor may miss unreported [s]."""
 _T = TypeVar("_T")
 
 
@@ -48,7 +51,7 @@ class SensorLog:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was left out or dropped, as far as the log has been read, in words."""
+        """Sensors left out and messages dropped, as far as the log has been read, in words."""
         dropped = (f"{name}: {n} of {self._read[name]} {what}" for (name, what), n in sorted(self._dropped.items()))
         return (*self._notes, *dropped)
 
@@ -88,12 +91,16 @@ class SensorLog:
             inside = np.sort(time[(time >= first) & (time <= last)])
             if not len(inside):
                 what = f"'{name}' has no message from {first:.3f} to {last:.3f} s, where the pose is known"
-                raise LogError(what, where=self.path, how='use clock.stamps = "receive", or mend its delay')
-            notes += span_notes(name, inside, (first, last)) + self._clock(name, time)
+                raise LogError(what, where=self.path, how='use clock.stamps = "receive", or fix its delay')
+            notes += _span_notes(name, inside, (first, last)) + self._clock(name, time)
         return tuple(notes)
 
     def _clock(self, name: str, stamps: Float[np.ndarray, " n"]) -> list[str]:
-        """What its clock does against that of the poses."""
+        """Its clock against that of the poses, in words.
+
+        Raises:
+            LogError: it drifts too far.
+        """
         position, topic = self.rig.channels["position"], self._sensor(name).source.topic
         recorded = self._log.has_arrivals and self.rig.clock.stamps == "header"
         if not recorded or position.topic not in self._log.topics:
@@ -103,10 +110,10 @@ class SensorLog:
         found = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
         if found is None:
             return []
-        if abs(found[1]) > DRIFT_LIMIT:
-            what = f"'{name}': its stamps drift against the poses' by {abs(found[1]):.2f} s over the drive"
+        if abs(found.drift) > DRIFT_LIMIT:
+            what = f"'{name}': its stamps drift against the poses' by {abs(found.drift):.2f} s over the drive"
             raise LogError(what, where=self.path, how='use clock.stamps = "receive", or remove the sensor from the rig')
-        return clock_note(name, *found)
+        return clock_note(name, found)
 
     def _sensor(self, name: str) -> Camera | Lidar:
         return self.cameras[name] if name in self.cameras else self.lidars[name]
@@ -137,7 +144,7 @@ class SensorLog:
     def _converted(
         self, name: str, raw: Iterator[RawImage] | Iterator[RawCloud], convert: Callable[..., _T | str]
     ) -> Iterator[_T]:
-        """What can be used, in the order of time; the rest is counted."""
+        """Messages that can be used, in the order of time; others are counted."""
         latest, useless = -np.inf, 0
         self._read[name] = 0
         for key in [key for key in self._dropped if key[0] == name]:
@@ -151,7 +158,7 @@ class SensorLog:
             if isinstance(converted, str):
                 self._dropped[name, converted] += 1
                 useless += 1
-                if useless >= _PATIENCE:
+                if useless >= _USELESS:
                     what = f"'{name}': {useless} {converted.removesuffix(' and were dropped')}, one after the other"
                     raise LogError(what, where=self.path, how="record it again, or remove the sensor from the rig")
                 continue
@@ -185,7 +192,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
             raise LogError(f"'{name}': no messages on topic '{entry.topic}'", where=log.path, how=how)
     if not present:
         raise LogError(
-            f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="mend the rig"
+            f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="fix the rig"
         )
     transforms = log.transforms(rig.frames.topics)
     cameras = {n: _camera(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
@@ -230,3 +237,21 @@ def _between(measured: Iterator[Image] | Iterator[Cloud], start: float, end: flo
             return
         if item.time >= start:
             yield item
+
+
+def _span_notes(name: str, inside: Float[np.ndarray, " n"], span: tuple[float, float]) -> list[str]:
+    """A sensor that starts late, stops early or pauses, in words.
+
+    Args:
+        inside: its stamps within the span of the poses, rising, at least one [s].
+    """
+    (first, last), notes = span, []
+    if inside[0] - first > _LATE:
+        notes.append(f"{name}: starts {inside[0] - first:.1f} s after the poses")
+    if last - inside[-1] > _LATE:
+        notes.append(f"{name}: stops {last - inside[-1]:.1f} s before the poses")
+    steps = np.diff(inside)
+    if len(steps) and steps.max() > max(_LATE, 5 * np.median(steps)):
+        at = inside[int(steps.argmax())] - first
+        notes.append(f"{name}: pauses for {steps.max():.1f} s, {at:.1f} s after the poses start")
+    return notes

@@ -279,7 +279,7 @@ def parse_rig(text: str, *, where: str) -> Rig:
     try:
         rig = msgspec.convert(tomllib.loads(text), type=Rig)
     except tomllib.TOMLDecodeError as error:
-        raise RigError(f"not valid TOML: {error}", where=where, how="mend the line that is named") from error
+        raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except msgspec.ValidationError as error:
         raise RigError(str(error), where=where, how="see docs/rig.md for the keys of a rig") from error
     try:
@@ -338,7 +338,7 @@ def _check(rig: Rig) -> None:
     if not 0 < rig.vehicle.mass < np.inf:
         raise RigError(f"vehicle.mass is {rig.vehicle.mass} kg", how="give the mass in kg")
     if not 0 < rig.vehicle.wheelbase < np.inf:
-        raise RigError("the front wheels are not ahead of the rear wheels", how="mend vehicle.wheel_positions")
+        raise RigError("the front wheels are not ahead of the rear wheels", how="fix vehicle.wheel_positions")
     steers = "steer" in rig.channels or rig.vehicle.max_steer != 0
     if steers and not 0 < rig.vehicle.max_steer < np.pi / 2:
         raise RigError(f"vehicle.max_steer is {rig.vehicle.max_steer} rad", how="give a road-wheel angle below pi/2")

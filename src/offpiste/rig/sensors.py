@@ -161,7 +161,7 @@ def _check_camera(key: str, camera: CameraSource) -> None:
 
 def _check_lidar(key: str, lidar: LidarSource) -> None:
     if not 0 <= lidar.min_range < lidar.max_range:
-        raise RigError(f"{key}: min_range {lidar.min_range} is not below max_range {lidar.max_range}", how="mend one")
+        raise RigError(f"{key}: min_range {lidar.min_range} is not below max_range {lidar.max_range}", how="fix one")
     if lidar.own_body is not None and not np.all(np.less(*lidar.own_body)):
         raise RigError(f"{key}.own_body is no box", how="give the lowest and the highest x, y, z [m]")
     _check_mounting(f"{key}.body_from_lidar", lidar.body_from_lidar)

@@ -25,7 +25,7 @@ def test_mcap_whose_recorder_was_killed(tmp_path: Path, compression: Compression
     assert 25 <= count <= 30
     (warning,) = log.warnings
     assert "the MCAP file has no end" in warning
-    assert f"its {count} whole messages are read; `mcap recover a.mcap -o MENDED.mcap` mends it" in warning
+    assert f"its {count} whole messages are read; `mcap recover a.mcap -o REPAIRED.mcap` repairs it" in warning
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
@@ -53,7 +53,7 @@ def test_damaged_chunk_is_an_error_or_skipped(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[data.index(struct.pack("<d", 7.0))] ^= 1  # in the message with speed 7
     path.write_bytes(data)
-    with pytest.raises(LogError, match=r"topic '/odom' is damaged: .*checksum.*; mend it with `mcap recover FILE"):
+    with pytest.raises(LogError, match=r"topic '/odom' is damaged: .*checksum.*; repair it with `mcap recover FILE"):
         speeds(BagLog(path))
     path.write_bytes(data[:-30])
     log = BagLog(path)
@@ -65,7 +65,7 @@ def test_damaged_chunk_is_an_error_or_skipped(tmp_path: Path) -> None:
 def test_truncated_ros1_bag(tmp_path: Path) -> None:
     path = ros1_bag(tmp_path / "a.bag", 30)
     path.write_bytes(path.read_bytes()[:-300])
-    with pytest.raises(LogError, match=r"a\.bag: cannot be read: .*; mend it with `rosbag reindex FILE`, or record"):
+    with pytest.raises(LogError, match=r"a\.bag: cannot be read: .*; repair it with `rosbag reindex FILE`, or record"):
         BagLog(path)
 
 
@@ -73,9 +73,11 @@ def test_truncated_db3(tmp_path: Path) -> None:
     folder = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(300))
     path = folder / "drive.db3"
     path.write_bytes(path.read_bytes()[:20_000])
-    with pytest.raises(LogError, match=r"drive\.db3: cannot be read: .*malformed; mend it with `sqlite3 FILE \.recov"):
+    with pytest.raises(
+        LogError, match=r"drive\.db3: cannot be read: .*malformed; repair it with `sqlite3 FILE \.recov"
+    ):
         BagLog(path)
-    with pytest.raises(LogError, match=r"drive: cannot be read: .*malformed; mend it with `ros2 bag reindex FOLDER`"):
+    with pytest.raises(LogError, match=r"drive: cannot be read: .*malformed; repair it with `ros2 bag reindex FOLDER`"):
         BagLog(folder)
 
 

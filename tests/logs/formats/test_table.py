@@ -127,7 +127,7 @@ def test_one_bad_cell_is_named_when_its_column_is_read(tmp_path: Path, bad_row: 
     rows = [f"{i},{i},{'abc' if i == bad_row else 2 * i}" for i in range(1, 200)]
     log = table(tmp_path, "\n".join(["t,x,y", *rows]))
     assert column(log, "x")[:3] == [1.0, 2.0, 3.0]
-    message = rf"drive\.csv: row {bad_row} below the header, column 'y': 'abc' is not a number; mend or empty that cell"
+    message = rf"drive\.csv: row {bad_row} below the header, column 'y': 'abc' is not a number; fix or empty that cell"
     with pytest.raises(LogError, match=message):
         log.read("", ["y"])
 
@@ -155,12 +155,12 @@ def test_tabs_and_quotes(tmp_path: Path) -> None:
         ("t,x", "no row below the header; record or export it again"),
         ("t,x\n", "no row below the header; record or export it again"),
         ("t,x\n\n\n", "no row below the header; record or export it again"),
-        ("t,x\n0,1\n1,2,3\n", "Row #3: Expected 2 columns, got 3: 1,2,3; mend that line"),
-        ("t,x\n0,1\n1", "Row #3: Expected 2 columns, got 1: 1; mend that line"),
+        ("t,x\n0,1\n1,2,3\n", "Row #3: Expected 2 columns, got 3: 1,2,3; fix that line"),
+        ("t,x\n0,1\n1", "Row #3: Expected 2 columns, got 1: 1; fix that line"),
         ("1,2\n3,4\n", "no header line; write the names of the columns into the first line"),
         ("t,x,x\n1,2,3\n", "column 'x' appears twice; give every column its own name"),
         ("t,yaw °\n0,1\n".encode("latin-1"), "the text is not UTF-8; save it as UTF-8"),
-        ("t,unit\n0,m\n1,m\n2,°\n".encode("latin-1"), "invalid UTF8 data; mend that line; the text must be UTF-8"),
+        ("t,unit\n0,m\n1,m\n2,°\n".encode("latin-1"), "invalid UTF8 data; fix that line; the text must be UTF-8"),
         ("t,x\n0,1\n".encode("utf-16"), "the text is not UTF-8; save it as UTF-8"),
         ("t,x\n0,1\n".encode("utf-16-le"), "not a text file; save it as UTF-8 text with a header line"),
     ],

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic, Transform
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
 from offpiste.logs.ros.bag_files import MAGIC, open_readers, reported, storage_files
 from offpiste.logs.ros.decoding import (
     MakeDecoder,
@@ -25,6 +25,7 @@ from offpiste.logs.ros.decoding import (
 )
 from offpiste.logs.ros.image import decompressed, raw_pixels
 from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel, model_from_message
 
 _IMAGES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")

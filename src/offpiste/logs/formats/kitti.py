@@ -13,7 +13,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic, Transform
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
+from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 
 # fmt: off

@@ -135,7 +135,7 @@ class TableLog(Log):
                 raise LogError(
                     f"row {row + 1} below the header, column '{name}': '{cell[:40]}' is not a number",
                     where=self.path,
-                    how="mend or empty that cell",
+                    how="fix or empty that cell",
                 )
             values[row] = number
         return values
@@ -211,7 +211,7 @@ def _read_csv(path: Path, notes: list[str]) -> pa.Table:
             ),
         )
     except (pa.ArrowException, OSError) as error:
-        how = "mend that line; the text must be UTF-8"
+        how = "fix that line; the text must be UTF-8"
         raise LogError(str(error), where=path, how=how) from error
     if table.num_rows == 0:
         raise LogError("no row below the header", where=path, how="record or export it again")

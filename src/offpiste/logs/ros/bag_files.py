@@ -13,10 +13,10 @@ _Indexed = rosbag1.Reader | rosbag2.Reader
 Reader = _Indexed | StreamedMcap
 MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
 """How files begin, by their endings."""
-_MEND = {
-    ".bag": "mend it with `rosbag reindex FILE`, or record or copy it again",
-    ".mcap": "mend it with `mcap recover FILE -o MENDED.mcap`, or record or copy it again",
-    ".db3": "mend it with `sqlite3 FILE .recover | sqlite3 MENDED.db3`, or record or copy it again",
+_REPAIRS = {
+    ".bag": "repair it with `rosbag reindex FILE`, or record or copy it again",
+    ".mcap": "repair it with `mcap recover FILE -o REPAIRED.mcap`, or record or copy it again",
+    ".db3": "repair it with `sqlite3 FILE .recover | sqlite3 REPAIRED.db3`, or record or copy it again",
 }
 
 
@@ -37,7 +37,7 @@ def open_readers(path: Path, notes: list[str]) -> list[Reader]:
     """
     if not path.is_dir():
         return [_open_file(path, notes)]
-    failed = LogError("no metadata.yaml", where=path, how=_mend(path))
+    failed = LogError("no metadata.yaml", where=path, how=_repair(path))
     if (path / "metadata.yaml").is_file():
         try:
             return [_opened(rosbag2.Reader, path)]
@@ -91,9 +91,9 @@ def _check_beginning(path: Path) -> None:
         raise LogError(f"not a {path.suffix} file", where=path, how=how)
 
 
-def _mend(path: Path) -> str:
-    default = "mend it with `ros2 bag reindex FOLDER`, or record or copy it again"
-    return default if path.is_dir() else _MEND.get(path.suffix, default)
+def _repair(path: Path) -> str:
+    default = "repair it with `ros2 bag reindex FOLDER`, or record or copy it again"
+    return default if path.is_dir() else _REPAIRS.get(path.suffix, default)
 
 
 @contextmanager
@@ -105,4 +105,4 @@ def reported(path: Path, what: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(f"{what}: {reason}", where=path, how=_mend(path)) from error
+        raise LogError(f"{what}: {reason}", where=path, how=_repair(path)) from error

@@ -90,7 +90,7 @@ class StreamedMcap:
         if not self._finished:
             notes.append(
                 f"{self.path}: the MCAP file has no end (the recorder was killed, or the copy cut short);"
-                f" its {kept} whole messages are read; `mcap recover {self.path.name} -o MENDED.mcap` mends it"
+                f" its {kept} whole messages are read; `mcap recover {self.path.name} -o REPAIRED.mcap` repairs it"
             )
         if self._damaged:
             notes.append(f"{self.path}: damaged records that are skipped: {self._damaged}")
