@@ -73,7 +73,7 @@ def _drift(sensor: Recorded, pose: Recorded, stamps: str) -> list[Finding]:
     if sensor.other is None or pose.other is None or min(len(sensor.time), len(pose.time)) < _STAMPS:
         return []
     clocks = (sensor.time, sensor.other), (pose.time, pose.other)
-    own, poses = clocks if stamps == "header" else (pair[::-1] for pair in clocks)
+    own, poses = clocks if stamps == "header" else ((arrived, header) for header, arrived in clocks)
     found = clock_difference(*own, *poses)
     if found is None or not abs(found.drift) > _DRIFT:
         return []
