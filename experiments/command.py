@@ -1,5 +1,6 @@
 """Runs an experiment's command line: messages on the terminal, errors that a user can cause in one line."""
 
+import logging
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -7,19 +8,24 @@ from typing import Any
 import tyro
 
 from offpiste.errors import OffpisteError
-from offpiste.progress import log_to_terminal
+from offpiste.progress import log_to_terminal, show
 
 
 def run(command: Callable[..., Any], arguments: list[str] | None = None) -> None:
-    """Run `command` with arguments of the command line, and its method `run` if it has one.
+    """Run `command` with arguments of the command line, and its method `run` if it has one; print a text it returns.
 
     Exits with 1 when the input or the run failed, with 130 when interrupted, each with one line on standard error.
     """
     log_to_terminal()
+    logger = logging.getLogger("experiments")
+    logger.setLevel(logging.INFO)
+    logger.handlers = logging.getLogger("offpiste").handlers
     try:
         result = tyro.cli(command, args=arguments)
         if hasattr(result, "run"):
-            result.run()
+            result = result.run()
+        if isinstance(result, str):
+            show(result)
     except OffpisteError as error:
         sys.exit(str(error))
     except KeyboardInterrupt:

@@ -3,7 +3,7 @@
 Two halves of the recordings, each tested by models that were trained on the other. Beside the true labels, false ones:
 labels that changed places among the recordings, and the recordings' file format. Floor, day and format go together, so
 what helps may be knowing the day. A label is the same all over a recording: read at recorded places, it leaks nothing.
-`python -m experiments.surfaces.__main__ ../shared/data/dart --out surfaces`
+`python -m experiments.surfaces ../shared/data/dart --out surfaces`
 """
 
 import logging
@@ -34,7 +34,7 @@ from offpiste.errors import DatasetError
 from offpiste.evaluation.errors import Errors, pool, prediction_errors
 from offpiste.files import write_text
 from offpiste.parallel import Report, run_all
-from offpiste.progress import show, track
+from offpiste.progress import track
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
@@ -156,11 +156,6 @@ class Surfaces:
         return {key: pool(found) for key, found in parts.items()}
 
 
-def main(settings: Surfaces) -> None:
-    """Run and print the tables."""
-    torch.set_num_threads(1)
-    show(settings.run())
-
-
 if __name__ == "__main__":
-    run(main)
+    torch.set_num_threads(1)
+    run(Surfaces)
