@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from offpiste.conventions import CONTROL, GRAVITY
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.mapping.terrain_lookup import stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers, empty_layers
+from offpiste.mapping.terrain_sampler import stack_maps
 from offpiste.planning import costs
 from offpiste.planning.cost_map import Course, Hazards, cost_map, speed_limit
 from offpiste.planning.costs import Situation, Weights

@@ -25,7 +25,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.mapping.replay import ReplaySettings, replay
+from offpiste.mapping.replay import replay
+from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig, load_rig
 
@@ -81,7 +82,7 @@ def playing(log: SensorLog, rows: Rows, rig: Rig, extractor: FeatureExtractor) -
     for metres in (0.0, 0.5, 1.0, 2.0):
         counting = Counting(extractor, [])
         began = time.process_time()
-        cells = with_visual_features(rows, log, rig, counting, ReplaySettings(metres)).cells
+        cells = with_visual_features(rows, log, rig, counting, MapperSettings(metres)).cells
         spent = (time.process_time() - began) / seconds
         assert cells is not None
         every = every or cells

@@ -16,11 +16,10 @@ import numpy as np
 import torch
 
 from mapping import numpy_reference
-from offpiste.mapping.flatten import Flattener
-from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.terrain_lookup import look_up, stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
+from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 
 RINGS, TURN = 64, 1563
 SCANS = 40
@@ -109,7 +108,7 @@ def wheels(layers: TerrainLayers) -> None:
     corner = np.array([[1.0, 0.7], [1.0, -0.7], [-1.0, 0.7], [-1.0, -0.7]])
     place = torch.as_tensor((pose + corner).reshape(-1, 2), dtype=torch.float32)
     number, offset = torch.zeros(len(place), dtype=torch.long), torch.zeros(len(place), 2, dtype=torch.float64)
-    sample = partial(look_up, stack, number, place, offset)
+    sample = partial(sample_maps, stack, number, place, offset)
     sample()
     print(summary("look up 1024 x 250 x 4", [timed(sample) for _ in range(5)]))
 

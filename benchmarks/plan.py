@@ -27,8 +27,8 @@ from torch import Tensor
 from offpiste.conventions import CONTROL, DT, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.dynamics.encoder import Compressor
-from offpiste.mapping.terrain_lookup import MapTerrain, as_codes, stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.terrain_sampler import MapTerrain, as_codes, stack_maps
 from offpiste.planning.cost_map import Course, Hazards, cost_map
 from offpiste.planning.costs import Situation, Weights, terms_after
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs

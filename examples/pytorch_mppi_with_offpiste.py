@@ -10,8 +10,8 @@ from pytorch_mppi import MPPI
 from torch import Tensor
 
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
-from offpiste.mapping.terrain_lookup import MapTerrain, stack_maps
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_sampler import MapTerrain, stack_maps
 from offpiste.state import ModelState
 
 SAMPLES, STEPS, RADIUS, SPEED = 200, 75, 20.0, 5.0

@@ -32,8 +32,8 @@ from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.replay import ReplaySettings
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.progress import track
@@ -139,7 +139,7 @@ def ride(
         rows, sensors = _first(rows, sensors, seconds)
     cells = {}
     for rule in track(rules, log.stem):
-        settings = ReplaySettings(map=MapSettings(VoxelSettings(rule=rule)))
+        settings = MapperSettings(map=MapSettings(VoxelSettings(rule=rule)))
         found = with_visual_features(rows, sensors, rig, extractor, settings).cells
         assert found is not None
         cells[rule] = found

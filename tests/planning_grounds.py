@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from offpiste.mapping.terrain_lookup import stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.terrain_sampler import stack_maps
 from offpiste.planning.cost_map import Course, Hazards, cost_map
 from offpiste.planning.costs import Situation
 

@@ -19,7 +19,7 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.mapping.terrain_lookup import MapTerrain
+from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.state import Terrain, TerrainSource
 from offpiste.training.terrain_sources import map_terrain, on_map, with_past_on
 

@@ -20,7 +20,7 @@ from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.mapping.replay import ReplaySettings
+from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
@@ -109,7 +109,7 @@ def see_cells(
     if seconds is not None:
         rows, sensors = _first(rows, seconds), stretch(sensors, rows.time[0], rows.time[0] + seconds)
     sensors = perturbed(sensors, flaw or Flaw())
-    settings = ReplaySettings()
+    settings = MapperSettings()
     seen = with_visual_features(rows, sensors, rig, with_colour(extractor), settings).cells
     assert seen is not None
     xy = rows.state[:, :2].astype(np.float64) + rows.origin

@@ -57,10 +57,10 @@ from .mapping.pipeline import FeatureCloud as FeatureCloud
 from .mapping.pipeline import MapPipeline as MapPipeline
 from .mapping.pipeline import MapSettings as MapSettings
 from .mapping.replay import replay as replay
-from .mapping.terrain_lookup import MapTerrain as MapTerrain
-from .mapping.terrain_lookup import stack_maps as stack_maps
 from .mapping.terrain_map import TerrainLayers as TerrainLayers
 from .mapping.terrain_map import TerrainMap as TerrainMap
+from .mapping.terrain_sampler import MapTerrain as MapTerrain
+from .mapping.terrain_sampler import stack_maps as stack_maps
 from .perception.backbones import open_backbone as open_backbone
 from .perception.feature_extractor import load_feature_extractor as load_feature_extractor
 

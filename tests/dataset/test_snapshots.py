@@ -16,8 +16,8 @@ from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.mapping.terrain_lookup import MapTerrain
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_sampler import MapTerrain
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 NAMES = ("column", "row")

@@ -10,7 +10,7 @@ import pytest
 from offpiste.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 
 TESTS = Path(__file__).parents[1]
 
@@ -18,7 +18,7 @@ MAP = """
 import numpy as np
 from mapping.test_voxel_kernels import compare
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 
 pipeline = MapPipeline(1, MapSettings(VoxelSettings(reach=3.0, capacity=1000, rule="farthest")))
 for feature, height in ((1.0, 5.0), (2.0, 9.0), (3.0, 9.0), (4.0, 7.0)):

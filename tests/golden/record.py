@@ -48,9 +48,9 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
 from offpiste.mapping.replay import pinhole_cameras, replay
-from offpiste.mapping.settings import VoxelSettings
-from offpiste.mapping.terrain_lookup import MapTerrain
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.terrain_sampler import MapTerrain
+from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca

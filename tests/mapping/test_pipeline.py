@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings, encoded
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 
 RNG = np.random.default_rng(0)
 WEIGHT = RNG.normal(size=(40, 4)).astype(np.float32)

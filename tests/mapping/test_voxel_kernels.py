@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from mapping import numpy_reference
-from offpiste.mapping.flatten import Flattener
 from offpiste.mapping.fusion import FUSION_RULES
-from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 
 
 def scan(rng, centre, n, features, spread=5.0):

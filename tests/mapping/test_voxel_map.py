@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.errors import MapError
-from offpiste.mapping.flatten import flatten
-from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
+from offpiste.mapping.voxels_to_layers import FlattenSettings, flatten
 
 SMALL = VoxelSettings(reach=6.0, capacity=20_000)
 """30 cells each way."""

@@ -14,7 +14,7 @@ from factories import COMMANDED, VEHICLE, coded, unsettled
 from offpiste.conventions import ACTUATORS
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.encoder import Compressor, Identity
-from offpiste.mapping.terrain_lookup import MapTerrain, as_codes
+from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
 from offpiste.planning.cost_map import Hazards
 from offpiste.planning.costs import Weights, driving_terms
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state

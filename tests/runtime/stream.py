@@ -11,8 +11,8 @@ from offpiste.dynamics.encoder import Compressor
 from offpiste.dynamics.hybrid import Hybrid
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.replay import ReplaySettings
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning import mppi
 from offpiste.planning.cost_map import Course
@@ -42,7 +42,7 @@ def seeing_model():
 def settings(**changed):
     sampling = mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=64, rest=(0.2, 0.0))
     small = MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1))
-    return RuntimeSettings(**{"sampling": sampling, "replay": ReplaySettings(map=small), "margin": 2.0, **changed})
+    return RuntimeSettings(**{"sampling": sampling, "replay": MapperSettings(map=small), "margin": 2.0, **changed})
 
 
 def camera():

@@ -44,7 +44,7 @@ class Extract:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.snapshots import SnapshotSettings
-        from offpiste.mapping.replay import ReplaySettings
+        from offpiste.mapping.sensor_mapper import MapperSettings
         from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig)
@@ -58,7 +58,7 @@ class Extract:
             device=self.device,
             min_hindsight=self.min_hindsight,
             snapshots=SnapshotSettings(self.snapshot_seconds),
-            replay=ReplaySettings(self.keyframe_metres),
+            replay=MapperSettings(self.keyframe_metres),
             processes=self.processes,
         )
         return 0

@@ -24,7 +24,7 @@ from offpiste.errors import DatasetError, OffpisteError
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.mapping.replay import ReplaySettings
+from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.parallel import Report, run_all, usable_cores
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig
@@ -46,7 +46,7 @@ class Job:
     device: str = "cpu"
     min_hindsight: float = 0.0
     snapshots: SnapshotSettings | None = None
-    replay: ReplaySettings | None = None
+    replay: MapperSettings | None = None
 
 
 def extract_drive(job: Job, report: Report) -> str:
@@ -63,7 +63,7 @@ def extract_drive(job: Job, report: Report) -> str:
         notes += sensors.coverage()
         extractor = load_feature_extractor(job.pca, job.device)
         notes += _seen_by_pca(extractor, rows, job)
-        replay = job.replay or ReplaySettings()
+        replay = job.replay or MapperSettings()
         with buffers(job.out, job.name) as folder:
             writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, extractor.channels)
             settings = job.snapshots or SnapshotSettings()
@@ -145,7 +145,7 @@ def make_dataset(
     device: str = "cpu",
     min_hindsight: float = MIN_HINDSIGHT,
     snapshots: SnapshotSettings | None = None,
-    replay: ReplaySettings | None = None,
+    replay: MapperSettings | None = None,
     processes: int = 1,
 ) -> Dataset:
     """Extract drives into a dataset; drives that are in it already are left as they are.

@@ -12,8 +12,8 @@ from offpiste.dataset.cells import Cells
 from offpiste.dataset.rows import Rows
 from offpiste.errors import LogError
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
-from offpiste.mapping.terrain_lookup import look_up, stack_maps
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.rig.rig import Rig
 
@@ -69,7 +69,7 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     ny, nx = ground.elevation.shape
 
     places = wheel_positions(np.where(known[:, None], xy, np.inf), rows.state[:, 2], rig.wheel_positions())
-    found = look_up(
+    found = sample_maps(
         stack_maps([ground]),
         torch.zeros(places.shape[:2], dtype=torch.long),
         torch.as_tensor(np.where(np.isfinite(places), places, np.inf) - rows.origin),

@@ -12,7 +12,8 @@ from offpiste.dataset.passes import find_passes
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
 from offpiste.logs.sensor_log import SensorLog
-from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
+from offpiste.mapping.replay import Moment, pinhole_cameras, replay
+from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
@@ -49,7 +50,7 @@ def with_visual_features(
     log: SensorLog,
     rig: Rig,
     extractor: FeatureExtractor,
-    settings: ReplaySettings | None = None,
+    settings: MapperSettings | None = None,
     *,
     snapshots: SnapshotKeeper | None = None,
     report: Callable[[float], None] = lambda share: None,
@@ -63,7 +64,7 @@ def with_visual_features(
     Raises:
         LogError: the log's sensors are damaged or of no use.
     """
-    settings = settings or ReplaySettings()
+    settings = settings or MapperSettings()
     grid = settings.map.voxels
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Int
 
 from offpiste.dataset.store import StoredDrive
-from offpiste.mapping.terrain_lookup import MapStack, stack_maps
+from offpiste.mapping.terrain_sampler import MapStack, stack_maps
 
 
 class WindowMaps:

@@ -1,4 +1,6 @@
-"""Loops over the columns of voxels: the ground, what stands on it and what it looks like. `reference.py` says the same.
+"""Loops over the columns of voxels: the ground, what stands on it and what it looks like.
+
+The same in plain NumPy is in tests/mapping.
 
 Only columns that changed are looked into; what they show is kept, wrapped around as the voxels are. Rows `first` to
 `last` are those of the layers, from the map's lowest cell.

@@ -10,38 +10,6 @@ from offpiste.compilation import MAPPING
 
 
 @MAPPING.loop
-def add(out, a):  # type: ignore[no-untyped-def]
-    """Add a."""
-    for i in range(len(out)):
-        out[i] += a[i]
-
-
-@MAPPING.entry
-def smooth_residuals(first, last, blocks, radius, buffers):  # type: ignore[no-untyped-def]
-    """Roughness: root mean square of the residuals in the square around each cell that has a plane."""
-    n = buffers.height.shape[0]
-    for block in range(first, last):
-        room = buffers.sums[block, 0]
-        count, total, near_count, near_total = room[0], room[1], room[2], room[3]
-        for j in range(n * block // blocks, n * (block + 1) // blocks):
-            room[:] = np.float32(0)
-            for jj in range(max(0, j - radius), min(n, j + radius + 1)):
-                residual = buffers.residual[jj]
-                for i in range(n):
-                    count[i] += np.float32(1) if residual[i] == residual[i] else np.float32(0)
-                for i in range(n):
-                    total[i] += residual[i] if residual[i] == residual[i] else np.float32(0)
-            for k in range(-radius, radius + 1):
-                to, at = slice(max(0, -k), min(n, n - k)), slice(max(0, k), min(n, n + k))
-                add(near_count[to], count[at])
-                add(near_total[to], total[at])
-            rise, roughness = buffers.rise_x[j], buffers.roughness[j]
-            for i in range(n):
-                value = np.sqrt(near_total[i] / near_count[i])
-                roughness[i] = value if rise[i] == rise[i] else np.float32(np.nan)
-
-
-@MAPPING.loop
 def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyped-def]
     """For each cell of a row, the number of the first offset that leads to ground, and how high that was hit."""
     n = len(which)

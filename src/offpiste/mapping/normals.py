@@ -1,7 +1,8 @@
-"""Least-squares planes through what was hit around each cell, by moving sums: z over x, y, each hit where it was.
+"""Surface normals and roughness: least-squares planes through what was hit around each cell, by moving sums.
 
-Rows are summed over the window's columns, then over its rows; coordinates are always relative to the window's centre,
-so that float32 is enough. Every inner loop writes one row only: with more, LLVM does not turn it into vectors.
+Planes are z over x, y, with each hit where it was. Rows are summed over the window's columns, then over its rows;
+coordinates are always relative to the window's centre, so that float32 is enough. Every inner loop writes one row only:
+with more, LLVM does not turn it into vectors.
 """
 
 from typing import Final
@@ -228,3 +229,35 @@ def solve_row(total, line, other, j, size, buffers):  # type: ignore[no-untyped-
     put_offset(x, total[SX], rise_x, size, line)
     put_offset(y, total[SY], rise_y, size, other)
     put_residual(z, total[SZ], line, other, buffers.residual[j])
+
+
+@MAPPING.loop
+def add_row(out, a):  # type: ignore[no-untyped-def]
+    """Add a."""
+    for i in range(len(out)):
+        out[i] += a[i]
+
+
+@MAPPING.entry
+def smooth_residuals(first, last, blocks, radius, buffers):  # type: ignore[no-untyped-def]
+    """Roughness: root mean square of the residuals in the square around each cell that has a plane."""
+    n = buffers.height.shape[0]
+    for block in range(first, last):
+        room = buffers.sums[block, 0]
+        count, total, near_count, near_total = room[0], room[1], room[2], room[3]
+        for j in range(n * block // blocks, n * (block + 1) // blocks):
+            room[:] = np.float32(0)
+            for jj in range(max(0, j - radius), min(n, j + radius + 1)):
+                residual = buffers.residual[jj]
+                for i in range(n):
+                    count[i] += np.float32(1) if residual[i] == residual[i] else np.float32(0)
+                for i in range(n):
+                    total[i] += residual[i] if residual[i] == residual[i] else np.float32(0)
+            for k in range(-radius, radius + 1):
+                to, at = slice(max(0, -k), min(n, n - k)), slice(max(0, k), min(n, n + k))
+                add_row(near_count[to], count[at])
+                add_row(near_total[to], total[at])
+            rise, roughness = buffers.rise_x[j], buffers.roughness[j]
+            for i in range(n):
+                value = np.sqrt(near_total[i] / near_count[i])
+                roughness[i] = value if rise[i] == rise[i] else np.float32(np.nan)

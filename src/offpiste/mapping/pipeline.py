@@ -11,10 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.mapping.flatten import Flattener
-from offpiste.mapping.settings import FlattenSettings, VoxelSettings
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 
 Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
 """From features to codes, each row for itself."""

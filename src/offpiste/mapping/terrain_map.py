@@ -1,9 +1,7 @@
-"""The ground as a 2D map of cells on a world-aligned grid.
+"""The ground as a 2D map of cells on a world-aligned grid: what models sample, and all layers that planners read."""
 
-The map as a planner and the models read it: layers over the cells of a world-aligned grid.
-"""
-
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -39,20 +37,32 @@ class TerrainMap:
         return TerrainMap(origin, self.resolution, self.elevation[rows, columns], self.features[rows, columns], rise)
 
 
+def _layer(*components: int, dtype: type = np.float32) -> dict[str, Any]:
+    """Declaration of a layer [ny, nx, *components], NaN or false where unknown."""
+    return {"components": components, "dtype": dtype}
+
+
+CHANNELS: Final = -1
+"""Stands for as many components as the map has features."""
+
+
 @dataclass(frozen=True)
 class TerrainLayers:
     """Layers of the ground around the vehicle; row j lies at y = origin[1] + j resolution, column i alike in x.
 
+    A layer is declared here once: memory for it, crops of it and the loops' `voxels_to_layers.Layers` follow. What is
+    missing is its value, which `infill.write_layers` writes.
+
     Attributes:
         origin: x, y of the centre of cell [0, 0] in the world frame [m].
         resolution: size of a cell [m].
-        elevation: of the ground at the cell's centre [m]; NaN where not `known`.
-        normal: unit normal of the ground, upwards, in the world frame; NaN where it cannot be told.
+        elevation: height of the ground at the cell's centre [m]; NaN where not `known`.
+        normal: unit normal of the ground, upwards, in the world frame; NaN where too few points carry a plane.
         slope: rise over run, 1 on 45 degrees; NaN without a normal.
         roughness: root mean square distance of the ground from its planes, measured along z [m]; NaN without a normal.
         obstacle_height: from the ground to the highest thing on it that a vehicle would hit: what begins above the
             vehicle's height is driven under [m]; NaN where not `known`.
-        features: NaN where not `valid`.
+        features: visual terrain features; NaN where not `valid`.
         distance: from which the features were seen [m]; NaN where not `valid`.
         known: whether there is ground: observed, or filled from a cell nearby.
         observed: whether the cell itself was hit.
@@ -61,20 +71,20 @@ class TerrainLayers:
 
     origin: Float[np.ndarray, " 2"]
     resolution: float
-    elevation: Float[np.ndarray, "ny nx"]
-    normal: Float[np.ndarray, "ny nx 3"]
-    slope: Float[np.ndarray, "ny nx"]
-    roughness: Float[np.ndarray, "ny nx"]
-    obstacle_height: Float[np.ndarray, "ny nx"]
-    features: Float[np.ndarray, "ny nx F"]
-    distance: Float[np.ndarray, "ny nx"]
-    known: Bool[np.ndarray, "ny nx"]
-    observed: Bool[np.ndarray, "ny nx"]
-    valid: Bool[np.ndarray, "ny nx"]
+    elevation: Float[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=np.float64))
+    normal: Float[np.ndarray, "ny nx 3"] = field(metadata=_layer(3))
+    slope: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    roughness: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    obstacle_height: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    features: Float[np.ndarray, "ny nx F"] = field(metadata=_layer(CHANNELS))
+    distance: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    known: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))
+    observed: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))
+    valid: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))
 
     @property
     def unknown(self) -> Bool[np.ndarray, "ny nx"]:
-        """Cells of which nothing is known, for planners that keep off them."""
+        """Cells without ground, which planners keep off."""
         return ~self.known
 
     @property
@@ -86,30 +96,25 @@ class TerrainLayers:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def terrain_map(self) -> TerrainMap:
-        """What lookups need; shares memory with the layers where it can."""
+        """What models sample; shares memory with the layers where it can."""
         with np.errstate(invalid="ignore"):
             rise = -self.normal[..., :2] / self.normal[..., 2:]
         return TerrainMap(self.origin, self.resolution, self.elevation, self.features, rise)
 
 
+LAYERS: Final = tuple(f for f in fields(TerrainLayers) if f.metadata)
+"""The layers, in their order."""
+
+
 def empty_layers(cells: int, channels: int) -> TerrainLayers:
-    """Layers [cells, cells] of which nothing is known."""
-    shape = (cells, cells)
+    """Layers [cells, cells] of which nothing is known.
 
-    def unknown(*more: int, dtype: type = np.float32) -> np.ndarray:
-        return np.full(shape + more, np.nan, dtype)
+    Args:
+        channels: of the features.
+    """
 
-    return TerrainLayers(
-        origin=np.zeros(2),
-        resolution=1.0,
-        elevation=unknown(dtype=np.float64),
-        normal=unknown(3),
-        slope=unknown(),
-        roughness=unknown(),
-        obstacle_height=unknown(),
-        features=unknown(channels),
-        distance=unknown(),
-        known=np.zeros(shape, bool),
-        observed=np.zeros(shape, bool),
-        valid=np.zeros(shape, bool),
-    )
+    def unknown(components: tuple[int, ...], dtype: type) -> np.ndarray:
+        more = tuple(channels if size == CHANNELS else size for size in components)
+        return np.full((cells, cells, *more), False if dtype is bool else np.nan, dtype)
+
+    return TerrainLayers(np.zeros(2), 1.0, **{layer.name: unknown(**layer.metadata) for layer in LAYERS})

@@ -1,4 +1,4 @@
-"""Loops over the voxels: observations in. `reference.py` says the same in NumPy.
+"""Loops over the voxels: observations in. The same in plain NumPy: tests/mapping.
 
 A column keeps the `LEVELS` levels from its lowest occupied voxel upwards, whatever its height: what lies higher above
 the ground matters to no vehicle. Which of them are occupied is a word of bits whose lowest is always set.

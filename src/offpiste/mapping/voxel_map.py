@@ -4,10 +4,13 @@
 when moving away from a location" (paper, "Mapping of Visual Features").
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.errors import MapError
+from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.voxel_kernels import (
     EVER,
     FEATURES,
@@ -20,6 +23,52 @@ from offpiste.mapping.voxel_kernels import (
     point_inserter,
 )
 from offpiste.threads import spread_blocks
+
+
+@dataclass(frozen=True)
+class VoxelSettings:
+    """Size and memory of the voxel map.
+
+    Attributes:
+        size: edge of a voxel (paper, "Mapping of Visual Features": 0.2 m).
+        reach: the map covers +-reach around the vehicle, both in x and in y [m].
+        height_reach: points further above or below the vehicle than this are not mapped: 27 degrees of slope at 60 m.
+        rule: of `fusion.FUSION_RULES`; the paper keeps the closest observation.
+        capacity: voxels that can be held; their memory is taken when they are first used (`VoxelMap`).
+        threads: that insertion and flattening use; the map does not depend on it.
+    """
+
+    size: float = 0.2
+    reach: float = 60.0
+    height_reach: float = 30.0
+    rule: str = "closest"
+    capacity: int = 1_500_000
+    threads: int = 2
+
+    def __post_init__(self) -> None:
+        check_positive(self, "size", "reach", "height_reach", "capacity", "threads")
+        if self.rule not in FUSION_RULES:
+            rules = ", ".join(FUSION_RULES)
+            raise MapError(f"fusion rule '{self.rule}' is unknown", where="map settings", how=f"use one of: {rules}")
+        if not 1 <= self.half_cells <= 10_000:
+            raise MapError(f"{self.half_cells} cells to each side", where="map settings", how="set 1 to 10000")
+
+    @property
+    def half_cells(self) -> int:
+        """Cells from the vehicle to the map's border."""
+        return round(self.reach / self.size)
+
+
+def check_positive(settings: object, *names: str) -> None:
+    """Raise if one of these settings is no positive number.
+
+    Raises:
+        MapError: names the setting.
+    """
+    for name in names:
+        value = getattr(settings, name)
+        if not 0 < value < float("inf"):
+            raise MapError(f"{name} is {value}", where="map settings", how="give a positive number")
 
 
 class VoxelMap:

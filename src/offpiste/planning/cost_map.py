@@ -15,8 +15,8 @@ from torch import Tensor
 
 from offpiste.compilation import PLANNING
 from offpiste.errors import PlanningError
-from offpiste.mapping.flatten import neighbour_offsets
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.voxels_to_layers import neighbour_offsets
 from offpiste.threads import spread_kernel
 
 BLOCK = 4

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from offpiste.conventions import DT, GRAVITY
 from offpiste.geometry import rotate_by_minus_yaw
-from offpiste.mapping.terrain_lookup import MapStack, look_up
+from offpiste.mapping.terrain_sampler import MapStack, sample_maps
 from offpiste.planning.cost_map import CostMap
 from offpiste.state import Trajectory
 
@@ -215,7 +215,7 @@ def terms_after(
     _, _, yaw, vx, vy, yaw_rate = state.unbind(-1)
     places = _wheel_places(state, situation.wheels)
     zeros = torch.zeros(places.shape[:-1], dtype=torch.long, device=places.device)
-    normal = look_up(situation.ground, zeros, places, situation.offset.expand_as(places)).normal.mean(dim=-2)
+    normal = sample_maps(situation.ground, zeros, places, situation.offset.expand_as(places)).normal.mean(dim=-2)
     wheel = situation.costs.at(places, situation.offset)
     course = situation.costs.at(state[..., :2], situation.offset)
 

@@ -20,7 +20,7 @@ from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.model_arrays import compensator_weights, constants, learned_constants, networks
-from offpiste.mapping.terrain_lookup import MapStack
+from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.kernel_rollout import KernelWeights, roll_out
 from offpiste.planning.kernel_terrain import CostLayers, Grid, Ground

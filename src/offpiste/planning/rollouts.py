@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
-from offpiste.mapping.terrain_lookup import Encode, HeldCodes, MapTerrain
+from offpiste.mapping.terrain_sampler import Encode, HeldCodes, MapTerrain
 from offpiste.planning.costs import Situation, Weights, driving_cost
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState, TerrainSource, Trajectory

@@ -16,7 +16,7 @@ from jaxtyping import Float32, UInt8
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.errors import PerceptionError
 from offpiste.logs.measurements import Cloud, Image, Lidar
-from offpiste.mapping.replay import ExtractFeatures, Mapper, ReplaySettings
+from offpiste.mapping.sensor_mapper import ExtractFeatures, MapperSettings, SensorMapper
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera
 from offpiste.runtime.estimator import VehicleTrack
@@ -77,7 +77,7 @@ class Seeing:
         sight: Sight,
         encoder: FeatureEncoder | None,
         track: VehicleTrack,
-        settings: ReplaySettings,
+        settings: MapperSettings,
         watch: Stopwatch,
     ) -> None:
         self._sight, self._encoder, self._track = sight, encoder, track
@@ -92,7 +92,7 @@ class Seeing:
         """Forget the map: what was mapped fits nothing that comes."""
         extract = self._codes if self.uses_features else _blind
         cameras = self._sight.cameras if self.uses_features else {}
-        self._mapper = Mapper(cameras, self._sight.lidars, extract, self._channels, self._settings)
+        self._mapper = SensorMapper(cameras, self._sight.lidars, extract, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
 
@@ -103,7 +103,7 @@ class Seeing:
         pose = self._pose(image.camera, image.time)
         if pose is None:
             return
-        if not self._mapper.is_due(image, pose):
+        if not self._mapper.is_keyframe(image, pose):
             # Seen before from here: as good as new.
             self.image_time = max(self.image_time, image.time)
             return

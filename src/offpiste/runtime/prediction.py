@@ -14,8 +14,8 @@ from torch import Tensor
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
-from offpiste.mapping.terrain_lookup import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.planning.costs import Situation, Weights
 from offpiste.planning.kernel import Codes, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf

@@ -16,7 +16,7 @@ from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.mapping.replay import ReplaySettings
+from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.cost_map import Course, Hazards, cost_map
 from offpiste.planning.costs import Situation, Weights
@@ -82,7 +82,7 @@ class RuntimeSettings:
     )
     weights: Weights = field(default_factory=lambda: Weights(path=5.0))
     hazards: Hazards = field(default_factory=Hazards)
-    replay: ReplaySettings = field(default_factory=ReplaySettings)
+    replay: MapperSettings = field(default_factory=MapperSettings)
     timeouts: Timeouts = field(default_factory=Timeouts)
     launch: LaunchSettings = field(default_factory=LaunchSettings)
     slow: float = 3.0

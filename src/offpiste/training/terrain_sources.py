@@ -13,7 +13,7 @@ from torch import Tensor
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.errors import DatasetError
-from offpiste.mapping.terrain_lookup import HeldCodes, MapTerrain
+from offpiste.mapping.terrain_sampler import HeldCodes, MapTerrain
 from offpiste.state import Terrain, TerrainSource
 
 

@@ -16,7 +16,7 @@ from offpiste.dataset.cells import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, PAPER_RATES
 from offpiste.dataset.passes import Passes, find_passes
 from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.report.text_table import TextTable, number
 from offpiste.rig.rig import Rig

@@ -15,7 +15,8 @@ from offpiste.extras import is_installed
 from offpiste.files import write_bytes
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.mapping.replay import Moment, ReplaySettings, pinhole_cameras, replay
+from offpiste.mapping.replay import Moment, pinhole_cameras, replay
+from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.progress import track
@@ -99,7 +100,7 @@ def view_log(
         rrd = False
     written = [out / "sensors.png"]
     write_bytes(written[0], png(draw_sensors(stamps_of(sensors), stretch)))
-    reach = ReplaySettings().map.voxels
+    reach = MapperSettings().map.voxels
     known = drive.poses[np.isfinite(drive.poses).all(axis=(1, 2)), :2, 3]
     mosaic = Mosaic(known.min(axis=0) - reach.reach - 1, known.max(axis=0) + reach.reach + 1, reach.size)
     album = Album(times_between(drive.start, drive.end), drive.limits, len(sensors.cameras))

@@ -6,10 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from offpiste.mapping.flatten import Flattener, flatten, neighbour_offsets
-from offpiste.mapping.settings import FlattenSettings, VoxelSettings
-from offpiste.mapping.terrain_lookup import MapTerrain, look_up, stack_maps
-from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.mapping.terrain_sampler import MapTerrain, sample_maps, stack_maps
+from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings, flatten, neighbour_offsets
 
 SMALL = VoxelSettings(reach=6.0, capacity=20_000)
 N = 30
@@ -226,7 +225,7 @@ def test_lookups_interpolate_planes(plane):
     rise = PLANES[plane]
     stack = stack_maps([flatten(ground(*rise, scatter=0.05)).terrain_map()])
     place = torch.tensor([[0.0, 0.0], [1.234, -2.345], [-5.9, 5.9]], dtype=torch.float64)
-    found = look_up(stack, torch.zeros(3, dtype=torch.long), place, torch.zeros(3, 2, dtype=torch.float64))
+    found = sample_maps(stack, torch.zeros(3, dtype=torch.long), place, torch.zeros(3, 2, dtype=torch.float64))
     up = torch.tensor([-rise[0], -rise[1], 1.0], dtype=torch.float64)
     torch.testing.assert_close(found.normal, (up / up.norm()).expand(3, 3), atol=2e-5, rtol=0)
     assert found.known.all()
@@ -256,7 +255,7 @@ def test_one_line_of_hits_has_no_normal_but_two_have():
         assert layers.known[N, N]
         assert np.isfinite(layers.normal[N, N]).all() == told
         assert np.isfinite(layers.normal[N - 2, N]).all() == told
-        found = look_up(
+        found = sample_maps(
             stack_maps([layers.terrain_map()]),
             torch.tensor([0]),
             torch.tensor([[0.1, 0.15]]),

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from offpiste.mapping.terrain_lookup import MapTerrain, look_up, stack_maps
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_sampler import MapTerrain, sample_maps, stack_maps
 from offpiste.mapping.wheel_positions import wheel_positions
 
 WHEELS = np.array([[1.0, 0.7], [1.0, -0.7], [-1.2, 0.6], [-1.2, -0.6]])
@@ -25,7 +25,7 @@ def plane(
 def found_at(maps, places, number=0):
     place = torch.as_tensor(places, dtype=torch.float64)
     numbers = torch.full(place.shape[:-1], number)
-    return look_up(stack_maps(maps), numbers, place, torch.zeros_like(place))
+    return sample_maps(stack_maps(maps), numbers, place, torch.zeros_like(place))
 
 
 def test_a_plane_has_its_normal_everywhere_and_x_is_not_y():

@@ -38,7 +38,7 @@ class MapStack:
 
 
 @dataclass(frozen=True)
-class Found:
+class TerrainSample:
     """What lies at places.
 
     Attributes:
@@ -86,9 +86,9 @@ def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
     return np.stack((rise_x, rise_y), axis=-1)
 
 
-def look_up(
+def sample_maps(
     maps: MapStack, number: Int[Tensor, "*P"], place: Float[Tensor, "*P 2"], offset: Float[Tensor, "*P 2"]
-) -> Found:
+) -> TerrainSample:
     """The ground at places.
 
     Args:
@@ -120,7 +120,7 @@ def look_up(
     known = inside & torch.isfinite(slope).all(dim=-1)
     slope = torch.where(known[..., None], slope, torch.zeros_like(slope))
     normal = torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1)
-    return Found(torch.nn.functional.normalize(normal, dim=-1), known, features, valid)
+    return TerrainSample(torch.nn.functional.normalize(normal, dim=-1), known, features, valid)
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,9 @@ class MapTerrain:
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """The ground under the wheels of vehicles in `state`; `t` is not looked at."""
         place = wheel_positions_of_states(state, self.wheels)
-        found = look_up(self.maps, self.number[:, None].expand(-1, 4), place, self.offset[:, None].expand(-1, 4, -1))
+        found = sample_maps(
+            self.maps, self.number[:, None].expand(-1, 4), place, self.offset[:, None].expand(-1, 4, -1)
+        )
         if self.encode is None:
             return Terrain(found.normal, found.normal[..., :0])
         codes = self.encode(found.features.flatten(0, 1), found.valid.flatten())

@@ -1,44 +1,57 @@
-"""What the loops from voxels to layers hand to each other.
-
-Rows and columns are those of the layers, from the map's lowest cell. Offsets are in cells, heights in metres over the
-floor of a reference level, so that float32 is fine wherever the map is.
-
-From voxels to 2D layers: the lowest valid voxel of each column, gaps filled from the nearest cell, planes.
+"""From voxels to 2D layers: the lowest valid voxel of each column, gaps filled from the nearest cell, planes.
 
 "The visual terrain features in the 3D voxel data are compressed to a 2D map output by taking the lowest valid data
 point within each vertical stack of voxels [...] missing data is filled in with data from the nearest neighboring cell
 in a 0.4 m radius" (paper, "Mapping of Visual Features"). Ground under a bush is the lowest hit below it; a branch over
 a column without any other hit is told from ground by its neighbours (`FlattenSettings.overhang_radius`).
+
+Rows and columns of what the loops hand to each other are those of the layers, from the map's lowest cell. Offsets are
+in cells, heights in metres over the floor of a reference level, so that float32 is fine wherever the map is.
 """
 
-from dataclasses import replace
+from collections import namedtuple
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
 
+from offpiste.errors import MapError
 from offpiste.mapping.ground import drop_overhangs, read_columns, see_columns
-from offpiste.mapping.infill import fill_gaps, smooth_residuals, write_layers
-from offpiste.mapping.normals import SUMS, fit_planes
-from offpiste.mapping.settings import FlattenSettings
-from offpiste.mapping.terrain_map import TerrainLayers, empty_layers
-from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.mapping.infill import fill_gaps, write_layers
+from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
+from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers
+from offpiste.mapping.voxel_map import VoxelMap, check_positive
 from offpiste.threads import spread_blocks
 
 
-class Layers(NamedTuple):
-    """Arrays of `layers.TerrainLayers`."""
+@dataclass(frozen=True)
+class FlattenSettings:
+    """How map layers are made from voxels.
 
-    elevation: np.ndarray
-    normal: np.ndarray
-    slope: np.ndarray
-    roughness: np.ndarray
-    obstacle_height: np.ndarray
-    features: np.ndarray
-    distance: np.ndarray
-    known: np.ndarray
-    observed: np.ndarray
-    valid: np.ndarray
+    Attributes:
+        feature_height: a feature counts while the place where it was seen lies within this of the ground [m].
+        fill_radius: gaps are filled from the nearest valid cell up to this far, centre to centre (paper: 0.4 m).
+        vehicle_height: what is higher above the ground than this is driven under [m]; a side-by-side is 1.9 m high.
+        overhang_radius: a column whose lowest voxel lies more than `vehicle_height` above the lowest one in the square
+            of +-this around it is a branch, its ground unseen [m]. Ground of up to 54 degrees is never taken for one.
+        plane_radius: normals and roughness come from the square of +-this around a cell [m].
+    """
+
+    feature_height: float = 0.5
+    fill_radius: float = 0.4
+    vehicle_height: float = 2.0
+    overhang_radius: float = 1.0
+    plane_radius: float = 0.4
+
+    def __post_init__(self) -> None:
+        check_positive(self, "feature_height", "vehicle_height", "plane_radius")
+        if not 0 <= self.fill_radius <= 5 or not 0 <= self.overhang_radius <= 5:
+            raise MapError("radii are 0 to 5 m", where="map settings", how="correct fill_radius or overhang_radius")
+
+
+Layers = namedtuple("Layers", [layer.name for layer in LAYERS])  # type: ignore[misc]
+"""Arrays of `TerrainLayers`, for loops."""
 
 
 class Surface(NamedTuple):
@@ -86,7 +99,7 @@ class Buffers(NamedTuple):
         centre: height of the ground at the cell's centre [n, n].
         residual: squared distance of the hit from that plane; NaN where there is none [m^2] [n, n].
         roughness: [m] [n, n].
-        sums, moments: room for the sums of `planes.py` [blocks, 2 plane_cells + 2, SUMS, n] and
+        sums, moments: room for the sums of `normals.py` [blocks, 2 plane_cells + 2, SUMS, n] and
             [blocks, SUMS, n + 2 plane_cells].
         line: room for rows [blocks, 2, n].
     """
@@ -155,7 +168,7 @@ class Flattener:
         self._plane_cells = max(1, round(settings.plane_radius / size))
         self._overhang_cells = round(settings.overhang_radius / size)
         self._offsets = neighbour_offsets(settings.fill_radius / size)
-        self._scratch = make_buffers(n, threads, self._plane_cells)
+        self._buffers = make_buffers(n, threads, self._plane_cells)
         self._surface, self._since = make_surface(n, voxel_map.channels), 0
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
@@ -168,10 +181,10 @@ class Flattener:
         voxel_map, settings = self._map, self.settings
         size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
         out = out or empty_layers(n, voxel_map.channels)
-        buffers, surface, low = self._scratch, self._surface, voxel_map.low
+        buffers, surface, low = self._buffers, self._surface, voxel_map.low
         reference = round(voxel_map.middle / size)
         step, reach = np.float32(size), np.float32(settings.vehicle_height)
-        arrays = Layers(*(getattr(out, name) for name in Layers._fields))
+        arrays = Layers(*(getattr(out, layer.name) for layer in LAYERS))
         limit, floor = np.float32(settings.feature_height), reference * size
 
         spread_blocks(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)

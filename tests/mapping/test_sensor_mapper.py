@@ -5,13 +5,13 @@ import pytest
 
 from offpiste.logs.measurements import Image, Lidar
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.replay import Mapper, ReplaySettings
-from offpiste.mapping.settings import VoxelSettings
+from offpiste.mapping.sensor_mapper import MapperSettings, SensorMapper
+from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.rig.sensors import LidarSource
 from offpiste.runtime.estimator import VehicleTrack
 from runtime.stream import FEATURES, camera, look, reading, scan
 
-SETTINGS = ReplaySettings(0.5, map=MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1)))
+SETTINGS = MapperSettings(0.5, map=MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1)))
 MEMORY = SETTINGS.memory
 
 
@@ -26,26 +26,26 @@ def pose(x: float) -> np.ndarray:
 
 
 @pytest.fixture
-def mapper() -> Mapper:
+def mapper() -> SensorMapper:
     mounting = np.eye(4)
     mounting[2, 3] = 2.0
     lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
-    return Mapper({"eye": camera()}, lidars, look, FEATURES, SETTINGS)
+    return SensorMapper({"eye": camera()}, lidars, look, FEATURES, SETTINGS)
 
 
 def test_an_image_is_due_after_some_way_or_some_time(mapper):
-    assert mapper.is_due(image(0.0), pose(0.0))
+    assert mapper.is_keyframe(image(0.0), pose(0.0))
     mapper.add_image(image(0.0), pose(0.0))
-    assert not mapper.is_due(image(0.1), pose(0.49))
-    assert mapper.is_due(image(0.1), pose(0.51))
-    assert not mapper.is_due(image(MEMORY), pose(0.0))
-    assert mapper.is_due(image(MEMORY + 0.01), pose(0.0))
+    assert not mapper.is_keyframe(image(0.1), pose(0.49))
+    assert mapper.is_keyframe(image(0.1), pose(0.51))
+    assert not mapper.is_keyframe(image(MEMORY), pose(0.0))
+    assert mapper.is_keyframe(image(MEMORY + 0.01), pose(0.0))
 
 
 def test_a_turn_on_the_spot_counts_as_far_as_the_camera_goes(mapper):
     mapper.add_image(image(0.0), pose(0.0))
     turned = np.diag((-1.0, -1.0, 1.0, 1.0))  # the camera is 0.5 m ahead of the pose point: it goes 1 m
-    assert mapper.is_due(image(0.1), turned)
+    assert mapper.is_keyframe(image(0.1), turned)
 
 
 def test_old_images_are_not_projected(mapper):
@@ -54,9 +54,9 @@ def test_old_images_are_not_projected(mapper):
         track.add(reading(0.02 * row, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     mapper.add_image(image(0.5), pose(0.0))
     fresh = mapper.add_scan(scan(0.5 + MEMORY), track.poses(), pose(0.0))
-    assert [seen.view.time for seen in fresh.seen] == [0.5]
+    assert [keyframe.view.time for keyframe in fresh.keyframes] == [0.5]
     assert fresh.projection is not None
     assert mapper.pipeline.layers().valid.any()
     old = mapper.add_scan(scan(0.5 + MEMORY + 0.1), track.poses(), pose(0.0))
-    assert (old.seen, old.projection) == ((), None)
+    assert (old.keyframes, old.projection) == ((), None)
     assert len(old.points_world) == len(fresh.points_world)
