@@ -7,7 +7,7 @@ the start of each window. Name this module in the environment to use it:
 """
 
 from offpiste.dataset.columns import COLUMNS, channel_column
-from offpiste.rig.rig import declare_channel
+from offpiste.rig.channels import declare_channel
 
 declare_channel("temperature", unit="degC")
 COLUMNS.register("temperature")(channel_column("temperature", "past", "start"))

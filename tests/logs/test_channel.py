@@ -6,7 +6,7 @@ import pytest
 from factories import MemoryLog, small_rig
 from offpiste.errors import LogError, RigError
 from offpiste.logs.channel import Channel, convert, read_channel
-from offpiste.rig.rig import ChannelSource, Wrap
+from offpiste.rig.channels import ChannelSource, Wrap
 
 
 def channel(time, values) -> Channel:

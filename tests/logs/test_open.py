@@ -10,7 +10,7 @@ from offpiste.logs.formats.table import TableLog
 from offpiste.logs.formats.tartandrive import TartanDriveLog
 from offpiste.logs.log import LOG_FORMATS
 from offpiste.logs.open import open_log
-from offpiste.rig.rig import Clock
+from offpiste.rig.clock import Clock
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ import pytest
 
 from factories import RIG, small_rig
 from offpiste.errors import RigError
-from offpiste.rig.rig import load_rig, parse_rig, preset_names, unit_factor
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.rig import load_rig, parse_rig, preset_names
 
 GYRO = '[channels.angular_velocity]\ntopic = "o"\nfields = ["a", "b", "c"]\n'
 

@@ -18,7 +18,8 @@ from offpiste.inspection.steering import check_steering
 from offpiste.inspection.steering_copies import check_copies
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
 from offpiste.logs.drive import Drive
-from offpiste.rig.rig import Clock, Rig
+from offpiste.rig.clock import Clock
+from offpiste.rig.rig import Rig
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from offpiste.inspection.signals import find_wrap
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.rig import Rig, Wrap, parse_rig, undeclared
+from offpiste.rig.channels import Wrap, undeclared
+from offpiste.rig.rig import Rig, parse_rig
 
 _NO_STEERING = (
     "# MISSING: steering: no field looks like it; no model can do without. Add [channels.steer] and take steer out of"

@@ -14,7 +14,8 @@ from offpiste.inspection.sensors import check_sensors
 from offpiste.inspection.stamps import check_spans
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.rig import Clock, Rig, parse_rig
+from offpiste.rig.clock import Clock
+from offpiste.rig.rig import Rig, parse_rig
 
 _LEAST_DRIVING = 6.0
 """A window and its history take 5.2 s; less driving than this holds none to learn from [s]."""

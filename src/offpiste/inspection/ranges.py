@@ -9,7 +9,8 @@ from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert
-from offpiste.rig.rig import ChannelSource, Rig, unit_factor
+from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.rig import Rig
 
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
 _CLIPPED = 0.2

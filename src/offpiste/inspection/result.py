@@ -11,7 +11,7 @@ from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.stamps import timing
 from offpiste.logs.log import Log
-from offpiste.rig.rig import Clock
+from offpiste.rig.clock import Clock
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from scipy.ndimage import median_filter
 from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert
-from offpiste.rig.rig import ChannelSource, Rig, Wrap, known_channels
+from offpiste.rig.channels import ChannelSource, Wrap, known_channels
+from offpiste.rig.rig import Rig
 
 _PERIODS = (65536.0, 6553.6, 655.36)
 """A 16-bit counter, whole or in tenths or hundredths."""

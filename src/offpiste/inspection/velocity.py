@@ -10,7 +10,7 @@ from offpiste.inspection.driven_path import TURNING, Path
 from offpiste.inspection.findings import Finding, number
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.rig.rig import ChannelSource
+from offpiste.rig.channels import ChannelSource
 
 _FITS = 0.2
 """A frame fits if the RMS difference to the pose's derivative is below this share of the RMS speed."""

@@ -9,7 +9,8 @@ from msgspec.structs import replace
 
 from offpiste.errors import LogError, RigError
 from offpiste.logs.log import Log, Samples
-from offpiste.rig.rig import ChannelSource, Rig, known_channels, unit_factor
+from offpiste.rig.channels import ChannelSource, known_channels, unit_factor
+from offpiste.rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Channel:
     """Samples of one quantity, strictly increasing in time, all finite.
 
     Attributes:
-        unit: SI unit of the values (`offpiste.rig.rig.known_channels`).
+        unit: SI unit of the values (`offpiste.rig.channels.known_channels`).
         time: native stamps, the rig's delay removed [s].
         values: one column a component.
     """

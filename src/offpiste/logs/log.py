@@ -17,7 +17,7 @@ from offpiste.errors import LogError
 from offpiste.logs.transforms import Transform
 from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
-from offpiste.rig.rig import Clock
+from offpiste.rig.clock import Clock
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
 """Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log
-from offpiste.rig.rig import Clock
+from offpiste.rig.clock import Clock
 
 
 def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:

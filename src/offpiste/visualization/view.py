@@ -13,7 +13,8 @@ from offpiste.errors import DatasetError, LogError, RigError
 from offpiste.logs.log import Log
 from offpiste.logs.open import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
-from offpiste.rig.rig import Clock, load_rig
+from offpiste.rig.clock import Clock
+from offpiste.rig.rig import load_rig
 from offpiste.visualization.view_dataset import view_dataset
 from offpiste.visualization.view_log import view_log
 

@@ -1,0 +1,155 @@
+"""Channels of a rig: which there can be, and which topic or column feeds each, in what unit, sign and frame."""
+
+from collections.abc import Collection, Mapping
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from offpiste.channels import all_actuators, all_controls
+from offpiste.errors import RigError
+
+_UNITS: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048},
+    "rad": {"rad": 1.0, "deg": np.pi / 180, "mrad": 0.001},
+    "m/s": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 0.514444},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "rev/min": 2 * np.pi / 60},
+    "1000 rev/min": {"1000 rev/min": 1.0, "rev/min": 0.001, "rad/s": 60 / (2 * np.pi) / 1000},
+    "1": {"1": 1.0, "percent": 0.01, "permille": 0.001},
+}
+"""Factors from the units a log may use to the one offpiste uses (the key)."""
+
+_OTHERS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "position": ("m", (2, 3)),
+    "orientation": ("1", (4,)),
+    "yaw": ("rad", (1,)),
+    "linear_velocity": ("m/s", (2, 3)),
+    "angular_velocity": ("rad/s", (3,)),
+    "yaw_rate": ("rad/s", (1,)),
+    "wheel_speed": ("m/s", (1, 2, 4)),
+}
+"""Channels besides controls and actuators: name -> (unit inside offpiste, allowed numbers of fields)."""
+
+
+def declare_channel(
+    name: str, *, unit: str, fields: tuple[int, ...] = (1,), units: Mapping[str, float] | None = None
+) -> None:
+    """Let rigs name one more channel; controls and actuators are declared in `offpiste.channels`.
+
+    Args:
+        unit: inside offpiste.
+        fields: allowed numbers of fields.
+        units: factors from the units a log may use to `unit`, where that is a new one.
+
+    Raises:
+        RigError: there is a channel of this name.
+    """
+    if name in known_channels():
+        raise RigError(f"there are two channels called '{name}'", how="give one of them another name")
+    _OTHERS[name] = unit, fields
+    _UNITS.setdefault(unit, {unit: 1.0}).update(units or {})
+
+
+def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Every channel that a rig can give: name -> (unit inside offpiste, allowed numbers of fields)."""
+    single = (1,)
+    controls = {control.name: (control.unit, single) for control in all_controls()}
+    actuators = {actuator.channel: (actuator.unit, single) for actuator in all_actuators()}
+    return _OTHERS | controls | actuators
+
+
+class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A counter that wraps around: raw values above `above` are `period` too large."""
+
+    above: float
+    period: float
+
+
+class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Source of a channel: value = sign * ((raw, unwrapped) * scale + offset), then from `unit`.
+
+    Attributes:
+        topic: topic, folder or, in a table, "" for the table itself.
+        fields: fields or columns in the channel's order: x y z, or a quaternion as x y z w.
+        frame: for velocities: "world", "body", or "unknown" (then the pose is differentiated instead).
+        delay: how much later than it happened a sample is stamped [s].
+        valid: values outside of it (after conversion) are measurement faults and dropped.
+        clip: values are limited to this interval.
+        interpolation: between samples: a command holds, a measurement is interpolated.
+    """
+
+    fields: tuple[str, ...]
+    topic: str = ""
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    sign: Literal[-1, 1] = 1
+    delay: float = 0.0
+    frame: Literal["", "world", "body", "unknown"] = ""
+    wrap: Wrap | None = None
+    valid: tuple[float, float] | None = None
+    clip: tuple[float, float] | None = None
+    interpolation: Literal["linear", "hold"] = "linear"
+
+
+def unit_factor(channel: str, unit: str) -> float:
+    """Factor from a log's unit to offpiste's unit of this channel; an empty unit means offpiste's own.
+
+    Raises:
+        RigError: the unit does not measure this channel.
+    """
+    own = known_channels()[channel][0]
+    known = _UNITS[own]
+    if unit and unit not in known:
+        raise RigError(f"unit '{unit}' does not measure {channel}", how=f"use one of: {', '.join(known)}")
+    return known[unit or own]
+
+
+def undeclared(given: Collection[str]) -> list[str]:
+    """Channels of controls and actuators that a rig must declare absent, or give, besides those that it gives."""
+    names = [control.name for control in all_controls() if control.declared]
+    names += [
+        actuator.channel
+        for actuator in all_actuators()
+        if actuator.declared and not any(a.name == actuator.rate_of and a.channel in given for a in all_actuators())
+    ]
+    return [name for name in names if name not in given]
+
+
+def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str]) -> None:
+    """Refuse unknown, contradicting and missing channels.
+
+    Raises:
+        RigError: which channel, and how to fix it.
+    """
+    known = known_channels()
+    for name, source in channels.items():
+        if name not in known:
+            raise RigError(f"unknown channel '{name}'", how=f"channels are: {', '.join(known)}")
+        widths = known[name][1]
+        if len(source.fields) not in widths:
+            raise RigError(
+                f"channels.{name}.fields has {len(source.fields)} entries",
+                how=f"it takes {' or '.join(map(str, widths))}",
+            )
+        unit_factor(name, source.unit)
+        if name in ("linear_velocity", "angular_velocity") and not source.frame:
+            raise RigError(
+                f"channels.{name}.frame is missing",
+                how='say "world", "body" or "unknown"; `offpiste inspect` tells which fits',
+            )
+        if name in absent:
+            raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")
+    unknown = set(absent) - set(known)
+    if unknown:
+        raise RigError(f"absent: unknown channel '{min(unknown)}'", how=f"channels are: {', '.join(known)}")
+    if "position" not in channels:
+        raise RigError("channels.position is missing", how="every rig needs the vehicle's position")
+    if not {"orientation", "yaw"} & set(channels):
+        raise RigError("channels.orientation or channels.yaw is missing", how="every rig needs the vehicle's heading")
+    for name in undeclared(channels):
+        if name not in absent:
+            raise RigError(
+                f"channel '{name}' is neither given nor declared absent",
+                how=f"add [channels.{name}], or '{name}' to absent",
+            )
