@@ -10,7 +10,7 @@ from offpiste.dataset.columns import COLUMNS, Column, RowGrid, channel_column
 from offpiste.dataset.rows import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.rig.rig import CHANNELS
+from offpiste.rig import channels
 
 
 def test_every_column_that_models_read_is_declared():
@@ -53,7 +53,7 @@ def test_rows_are_complete_where_present_components_are_known(present, complete)
 
 
 def test_a_channel_column_is_unknown_in_gaps_and_absent_without_the_channel(monkeypatch):
-    monkeypatch.setitem(CHANNELS, "temperature", ("1", (1,)))
+    monkeypatch.setitem(channels.OTHER_CHANNELS, "temperature", ("1", (1,)))
     rig = small_rig('[channels.temperature]\ntopic = "air"\nfields = ["degrees"]\n')
     time = np.append(np.arange(0, 3, 0.1), np.arange(5, 8, 0.1))
     drive = Drive("one", rig, {"temperature": Channel("temperature", "1", time, 2 * time[:, None])})

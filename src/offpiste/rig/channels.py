@@ -19,7 +19,7 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 """Factors from the units a log may use to the one offpiste uses (the key)."""
 
-_OTHERS: dict[str, tuple[str, tuple[int, ...]]] = {
+OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "position": ("m", (2, 3)),
     "orientation": ("1", (4,)),
     "yaw": ("rad", (1,)),
@@ -46,7 +46,7 @@ def declare_channel(
     """
     if name in known_channels():
         raise RigError(f"there are two channels called '{name}'", how="give one of them another name")
-    _OTHERS[name] = unit, fields
+    OTHER_CHANNELS[name] = unit, fields
     _UNITS.setdefault(unit, {unit: 1.0}).update(units or {})
 
 
@@ -55,7 +55,7 @@ def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
     single = (1,)
     controls = {control.name: (control.unit, single) for control in all_controls()}
     actuators = {actuator.channel: (actuator.unit, single) for actuator in all_actuators()}
-    return _OTHERS | controls | actuators
+    return OTHER_CHANNELS | controls | actuators
 
 
 class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
