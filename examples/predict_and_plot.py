@@ -9,7 +9,6 @@ import torch
 from matplotlib import pyplot as plt
 
 import offpiste
-from offpiste.training.train import predict
 
 
 def predict_windows(run_folder: str, dataset_folder: str, count: int = 64) -> tuple[torch.Tensor, torch.Tensor]:
@@ -17,9 +16,7 @@ def predict_windows(run_folder: str, dataset_folder: str, count: int = 64) -> tu
     run = offpiste.load_run(run_folder)
     windows = offpiste.Windows(offpiste.open_dataset(dataset_folder), "test")
     spread = torch.linspace(0, len(windows) - 1, min(count, len(windows))).long().numpy()
-    batch = windows.gather(spread)
-    with torch.no_grad():
-        return predict(run.dynamics, batch).state, batch.target
+    return run.predict(windows[spread]).state, windows.gather(spread).target
 
 
 def draw(predicted: torch.Tensor, recorded: torch.Tensor, out: str) -> None:

@@ -174,7 +174,7 @@ def test_absent_channels(good: Path, tmp_path: Path, said: Callable[..., str]) -
     assert "throttle" in vehicle_of(dataset).control
     line = said("evaluate", good.parent / "b", "--dataset", path)
     assert "was trained with control throttle, " in line
-    assert "judge it on a dataset whose rig has the same channels" in line
+    assert "evaluate it on a dataset whose rig has the same channels" in line
 
 
 def test_another_pca(copied: Path, good: Path, said: Callable[..., str], tmp_path: Path) -> None:
@@ -241,7 +241,7 @@ def broken_run(run: Path, how: str) -> None:
     ("how", "why"),
     [
         ("no model.json", "model.json: not a run"),
-        ("unfinished", "training has not finished; go on with `offpiste train --resume`"),
+        ("unfinished", "training has not finished; resume it with `offpiste train --resume`"),
         ("half a model.json", "model.json: not a run"),
         ("no weights", "model.safetensors: cannot be read"),
         ("cut weights", "model.safetensors: cannot be read"),

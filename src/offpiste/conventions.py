@@ -28,10 +28,10 @@ FEATURE_SETS: Final = ("hindsight", "-20", "-10", "0", "10", "20", "30", "40")
 """Views of a map cell by the vehicle's distance to it [m]; negative once driven past."""
 
 MIN_EVALUATION_SPEED: Final = 1.5
-"""Judged windows start above this speed [m/s]."""
+"""Evaluation windows start above this speed [m/s]."""
 
 EVALUATION_STRIDE: Final = 5
-"""Rows between the starts of judged windows: one every 0.1 s."""
+"""Rows between the starts of evaluation windows: one every 0.1 s."""
 
 GRAVITY: Final = 9.80665
 """Standard gravity [m/s^2] (CGPM 1901)."""

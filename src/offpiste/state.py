@@ -1,4 +1,4 @@
-"""What the stages hand to each other: the past of a vehicle, the ground under it, its running state, its future."""
+"""What stages hand to each other: a vehicle's past, the terrain under it, a model's state, a predicted trajectory."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -57,7 +57,7 @@ class ModelState:
     cell: Float[Tensor, "B H"]
 
     def pack(self) -> Float[Tensor, "B P"]:
-        """All of it in one row of P = 6 + A + 2 H numbers, for planners that carry a state vector."""
+        """All of it in one row of P = 6 + A + 2 H numbers, for planners whose state is a vector."""
         return torch.cat((self.state, self.actuators, self.hidden, self.cell), dim=-1)
 
     @staticmethod

@@ -137,7 +137,7 @@ class Recurrent(Dynamics):
 
 
 def _moved(state: Float[Tensor, "B 6"], velocity: Float[Tensor, "B 3"]) -> Float[Tensor, "B 6"]:
-    """The pose carried on with the present velocities for one step, and the next velocities."""
+    """The pose after one step at the present velocities, and the next velocities."""
     px, py, yaw, vx, vy, _ = state.unbind(-1)
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     pose = torch.stack(

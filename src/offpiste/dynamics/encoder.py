@@ -79,7 +79,7 @@ class Compressor(FeatureEncoder):
 def with_flag(
     features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"], mean: Float[Tensor, " F"]
 ) -> Float[Tensor, "M G"]:
-    """Missing features replaced by the mean, and the flag behind them (G = F + 1; DESIGN.md, decision 8)."""
+    """Missing features replaced by the mean, then the flag (G = F + 1; docs/method.md, "Terrain features")."""
     known = torch.where(valid[:, None], features.to(mean.dtype), mean)
     flag = torch.where(valid, -1.0, 1.0).to(mean.dtype)
     return torch.cat((known, flag[:, None]), dim=-1)

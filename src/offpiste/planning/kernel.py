@@ -219,7 +219,7 @@ def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
     wanted, units = dynamics.codes, dynamics.recurrent_size
-    found, needed = list(model_state.pack().shape), [1, len(layout.CARRIED) + 2 * units]
+    found, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + 2 * units]
     if found != needed:
         raise ValueError(f"the start is {found}; the kernel wants {needed}")
     if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:

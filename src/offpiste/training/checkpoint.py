@@ -1,4 +1,4 @@
-"""Runs on disk: safetensors for numbers, JSON for everything else, no pickle; each file whole or not at all."""
+"""Files of runs: safetensors for numbers, JSON for everything else, no pickle; each file whole or not at all."""
 
 import json
 from pathlib import Path
@@ -58,7 +58,7 @@ def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> 
     """Put weights into a module.
 
     Raises:
-        RunError: they are of another model.
+        RunError: they belong to another model.
     """
     try:
         module.load_state_dict(tensors)
@@ -69,22 +69,36 @@ def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> 
         ) from error
 
 
-def adam_tensors(optimiser: torch.optim.Adam, names: dict[Tensor, str]) -> dict[str, Tensor]:
-    """Adam's moments as named tensors."""
-    return {
-        f"adam.{key}.{names[parameter]}": torch.as_tensor(value)
-        for parameter, state in optimiser.state.items()
-        for key, value in state.items()
-    }
+def save_checkpoint(
+    path: Path, weights: dict[str, dict[str, Tensor]], optimiser: torch.optim.Optimizer, **about: Any
+) -> None:
+    """Write weights, and the optimiser's `state_dict`: its tensors beside the weights, the rest as JSON."""
+    state = optimiser.state_dict()
+    tensors = {f"{name}.{key}": value for name, found in weights.items() for key, value in found.items()}
+    tensors |= {f"optimiser.{n}.{key}": value for n, found in state["state"].items() for key, value in found.items()}
+    save_tensors(path, tensors, param_groups=state["param_groups"], **about)
 
 
-def restore_adam(optimiser: torch.optim.Adam, names: dict[Tensor, str], tensors: dict[str, Tensor]) -> None:
-    """Put back what `adam_tensors` gave."""
-    for parameter, name in names.items():
-        state = {}
-        for key in ("step", "exp_avg", "exp_avg_sq"):
-            tensor = tensors.get(f"adam.{key}.{name}")
-            if tensor is not None:
-                state[key] = tensor if key == "step" else tensor.to(parameter.device)
-        if state:
-            optimiser.state[parameter] = state
+def load_checkpoint(
+    path: Path, optimiser: torch.optim.Optimizer
+) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
+    """Read what `save_checkpoint` wrote: weights and the values beside them; the optimiser gets its state back.
+
+    Raises:
+        RunError: no such file, a damaged one, or of another optimiser.
+    """
+    tensors, about = load_tensors(path)
+    weights: dict[str, dict[str, Tensor]] = {}
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        head, rest = name.split(".", 1)
+        if head == "optimiser":
+            number, key = rest.split(".", 1)
+            state.setdefault(int(number), {})[key] = value
+        else:
+            weights.setdefault(head, {})[rest] = value
+    try:
+        optimiser.load_state_dict({"state": state, "param_groups": about.pop("param_groups")})
+    except (KeyError, ValueError) as error:
+        raise RunError(f"does not fit the optimiser: {error}", where=path, how="train again") from error
+    return weights, about

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from offpiste.errors import OffpisteError, RunError
 
-PATIENCE = timedelta(minutes=30)
-"""How long processes wait for each other: one may be writing or reading a large file."""
+TIMEOUT = timedelta(minutes=30)
+"""Longest wait of processes for each other: one may be writing or reading a large file."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Group:
     def together(self, error: OffpisteError | None) -> None:
         """Raise in all processes what went wrong in the first; otherwise wait until all are here."""
         if self.size > 1:
-            said: list[OffpisteError | None] = [error]
-            dist.broadcast_object_list(said, src=0)
-            error = said[0]
+            message: list[OffpisteError | None] = [error]
+            dist.broadcast_object_list(message, src=0)
+            error = message[0]
         if error is not None:
             raise error
 
@@ -93,7 +93,7 @@ def joined(device: str) -> Iterator[Group]:
         )
     if device.startswith("cuda"):
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=PATIENCE)
+    dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=TIMEOUT)
     try:
         yield Group(dist.get_rank(), dist.get_world_size())
     finally:

@@ -1,7 +1,4 @@
-"""The multi-step loss: errors along the whole horizon, each in units of what a kinematic bicycle gets wrong.
-
-The loss that fits the actuator models, before they are frozen.
-"""
+"""Losses of training: errors along the whole horizon in units of the reference's errors, and the actuators' own."""
 
 from collections.abc import Callable
 
@@ -9,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS, HORIZON_STEPS
+from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics.actuators import Actuators
 from offpiste.geometry import wrap_angle
@@ -35,14 +32,15 @@ def summed_loss(
     """The loss of each window: mean over its steps, summed over the components.
 
     Args:
-        scale: mean square error of `kinematic` on the training windows by component, in the components' units squared.
-        weights: of the components (`offpiste.training.config.Weights.in_order`).
+        scale: mean square error of the reference (`offpiste.training.train.loss_scale`), in the components' units
+            squared.
+        weights: weight of each component (`offpiste.training.config.Weights.in_order`).
     """
     return (squared_errors(predicted, target).mean(dim=1) * (weights / scale)).sum(dim=-1)
 
 
 FITTED_STEPS = 100
-"""Actuators settle within a second or two: their loss looks 2 s ahead, not 5."""
+"""Steps of the actuators' loss: they settle within a second or two, so it reaches 2 s ahead, not 5."""
 
 
 def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], Float[Tensor, " B"]]:
@@ -50,7 +48,8 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
 
     The lags alone are rolled out, along the recorded speed: what the vehicle does is not yet predicted.
     """
-    present = [index for index, name in enumerate(ACTUATORS) if name in actuators.vehicle.actuators]
+    vehicle = actuators.vehicle
+    present = [index for index, name in enumerate(vehicle.actuator_columns) if name in vehicle.actuators]
     every = windows.every(HORIZON_STEPS)
     sample = windows.gather(every if len(every) else windows.every(1)[:64]).target_actuators[..., present]
     variance = sample.flatten(0, 1).var(dim=0).clamp(min=1e-6)

@@ -1,15 +1,11 @@
-"""Where the numbers of a training go: a line of JSON an epoch, a line for a person, TensorBoard if wanted.
+"""One stage of training: Adam on a multi-step loss, a checkpoint after each epoch, the best epoch by validation."""
 
-One stage of training: Adam on a multi-step loss, a checkpoint an epoch, the best epoch by validation.
-"""
-
-import json
-import logging
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
@@ -19,53 +15,13 @@ from torch import Tensor, nn
 from offpiste.dataset.feature_sets import Draw, FeatureSetChoice
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError
-from offpiste.extras import extra
 from offpiste.progress import track
-from offpiste.training.checkpoint import adam_tensors, load_tensors, load_weights, restore_adam, save_tensors
+from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
+from offpiste.training.metrics import Record
 
-logger = logging.getLogger(__name__)
-
-Record = Callable[[dict[str, float | int | str]], None]
-"""Takes one line of metrics."""
-
-
-def metrics_writer(path: Path) -> Record:
-    """Appends each line of metrics to `metrics.jsonl` and tells a person."""
-
-    def record(line: dict[str, float | int | str]) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        logger.info(
-            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
-            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
-        )
-
-    return record
-
-
-def also_tensorboard(record: Record, folder: Path) -> Record:
-    """The same, and scalars for TensorBoard.
-
-    Raises:
-        MissingExtra: TensorBoard is not installed.
-    """
-    with extra("tensorboard"):
-        from torch.utils.tensorboard import SummaryWriter
-    writer = SummaryWriter(folder)
-
-    def both(line: dict[str, float | int | str]) -> None:
-        record(line)
-        for key in ("train_loss", "validation_loss", "seconds"):
-            writer.add_scalar(f"{line['stage']}/{key}", float(line[key]), int(line["epoch"]))
-        writer.flush()
-
-    return both
-
-
-MEND = "lower the learning rate; the last good checkpoint is kept, and --resume goes on from it"
+REMEDY: Final = "lower the learning rate; the last good checkpoint is kept, and --resume continues from it"
 
 
 @dataclass(frozen=True)
@@ -73,11 +29,11 @@ class Stage:
     """What one stage fits.
 
     Attributes:
-        name: of the stage and of its files.
+        name: stage, and stem of its files.
         module: holds the parameters; those that require no gradient stay.
-        loss: of each window of a batch.
+        loss: loss of each window of a batch.
         epochs: passes over the training windows.
-        draw: the feature sets that windows read; hindsight, or what the windows say, where there is none.
+        draw: feature sets that windows read; the windows' own where there is none.
     """
 
     name: str
@@ -98,8 +54,8 @@ def run_stage(
 ) -> None:
     """Fit the stage's module and leave its best weights in it and in `<folder>/<stage>.safetensors`.
 
-    A finished stage is read back; an interrupted one goes on after its last whole epoch, to the same weights as if it
-    had not been interrupted. Several processes take the steps that one alone would, up to rounding.
+    A finished stage is read back; an interrupted one resumes after its last whole epoch and comes to the same weights
+    as without the interruption. Several processes take the steps that one alone would, up to rounding.
 
     Raises:
         TrainingError: a loss or a gradient is not finite. The last good checkpoint stays.
@@ -136,7 +92,7 @@ def run_stage(
 
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
-    """Mean loss over the judged windows of a part, without gradients."""
+    """Mean loss over the evaluation windows of a part, without gradients."""
     index, rng = _strided(windows, config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / 512))
     feature_set_choice = [_feature_set_choice(stage, windows, len(part), rng) for part in parts]
@@ -148,7 +104,7 @@ def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group 
 
 
 class _State:
-    """What a checkpoint holds: weights, Adam's moments, the best weights so far, the next epoch."""
+    """What a checkpoint holds: weights, the optimiser's state, the best weights so far, the next epoch."""
 
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
         self.module = stage.module
@@ -165,16 +121,13 @@ class _State:
             self.best, self.best_score = self._weights(), score
 
     def save(self, path: Path) -> None:
-        tensors = {f"now.{name}": value for name, value in self._weights().items()}
-        tensors |= {f"best.{name}": value for name, value in self.best.items()}
-        tensors |= adam_tensors(self.optimiser, self.names)
-        save_tensors(path, tensors, epoch=self.epoch, best_score=self.best_score)
+        weights = {"now": self._weights(), "best": self.best}
+        save_checkpoint(path, weights, self.optimiser, epoch=self.epoch, best_score=self.best_score)
 
     def restore(self, path: Path) -> None:
-        tensors, about = load_tensors(path)
-        load_weights(self.module, _under("now.", tensors), path)
-        self.best, self.best_score, self.epoch = _under("best.", tensors), about["best_score"], about["epoch"]
-        restore_adam(self.optimiser, self.names, tensors)
+        weights, about = load_checkpoint(path, self.optimiser)
+        load_weights(self.module, weights["now"], path)
+        self.best, self.best_score, self.epoch = weights["best"], about["best_score"], about["epoch"]
 
     def _weights(self) -> dict[str, Tensor]:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
@@ -192,10 +145,6 @@ def _strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray
     return index if len(index) else np.arange(len(windows))
 
 
-def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-
-
 def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int, group: Group) -> float:
     # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
     rng = np.random.default_rng((config.seed, epoch))
@@ -211,7 +160,7 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
             raise TrainingError(error.what, where=where, how=error.how) from error
         mean = group.sum(loss.detach())
         if not torch.isfinite(mean):
-            raise TrainingError("the loss is not finite", where=where, how=MEND)
+            raise TrainingError("the loss is not finite", where=where, how=REMEDY)
         state.optimiser.zero_grad()
         if loss.requires_grad:
             loss.backward()  # type: ignore[no-untyped-call]
@@ -242,11 +191,13 @@ def _share_of_loss(
 def _check_gradients(state: _State, where: str) -> None:
     for parameter, name in state.names.items():
         if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
-            raise TrainingError(f"the gradient of '{name}' is not finite", where=where, how=MEND)
+            raise TrainingError(f"the gradient of '{name}' is not finite", where=where, how=REMEDY)
 
 
 def _set_learning_rate(optimiser: torch.optim.Adam, progress: float) -> None:
     """Warm up over the first 5 %, then a half cosine down to a hundredth (Loshchilov and Hutter 2017)."""
+    # By the share of the stage that is done, not by steps: epochs differ in their number of batches, and torch's
+    # schedulers count steps.
     warm = min(1.0, progress / 0.05 + 0.1)
     factor = warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
     for group in optimiser.param_groups:

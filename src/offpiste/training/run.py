@@ -69,7 +69,7 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     if not folder.is_dir():
         raise RunError("no such folder", where=folder, how="give the folder that `offpiste train` wrote")
     if (folder / "config.json").exists() and not (folder / "model.json").exists():
-        raise RunError("training has not finished", where=folder, how="go on with `offpiste train --resume`")
+        raise RunError("training has not finished", where=folder, how="resume it with `offpiste train --resume`")
     about = load_json(folder / "model.json")
     try:
         vehicle = msgspec.convert(about["vehicle"], type=Vehicle)
@@ -143,13 +143,13 @@ def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
     """
     number = PARTS.index(part)
     for drive in dataset.drives:
-        judged = drive.rows.time[drive.part == number]
+        evaluated = drive.rows.time[drive.part == number]
         for name, first, last in run.seen:
-            if name == drive.name and np.any((judged >= first) & (judged <= last)):
+            if name == drive.name and np.any((evaluated >= first) & (evaluated <= last)):
                 raise RunError(
                     f"was trained on {last - first:.0f} s of the {part} part of drive '{name}'",
                     where=run.folder,
-                    how="judge it on the dataset and split it was trained with, or on another drive",
+                    how="evaluate it on the dataset and split it was trained with, or on another drive",
                 )
 
 
@@ -184,7 +184,7 @@ def refuse_unfit(run: Run, dataset: Dataset) -> None:
 
 
 def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
-    """What models must know of the vehicle that a dataset is of.
+    """The vehicle of a dataset, as models know it.
 
     Args:
         config: says how much of the features is read, and how long a code is.

@@ -1,7 +1,4 @@
-"""The slope of the driven path read where a prediction goes, not where the vehicle went: a map of one line.
-
-Where a model reads the ground: under the recorded wheels, or on a map under the wheels that it predicts.
-"""
+"""Where a model reads the terrain: under recorded wheels, on a map under predicted ones, or on the driven path."""
 
 from dataclasses import dataclass, replace
 
@@ -19,9 +16,9 @@ from offpiste.state import Terrain, TerrainSource
 
 @dataclass(frozen=True)
 class PathTerrain:
-    """Normals of the recorded path, read at its point nearest to the predicted place.
+    """Surface normals of the recorded path at its point nearest to the predicted place.
 
-    Reading row t's normal at step t tells a model how far the vehicle went (DESIGN.md, "Leak"); this does not.
+    Reading row t's normal at step t gives away how far the vehicle went; this does not.
 
     Attributes:
         position: points of the path relative to each window's start [m]; infinite where there is none.

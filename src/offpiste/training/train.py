@@ -25,7 +25,8 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
-from offpiste.training.optimise import MEND, Stage, also_tensorboard, metrics_writer, run_stage
+from offpiste.training.metrics import also_tensorboard, metrics_writer
+from offpiste.training.optimise import REMEDY, Stage, run_stage
 from offpiste.training.prediction import predict
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.training.terrain_sources import encoded
@@ -48,7 +49,7 @@ def train(
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
     Args:
-        group: the processes that train together; only the first one writes and tells.
+        group: the processes that train together; only the first one writes and logs.
 
     Raises:
         RunError: a setting is out of range, or the folder holds a run already and `resume` is false, or one with
@@ -123,7 +124,7 @@ def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig, data
         raise DatasetError(
             "all terrain features are missing under the wheels where training windows start",
             where=dataset.path,
-            how="look at it with `offpiste view`, mend the rig's cameras and LiDARs and extract again, or train `b`",
+            how="look at it with `offpiste view`, fix the rig's cameras and LiDARs and extract again, or train `b`",
         )
 
 
@@ -204,6 +205,6 @@ def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
         step, column = (int(i) for i in broken.nonzero()[0])
         raise TrainingError(
             f"the predicted {STATE[column]} is not finite from step {step + 1} ({(step + 1) * DT:.2f} s) on",
-            how=MEND,
+            how=REMEDY,
         )
     return trajectory

@@ -191,7 +191,7 @@ def advance(v: Values, f: Elementary) -> Values:
         if one.lag.residual:
             changes[-1] += v[f"{one.label}_residual"]
         change |= {name: v[f"{one.label}_lags"] * rate for name, rate in zip(one.columns, changes, strict=True)}
-    return {after: v[name] + DT * change[name] for after, name in zip(layout.NEXT, layout.CARRIED, strict=True)}
+    return {after: v[name] + DT * change[name] for after, name in zip(layout.NEXT, layout.STEPPED, strict=True)}
 
 
 def cell(v: Values, f: Elementary) -> Values:

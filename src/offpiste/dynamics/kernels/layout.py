@@ -19,8 +19,8 @@ LANES: Final = 32
 HIDDEN: Final = 4
 """Hidden units of every compensator that the kernels step."""
 
-CARRIED: Final = (*STATE, *ACTUATORS)
-"""What the physics carries from step to step, in `ModelState.pack`'s order."""
+STEPPED: Final = (*STATE, *ACTUATORS)
+"""States and actuators, which the physics steps, in `ModelState.pack`'s order."""
 
 CONTROLS: Final = tuple(f"{name}_command" if name in ACTUATORS else name for name in CONTROL)
 """`conventions.CONTROL`, named apart from the actuators."""
@@ -43,14 +43,14 @@ LAGGING: Final = lagging()
 RESIDUALS: Final = tuple(f"{one.label}_residual" for one in LAGGING if one.lag.residual)
 """What the actuators' residual networks add [1/s, rad/s^2]."""
 
-NEXT: Final = tuple(f"next_{name}" for name in CARRIED)
-"""`CARRIED` one step later."""
+NEXT: Final = tuple(f"next_{name}" for name in STEPPED)
+"""`STEPPED` one step later."""
 
 # Networks write their outputs four rows at a time, hence the unused rows behind each residual.
 _SPARE: Final = tuple(tuple(f"unused_{name}_{i}" for i in range(3)) for name in RESIDUALS)
 
 ROWS: Final = (
-    *CARRIED, *CONTROLS, *NORMAL, *BODY_NORMAL, *FORCE, *CORRECTION,
+    *STEPPED, *CONTROLS, *NORMAL, *BODY_NORMAL, *FORCE, *CORRECTION,
     *(name for residual, spare in zip(RESIDUALS, _SPARE, strict=True) for name in (residual, *spare)), *NEXT,
 )  # fmt: skip
 """Rows of the workspace in order; codes of the wheels follow."""

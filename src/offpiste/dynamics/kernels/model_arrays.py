@@ -20,7 +20,7 @@ class Given(NamedTuple):
     """Arguments of the kernels.
 
     Attributes:
-        start: packed carries [B, P].
+        start: packed model states [B, P].
         record: see `Record`.
         constants: in the order of `layout.CONSTANTS`.
         networks: of the forces, the brake and the steering.
@@ -91,7 +91,7 @@ def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
     """
     vehicle, (parts, actuators) = dynamics.vehicle, kernel_parts(dynamics)
     seen = [
-        *layout.CARRIED[3:6],
+        *layout.STEPPED[3:6],
         *(name for name in ACTUATORS if name in vehicle.actuators),
         *(row for row, name in zip(layout.CONTROLS, CONTROL, strict=True) if name in vehicle.control),
         *layout.BODY_NORMAL,

@@ -194,7 +194,7 @@ class Buffers(NamedTuple):
 
 @KERNELS.maker
 def make_buffers(network: Network, one: Lane) -> Buffers:
-    """Scratch of a network; `one` stands in the row of the biases' input, 0 for adjoints."""
+    """Buffers of a network; `one` stands in the row of the biases' input, 0 for adjoints."""
     seen = np.zeros((network.gates.shape[1] + HIDDEN) * LANES, f4)
     layer = np.zeros(network.outer.shape[1] * LANES, f4)
     if network.outer.shape[0] > 0:
@@ -207,7 +207,7 @@ def make_buffers(network: Network, one: Lane) -> Buffers:
 
 @KERNELS.loop
 def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, after: np.ndarray, units: int) -> None:
-    """One step of a network: its outputs into the workspace, its recurrent state from one carry to the next.
+    """One step of a network: its outputs into the workspace, its recurrent state from one model state to the next.
 
     Args:
         before, after: hidden units of all networks, then their cells.
@@ -262,7 +262,7 @@ def compensate_adjoint(
         s: what `compensate` left.
         bar: like `s`, for the adjoints.
         w_bar: has the outputs' adjoints; those of the inputs are added.
-        carry_bar: adjoint of the recurrent state after the step, replaced by the one before it.
+        model_state_bar: adjoint of the recurrent state after the step, replaced by the one before it.
         gates_bar, inner_bar, outer_bar: the weights' adjoints, added to; without rows where the network is frozen.
     """
     if network.outer.shape[0] == 0:

@@ -1,6 +1,6 @@
 """The rollout of one block after another and its adjoint: how generated loops and networks follow each other.
 
-Forward keeps the carry of every step (the tape); backward takes each step's carry from there, computes the step again
+Forward keeps the model state of every step (the tape); backward takes each from there, computes the step again
 and goes back through it. Blocks are independent: Python spreads them over threads.
 """
 
@@ -12,10 +12,10 @@ from offpiste.compilation import KERNELS
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
-from offpiste.dynamics.kernels.layout import CARRIED, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS
+from offpiste.dynamics.kernels.layout import CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED
 from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, copy, make_buffers
 
-MOVED = len(CARRIED) * LANES
+MOVED = len(STEPPED) * LANES
 STATES, ACTUATED, COMMANDED = len(STATE), len(ACTUATORS), len(CONTROL)
 NEXT = ROW["next_px"] * LANES
 CONTROL_ROW = ROW[CONTROLS[0]]
@@ -72,7 +72,7 @@ def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
 def advance_block(
     w: np.ndarray, c: np.ndarray, networks: Networks, buffer_sets: BufferSets, before: np.ndarray, after: np.ndarray
 ) -> None:
-    """One step of a block, from one carry to the next; controls, normals and codes are loaded."""
+    """One step of a block, from one model state to the next; controls, normals and codes are loaded."""
     units = (len(before) - MOVED) // (2 * LANES)
     copy(before, w[:MOVED])
     sense(w, c)
@@ -97,11 +97,11 @@ def forward(
     """Roll blocks `first` ... `last - 1` out.
 
     Args:
-        start: packed carries [B, P].
+        start: packed model states [B, P].
         record: see `Record`.
         c: the constants (`layout.CONSTANTS`).
         networks: of the forces, the brake and the steering.
-        tape: carries before each step and after the last [blocks, T + 1, P * LANES]; or [blocks, 2, P * LANES] without
+        tape: model states before each step and after the last [blocks, T + 1, P * LANES]; or [blocks, 2, ...] without
             adjoint.
         states, actuators: to fill [B, T, 6], [B, T, A].
     """
@@ -113,7 +113,7 @@ def forward(
         for i in range(LANES):
             window = min(block * LANES + i, batch - 1)
             for k in range(start.shape[1]):
-                absent = STATES <= k < len(CARRIED) and not record.recorded[k - STATES]
+                absent = STATES <= k < len(STEPPED) and not record.recorded[k - STATES]
                 tape[block, 0, k * LANES + i] = f4(0) if absent else start[window, k]
         for t in range(steps):
             after = tape[block, (t + 1) % slots]

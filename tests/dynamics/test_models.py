@@ -1,0 +1,52 @@
+"""Models by name: what ships, what each name brings along, and what can be added."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from factories import COMMANDED, VEHICLE, Situation
+from offpiste.dynamics import MODELS, Dynamics, register_model
+from offpiste.dynamics.models import is_baseline, reference_of
+from offpiste.errors import RunError
+
+
+def test_every_model_can_be_made_and_says_what_it_can_do() -> None:
+    for name, model in MODELS.items():
+        dynamics = model(VEHICLE)
+        assert isinstance(dynamics, Dynamics)
+        assert dynamics.codes == (dynamics.encoder.size if dynamics.encoder is not None else 0)
+        assert dynamics.holds_codes == ("hold" in name)
+        assert dynamics.reads_terrain or model.baseline
+        at = Situation(codes=dynamics.codes)
+        assert dynamics.double().start(at.history, at.state, at.actuators).hidden.shape[1] == dynamics.recurrent_size
+
+
+def test_physics_that_is_fitted_first_is_taken_over() -> None:
+    hybrid = MODELS["b"](VEHICLE)
+    physics = hybrid.physics()
+    with torch.no_grad():
+        physics.bicycle.raw += 0.5
+    hybrid.adopt_physics(physics)
+    assert torch.equal(hybrid.bicycle.raw, physics.bicycle.raw)
+    assert MODELS["ctrv"](VEHICLE).physics() is None
+
+
+def test_a_taken_name_is_refused() -> None:
+    with pytest.raises(RunError, match="there are two models called 'b'"):
+        register_model("b")(MODELS["b"].build)
+
+
+def test_the_reference_is_a_bicycle_where_something_steers() -> None:
+    assert reference_of(COMMANDED) == "kinematic"
+    assert reference_of(replace(COMMANDED, control=("throttle",))) == "ctrv"
+
+
+def test_baselines_are_known_by_name() -> None:
+    assert [name for name in (*MODELS, "unknown") if is_baseline(name)] == ["ctrv", "kinematic"]
+
+
+def test_b_wide_has_as_many_parameters_as_dc_and_no_more_than_a_tenth_on_top() -> None:
+    paper = replace(VEHICLE, features=80, pca=40, codes=4)
+    wide, dc = (sum(p.numel() for p in MODELS[name](paper).parameters()) for name in ("b-wide", "dc"))
+    assert dc <= wide <= 1.1 * dc
