@@ -17,7 +17,7 @@ from experiments.control_experiments.snapshots import snapshots_control
 from experiments.control_experiments.sweep import Sweep, sweep_control
 from experiments.control_experiments.twins import twins_control
 from experiments.control_experiments.uniform import UniformDrives, uniform_control
-from offpiste.reproduction.pieces import claim_folder
+from offpiste.reproduction.steps import claim_folder
 
 logger = logging.getLogger("experiments")
 

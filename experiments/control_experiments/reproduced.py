@@ -11,7 +11,7 @@ import torch
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
-from offpiste.reproduction.settings import Member, Size, usual
+from offpiste.reproduction.settings import FigureModel, Size, standard_model
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import Run, load_run
 
@@ -63,9 +63,9 @@ class Reproduced:
         """Those of some models that were trained, in their order."""
         return [model for model in models if self.has(model)]
 
-    def member(self, model: str) -> Member:
+    def member(self, model: str) -> FigureModel:
         """A model as the reproduction would train it."""
-        return usual(model, len(self.dataset.features))
+        return standard_model(model, len(self.dataset.features))
 
     def logs(self) -> list[Path]:
         """Of all drives of the dataset.

@@ -60,12 +60,12 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float)
     )
     # Each window is a drive with one start, its row 10: no stride. Fewer windows than usual, so smaller batches.
     config = replace(of.member("cf").config(of.size, 0, "cpu"), stride=1, batch=64)
-    on_map, usual = (own_drives(dataset, read) for read in (read_on_snapshot, read_as_stored))
+    on_map, standard_model = (own_drives(dataset, read) for read in (read_on_snapshot, read_as_stored))
     windows = Windows(of.dataset, "test")
     index, gains = evaluation_index(windows, MAP, of.size.stride), []
     for case, data, models in (
         ("trained on snapshots", on_map, ("b", "cf")),
-        ("trained on the same windows", usual, ("b", "cf", "dc")),
+        ("trained on the same windows", standard_model, ("b", "cf", "dc")),
     ):
         place = folder / case.replace(" ", "-")
         errors = {

@@ -36,8 +36,8 @@ from offpiste.perception.pca import save_pca
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.data import Recording, simulate_all
-from offpiste.reproduction.pieces import claim_folder
 from offpiste.reproduction.runs import reuse_stages
+from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings

@@ -1,4 +1,4 @@
-"""Both figures from made-up drives: everything is drawn, kept, used again, and bad input is one line."""
+"""Both figures from made-up drives: all is drawn, kept and used again, and bad input ends in one line."""
 
 import json
 import re
@@ -16,10 +16,10 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.errors import RunError
-from offpiste.reproduction import runs as work_module
+from offpiste.reproduction import runs as runs_module
 from offpiste.reproduction import settings
 from offpiste.reproduction.reproduce import reproduce
-from offpiste.reproduction.settings import SIZES, Reproduction, Size
+from offpiste.reproduction.settings import SIZES, ReproductionSettings, Size
 from offpiste.training.config import TrainConfig
 from seen_drives import seen_dataset
 
@@ -52,8 +52,8 @@ def out(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reproduced(folder: Path, dataset: Path) -> Path:
-    asked = Reproduction("fig3", TINY, folder, dataset=dataset, processes=1)
-    real, trained = work_module.train, []
+    settings = ReproductionSettings("fig3", TINY, folder, dataset=dataset, processes=1)
+    real, trained = runs_module.train, []
 
     def killed_later(*arguments: object, **options: object) -> object:
         if len(trained) == 2:
@@ -62,20 +62,20 @@ def reproduced(folder: Path, dataset: Path) -> Path:
         return real(*arguments, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(work_module, "train", killed_later)
+        patch.setattr(runs_module, "train", killed_later)
         with pytest.raises(Killed):
-            reproduce(asked)
+            reproduce(settings)
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
     assert len(kept) == 2
-    reproduce(asked)
+    reproduce(settings)
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/model.json")}
     with logged() as messages:
-        reproduce(replace(asked, figure="fig4", processes=2))
-    said = [str(message) for message in messages]
+        reproduce(replace(settings, figure="fig4", processes=2))
+    lines = [str(message) for message in messages]
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
-    assert "[1/13] train b, seed 0: there" in said
-    assert sum(bool(re.fullmatch(r"\[\d+/13\] train dc, seed [01]: done; about .* left", line)) for line in said) == 2
+    assert "[1/13] train b, seed 0: there" in lines
+    assert sum(bool(re.fullmatch(r"\[\d+/13\] train dc, seed [01]: done; about .* left", line)) for line in lines) == 2
     assert {path.parent.name for path in folder.glob("runs/*/model.json")} - {p.parent.name for p in kept} == {
         "dc-0",
         "dc-1",
@@ -114,7 +114,7 @@ def test_relative_differences_are_those_of_the_means(out: Path) -> None:
             assert against["n"] == mine["n"] == other["n"]
 
 
-def test_fig4_judges_every_distance_and_the_map(out: Path) -> None:
+def test_fig4_covers_every_distance_and_the_map(out: Path) -> None:
     found = metrics(out, "fig4")
     readings = {(row["lookup"], row["feature_set"]) for row in found["results"] if row["model"] == "dc"}
     assert readings == {("map", None)} | {("recorded", name) for name in FEATURE_SETS}
@@ -149,10 +149,10 @@ def test_seeds_are_shown_and_their_stages_are_fitted_once(out: Path) -> None:
 
 
 def test_other_settings_in_the_same_folder_are_refused(out: Path, dataset: Path) -> None:
-    asked = Reproduction("fig3", TINY, out, dataset=dataset)
+    settings = ReproductionSettings("fig3", TINY, out, dataset=dataset)
     for other, named in (
-        (replace(asked, size=replace(asked.size, stride=50)), "size.stride"),
-        (replace(asked, dataset=None), "dataset"),
+        (replace(settings, size=replace(settings.size, stride=50)), "size.stride"),
+        (replace(settings, dataset=None), "dataset"),
     ):
         with pytest.raises(RunError, match=named):
             reproduce(other)
@@ -162,9 +162,9 @@ def command(*words: object, capsys: pytest.CaptureFixture) -> str:
     with pytest.raises(SystemExit) as exit_:
         main(["reproduce", *map(str, words)])
     assert exit_.value.code == 1
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1, said
-    return said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1, error
+    return error
 
 
 def test_datasets_that_cannot_carry_a_figure_are_refused_in_one_line(
@@ -192,8 +192,8 @@ def test_datasets_that_cannot_carry_a_figure_are_refused_in_one_line(
         cut: "cut short",
         tmp_path / "nothing": "not a dataset",
     }.items():
-        said = command("fig4", "--dataset", path, "--out", tmp_path / "out", capsys=capsys)
-        assert why in said, said
+        error = command("fig4", "--dataset", path, "--out", tmp_path / "out", capsys=capsys)
+        assert why in error, error
     assert not (tmp_path / "out").exists(), "a folder that cannot be filled is not begun"
 
 
@@ -207,14 +207,14 @@ def test_every_size_can_be_started(tmp_path: Path) -> None:
         raise Begun
 
     for name, size in SIZES.items():
-        with pytest.MonkeyPatch.context() as patch, logged() as told:
+        with pytest.MonkeyPatch.context() as patch, logged() as messages:
             patch.setattr(data, "run_all", begin)
             with pytest.raises(Begun):
-                reproduce(Reproduction("fig3", size, tmp_path / name))
-        assert re.match(r"\[1/\d+\] simulate \d+ drives", str(told[0]))
+                reproduce(ReproductionSettings("fig3", size, tmp_path / name))
+        assert re.match(r"\[1/\d+\] simulate \d+ drives", str(messages[0]))
 
 
-def test_a_damaged_judgement_names_its_file(
+def test_a_damaged_file_of_errors_is_named(
     out: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(settings, "SEEDED", ("b", "dc"))
@@ -223,7 +223,7 @@ def test_a_damaged_judgement_names_its_file(
     file = copy / "runs" / "b-0" / "errors" / "map.safetensors"
     file.write_bytes(file.read_bytes()[:50])
     with pytest.raises(RunError, match=r"map\.safetensors"):
-        reproduce(Reproduction("fig4", TINY, copy, dataset=dataset))
+        reproduce(ReproductionSettings("fig4", TINY, copy, dataset=dataset))
 
 
 def test_open_dataset_is_not_changed(dataset: Path, out: Path) -> None:

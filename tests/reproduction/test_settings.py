@@ -11,12 +11,12 @@ from offpiste.errors import OffpisteError
 from offpiste.reproduction.data import BLOCKS, MIX, planned_drives, seconds_of
 from offpiste.reproduction.settings import (
     SIZES,
-    Reproduction,
+    ReproductionSettings,
     compression_sizes,
     feature_numbers,
-    members,
+    figure_models,
     sized,
-    usual,
+    standard_model,
 )
 from offpiste.simulation.world.preset import find_world_preset
 
@@ -65,15 +65,15 @@ def test_drives_that_are_cut_have_all_parts(size):
 
 
 def test_the_same_models_of_different_figures_are_one_run():
-    assert compression_sizes(48)[4] == feature_numbers(48)[40] == usual("cf", 48)
-    found = members("fig3", 48)
-    assert [member.label for member in found[:3]] == ["b", "df", "cf"]
-    assert len(found) == 3 + 4 + 4
-    assert {member.label for member in members("fig4", 48)} == {"b", "df", "cf", "dc"}
-    assert set(members("fig4", 48)) - set(found) == {usual("dc", 48)}
-    folders = [member.folder(0) for member in {*found, *members("fig4", 48)}]
+    assert compression_sizes(48)[4] == feature_numbers(48)[40] == standard_model("cf", 48)
+    models = figure_models("fig3", 48)
+    assert [member.label for member in models[:3]] == ["b", "df", "cf"]
+    assert len(models) == 3 + 4 + 4
+    assert {member.label for member in figure_models("fig4", 48)} == {"b", "df", "cf", "dc"}
+    assert set(figure_models("fig4", 48)) - set(models) == {standard_model("dc", 48)}
+    folders = [member.folder(0) for member in {*models, *figure_models("fig4", 48)}]
     assert len(set(folders)) == len(folders)
-    assert usual("b", 48).folder(2) == "b-2"
+    assert standard_model("b", 48).folder(2) == "b-2"
 
 
 @pytest.mark.parametrize(("stored", "numbers"), [(384, [5, 10, 20, 40, 80]), (48, [5, 10, 20, 40, 48]), (6, [5, 6])])
@@ -81,12 +81,12 @@ def test_no_more_features_than_there_are(stored, numbers):
     swept = feature_numbers(stored)
     assert list(swept) == numbers
     assert all(member.pca == number for number, member in swept.items())
-    assert usual("cf", stored).pca == min(40, stored)
+    assert standard_model("cf", stored).pca == min(40, stored)
 
 
 def test_three_seeds_where_claims_rest_on_them():
     size = SIZES["laptop"]
-    seeds = {member.label: len(member.seeds(size)) for member in members("fig3", 48) + members("fig4", 48)}
+    seeds = {member.label: len(member.seeds(size)) for member in figure_models("fig3", 48) + figure_models("fig4", 48)}
     assert {label for label, number in seeds.items() if number == 3} == {"b", "cf", "dc"}
     assert all(number == 1 for label, number in seeds.items() if "n=" in label or "pca=" in label)
 
@@ -98,10 +98,10 @@ def test_a_config_says_what_its_member_is():
 
 
 def test_what_a_folder_is_of_does_not_depend_on_figure_or_processes(tmp_path: Path):
-    one = Reproduction("fig3", SIZES["smoke"], tmp_path, processes=1)
-    two = Reproduction("fig4", SIZES["smoke"], tmp_path, processes=2)
+    one = ReproductionSettings("fig3", SIZES["smoke"], tmp_path, processes=1)
+    two = ReproductionSettings("fig4", SIZES["smoke"], tmp_path, processes=2)
     assert one.described() == two.described()
-    assert one.described() != Reproduction("fig3", SIZES["smoke"], tmp_path, contrast=0.5).described()
+    assert one.described() != ReproductionSettings("fig3", SIZES["smoke"], tmp_path, contrast=0.5).described()
 
 
 def test_a_size_with_other_lengths_and_seeds():

@@ -40,9 +40,9 @@ class Reproduce:
     def run(self) -> int:
         """Drive, extract, train, evaluate, draw."""
         from offpiste.reproduction.reproduce import reproduce
-        from offpiste.reproduction.settings import Reproduction, sized
+        from offpiste.reproduction.settings import ReproductionSettings, sized
 
-        config = Reproduction(
+        config = ReproductionSettings(
             self.figure,
             sized(self.size, self.seconds, self.seeds),
             self.out,

@@ -1,1 +1,1 @@
-"""The paper's figures 3 and 4, from simulated or recorded drives, in one command that goes on where it stopped."""
+"""The paper's figures 3 and 4, from simulated or recorded drives, in one command that resumes where it stopped."""

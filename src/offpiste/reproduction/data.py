@@ -1,9 +1,4 @@
-"""Simulated drives that an experiment needs, made once, several at a time.
-
-Which drives are simulated: the paper's environments in the paper's shares, every drive in a world of its own.
-
-The dataset of a reproduction: simulated, or an existing one that can carry it.
-"""
+"""Simulated drives, and the dataset of a reproduction made from them; or an existing dataset that is fit for it."""
 
 import io
 import math
@@ -24,8 +19,8 @@ from offpiste.errors import DatasetError
 from offpiste.parallel import Report, run_all, usable_cores
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
-from offpiste.reproduction.pieces import Piece
-from offpiste.reproduction.settings import PCA_SWEPT, Reproduction, Size
+from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size
+from offpiste.reproduction.steps import Step
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
@@ -36,7 +31,7 @@ class PlannedDrive:
     """A drive to be simulated.
 
     Attributes:
-        part: that it is for; empty where each drive is cut into all of them.
+        part: of the split; empty where each drive is cut into all parts.
     """
 
     settings: DriveSettings
@@ -50,7 +45,7 @@ class PlannedDrive:
 
 @dataclass(frozen=True)
 class Recording:
-    """A drive, and the log that it is recorded to."""
+    """A drive to be simulated, and the path of its log."""
 
     settings: DriveSettings
     log: Path
@@ -60,7 +55,7 @@ def simulate_all(recordings: Sequence[Recording], processes: int) -> None:
     """Record the drives that are not there yet, `processes` at a time.
 
     Raises:
-        OffpisteError: why the first of those failed that did; the others are recorded.
+        OffpisteError: the first failure; drives that did not fail are recorded.
     """
     missing = [recording for recording in recordings if not recording.log.exists()]
     failed = run_all(_record, missing, processes, "simulate")
@@ -69,10 +64,10 @@ def simulate_all(recordings: Sequence[Recording], processes: int) -> None:
 
 
 def simulate_once(settings: DriveSettings, log: Path) -> str:
-    """Record a drive unless it is there; what an interruption leaves has another name and is begun again.
+    """Record a drive unless it is there; an interrupted one has another name and is begun again.
 
     Returns:
-        What was driven, for a person.
+        Summary of the drive.
     """
     if log.exists():
         return f"{log}: there"
@@ -89,23 +84,23 @@ def _record(recording: Recording, report: Report) -> str:
 
 
 MIX = {"mojave": 0.64, "halter-ranch": 0.28, "dunes": 0.04, "coastal-scrub": 0.04}
-"""Shares of the data by environment (paper, section V)."""
+"""Shares of the driving time by world (paper, section V)."""
 
 BLOCKS = "blocks:0.7,0.1,0.2"
-"""How logs are cut where training and test come from the same ones."""
+"""Split where training and test come from the same logs."""
 
 SHORTEST_CUT = 2 * GAP * DT / 0.1 + 5.0
-"""A drive that is cut must have a validation stretch of two windows and more [s]."""
+"""Least length of a drive that is cut, so that its validation stretch holds two windows [s]."""
 
 FIRST_SEED = 1000
 
 
 def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0) -> list[PlannedDrive]:
-    """All drives; no two have the same seed.
+    """Plan of all drives; no two have the same seed.
 
     Args:
-        same_logs: training and test from the same logs.
-        contrast: of grip.
+        same_logs: whether training and test come from the same logs.
+        contrast: grip contrast of the worlds.
     """
     seeds = count(FIRST_SEED)
     parts = {"": sum(size.seconds)} if same_logs else dict(zip(PARTS, size.seconds, strict=True))
@@ -118,7 +113,7 @@ def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0
 
 
 def seconds_of(drives: list[PlannedDrive]) -> float:
-    """How long they last together [s]."""
+    """Length of all drives together [s]."""
     return sum(drive.settings.seconds for drive in drives)
 
 
@@ -139,51 +134,51 @@ def _settings(size: Size, world: str, seed: int, seconds: float, contrast: float
 RIG = "proving_ground"
 
 
-def expected_features(asked: Reproduction) -> int:
-    """How many features the dataset has, or will have at most."""
-    if asked.dataset is not None:
-        return len(open_dataset(asked.dataset).features)
-    return min(max(PCA_SWEPT), open_backbone(asked.backbone, device=asked.device).channels)
+def expected_features(settings: ReproductionSettings) -> int:
+    """Number of features that the dataset has, or will have at most."""
+    if settings.dataset is not None:
+        return len(open_dataset(settings.dataset).features)
+    return min(max(PCA_SWEPT), open_backbone(settings.backbone, device=settings.device).channels)
 
 
-def data_pieces(asked: Reproduction) -> list[Piece]:
-    """What leads to a dataset; nothing where one is given."""
-    if asked.dataset is not None:
+def data_steps(settings: ReproductionSettings) -> list[Step]:
+    """Steps that make the dataset; none where one is given."""
+    if settings.dataset is not None:
         return []
-    drives = planned_drives(asked.size, same_logs=asked.split == "blocks", contrast=asked.contrast)
-    pca = asked.out / "pca.safetensors"
-    processes = min(asked.processes or usable_cores(), len(drives))
+    drives = planned_drives(settings.size, same_logs=settings.split == "blocks", contrast=settings.contrast)
+    pca = settings.out / "pca.safetensors"
+    processes = min(settings.processes or usable_cores(), len(drives))
     seconds = seconds_of(drives)
-    looked_at = [drive for drive in drives if drive in _of_pca(drives, asked.size.pca_drives)]
+    pca_drives = [drive for drive in drives if drive in _of_pca(drives, settings.size.pca_drives)]
     return [
-        Piece(
+        Step(
             f"simulate {len(drives)} drives, {seconds / 60:.0f} min",
             (0.4 * seconds + 8 * len(drives)) / processes,
-            lambda: all(log.exists() for log in _logs(asked, drives)) or _extracted(asked, drives),
-            lambda: _simulate(asked, drives, processes),
+            lambda: all(log.exists() for log in _logs(settings, drives)) or _extracted(settings, drives),
+            lambda: _simulate(settings, drives, processes),
         ),
-        Piece(
-            f"fit the PCA on {asked.size.images} images of {len(looked_at)} drives",
-            0.5 * seconds_of(looked_at) + 10,
+        Step(
+            f"fit the PCA on {settings.size.images} images of {len(pca_drives)} drives",
+            0.5 * seconds_of(pca_drives) + 10,
             pca.exists,
-            lambda: _fit(asked, _logs(asked, looked_at), drives, pca),
+            lambda: _fit(settings, _logs(settings, pca_drives), drives, pca),
         ),
-        Piece(
+        Step(
             f"extract {len(drives)} drives",
             0.6 * seconds / processes,
-            lambda: _extracted(asked, drives),
-            lambda: _extract(asked, drives, pca, processes),
+            lambda: _extracted(settings, drives),
+            lambda: _extract(settings, drives, pca, processes),
         ),
     ]
 
 
-def open_checked(asked: Reproduction) -> Dataset:
-    """The dataset, if models can be trained and judged on it.
+def open_checked(settings: ReproductionSettings) -> Dataset:
+    """The dataset, checked that models can be trained and evaluated on it.
 
     Raises:
         DatasetError: none there, or one without visual features by distance, with one drive, or too short.
     """
-    dataset = open_dataset(asked.data)
+    dataset = open_dataset(settings.data)
     cells = [drive.rows.cells for drive in dataset.drives]
     if not dataset.features or any(c is None or len(c.valid) < len(FEATURE_SETS) for c in cells):
         raise DatasetError(
@@ -191,64 +186,64 @@ def open_checked(asked: Reproduction) -> Dataset:
         )
     if len(dataset.drives) < 2:
         raise DatasetError(
-            f"holds one drive, '{dataset.drives[0].name}', which says nothing of others",
+            f"holds one drive only, '{dataset.drives[0].name}'",
             where=dataset.path,
             how="extract two or more",
         )
-    count = {part: len(Windows(dataset, part, start=asked.size.train.start)) for part in PARTS}
-    if count["train"] < asked.size.train.batch:
+    count = {part: len(Windows(dataset, part, start=settings.size.train.start)) for part in PARTS}
+    if count["train"] < settings.size.train.batch:
         raise DatasetError(
-            f"has {count['train']} windows to train, fewer than a batch of {asked.size.train.batch}",
+            f"has {count['train']} windows to train, fewer than a batch of {settings.size.train.batch}",
             where=dataset.path,
             how="give longer drives",
         )
     return dataset
 
 
-def _simulate(asked: Reproduction, drives: list[PlannedDrive], processes: int) -> None:
-    recordings = [Recording(d.settings, log) for d, log in zip(drives, _logs(asked, drives), strict=True)]
+def _simulate(settings: ReproductionSettings, drives: list[PlannedDrive], processes: int) -> None:
+    recordings = [Recording(d.settings, log) for d, log in zip(drives, _logs(settings, drives), strict=True)]
     simulate_all(recordings, processes)
 
 
-def _fit(asked: Reproduction, logs: list[Path], drives: list[PlannedDrive], path: Path) -> None:
-    backbone = open_backbone(asked.backbone, device=asked.device)
+def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedDrive], path: Path) -> None:
+    backbone = open_backbone(settings.backbone, device=settings.device)
     components = min(max(PCA_SWEPT), backbone.channels)
-    split = parse_split(_split(asked, drives))
-    fitted = fit_pca(logs, load_rig(RIG), split, backbone, images=asked.size.images, components=components)
+    split = parse_split(_split(settings, drives))
+    fitted = fit_pca(logs, load_rig(RIG), split, backbone, images=settings.size.images, components=components)
     save_pca(path, fitted.pca)
 
 
-def _extract(asked: Reproduction, drives: list[PlannedDrive], pca: Path, processes: int) -> None:
+def _extract(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, processes: int) -> None:
     make_dataset(
-        _logs(asked, drives),
+        _logs(settings, drives),
         load_rig(RIG),
-        asked.data,
-        split=_split(asked, drives),
+        settings.data,
+        split=_split(settings, drives),
         pca=pca,
-        device=asked.device,
-        snapshots=SnapshotSettings(asked.size.snapshot_seconds),
-        processes=min(processes, asked.at_a_time),
+        device=settings.device,
+        snapshots=SnapshotSettings(settings.size.snapshot_seconds),
+        processes=min(processes, settings.at_a_time),
     )
 
 
-def _extracted(asked: Reproduction, drives: list[PlannedDrive]) -> bool:
-    return asked.data.exists() and {drive.name for drive in drives} <= set(drive_names(asked.data))
+def _extracted(settings: ReproductionSettings, drives: list[PlannedDrive]) -> bool:
+    return settings.data.exists() and {drive.name for drive in drives} <= set(drive_names(settings.data))
 
 
-def _logs(asked: Reproduction, drives: list[PlannedDrive]) -> list[Path]:
-    return [asked.out / "logs" / f"{drive.name}.mcap" for drive in drives]
+def _logs(settings: ReproductionSettings, drives: list[PlannedDrive]) -> list[Path]:
+    return [settings.out / "logs" / f"{drive.name}.mcap" for drive in drives]
 
 
-def _split(asked: Reproduction, drives: list[PlannedDrive]) -> str:
-    if asked.split == "blocks":
+def _split(settings: ReproductionSettings, drives: list[PlannedDrive]) -> str:
+    if settings.split == "blocks":
         return BLOCKS
-    return write_drives(asked.out / "parts.txt", ((drive.name, drive.part) for drive in drives))
+    return write_drives(settings.out / "parts.txt", ((drive.name, drive.part) for drive in drives))
 
 
 def _of_pca(drives: list[PlannedDrive], most: int) -> list[PlannedDrive]:
     """The first training drives of each world."""
-    found: dict[str, list[PlannedDrive]] = {}
+    by_world: dict[str, list[PlannedDrive]] = {}
     for drive in drives:
         if drive.part in ("", "train"):
-            found.setdefault(drive.settings.world.preset, []).append(drive)
-    return [drive for mine in found.values() for drive in mine[:most]]
+            by_world.setdefault(drive.settings.world.preset, []).append(drive)
+    return [drive for mine in by_world.values() for drive in mine[:most]]

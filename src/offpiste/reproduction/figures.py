@@ -1,7 +1,4 @@
-"""The paper's figures 3 and 4, in its form.
-
-The same ten windows, predicted with features seen from every distance.
-"""
+"""The paper's figures 3 and 4 in its form, and ten windows predicted with features of every set."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +15,8 @@ from offpiste.dynamics import Dynamics
 from offpiste.evaluation.box_plots import grouped_box_plot, whisker_top
 from offpiste.evaluation.errors import in_start_frame, trajectories
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.reproduction.results import Findings
-from offpiste.reproduction.settings import Member, compression_sizes, feature_numbers, usual
+from offpiste.reproduction.results import FigureResults
+from offpiste.reproduction.settings import FigureModel, compression_sizes, feature_numbers, standard_model
 from offpiste.reproduction.tables import HINDSIGHT, MAP
 
 CAPTION = (
@@ -28,20 +25,20 @@ CAPTION = (
 )
 
 
-def fig3(found: Findings, stored: int) -> dict[str, Figure]:
-    """3a compression type, 3b compression size, 3c number of features; each at recorded places and on the map."""
-    named: dict[str, dict[str, Member]] = {
-        "a": {name.upper(): usual(name, stored) for name in ("b", "df", "cf")},
-        "b": {f"C {n}": member for n, member in compression_sizes(stored).items()},
-        "c": {f"C {n}": member for n, member in feature_numbers(stored).items()},
+def fig3(results: FigureResults, stored: int) -> dict[str, Figure]:
+    """Figures 3a, 3b and 3c: compression type and size, number of features; at recorded places and on the map."""
+    named: dict[str, dict[str, FigureModel]] = {
+        "a": {name.upper(): standard_model(name, stored) for name in ("b", "df", "cf")},
+        "b": {f"C {n}": model for n, model in compression_sizes(stored).items()},
+        "c": {f"C {n}": model for n, model in feature_numbers(stored).items()},
     }
     titles = {"a": "Compression type", "b": "Compression size n", "c": "Number of features"}
     figures = {}
     for reading, where in ((HINDSIGHT, "recorded, hindsight"), (MAP, "map at predicted places")):
-        if reading not in found.readings:
+        if reading not in results.readings:
             continue
         groups = {
-            part: {name: {member.model: _distance(found, member, reading)} for name, member in models.items()}
+            part: {name: {model.model: _distance(results, model, reading)} for name, model in models.items()}
             for part, models in named.items()
         }
         top = max(whisker_top(group) for group in groups.values())  # the paper keeps the axis the same
@@ -51,13 +48,13 @@ def fig3(found: Findings, stored: int) -> dict[str, Figure]:
     return figures
 
 
-def fig4(found: Findings) -> dict[str, Figure]:
-    """4a naive training, 4b `dc`, by the distance that features were seen from; and all of them on the map."""
-    by_label = {member.label: member for member in found.members}
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
+def fig4(results: FigureResults) -> dict[str, Figure]:
+    """Figures 4a naive training, 4b `dc`, by the distance that features were seen from; and all of them on the map."""
+    by_label = {model.label: model for model in results.models}
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in results.readings]
     groups: dict[str, dict[str, dict[str, np.ndarray]]] = {
         part: {
-            name: {label: _distance(found, by_label[label], ("recorded", name)) for label in labels} for name in sets
+            name: {label: _distance(results, by_label[label], ("recorded", name)) for label in labels} for name in sets
         }
         for part, labels in {"4a": ("b", "df", "cf"), "4b": ("b", "dc")}.items()
     }
@@ -67,20 +64,20 @@ def fig4(found: Findings) -> dict[str, Figure]:
         part: grouped_box_plot(group, title=titles[part], axis="features seen from [m]", top=top)
         for part, group in groups.items()
     }
-    if MAP in found.readings:
-        models = {label: {label: _distance(found, member, MAP)} for label, member in by_label.items()}
+    if MAP in results.readings:
+        models = {label: {label: _distance(results, model, MAP)} for label, model in by_label.items()}
         figures["4 map"] = grouped_box_plot(models, title="Map at predicted places")
     return figures
 
 
-def _distance(found: Findings, member: Member, reading: Reading) -> np.ndarray:
-    return found.over_seeds(member, reading).distance()
+def _distance(results: FigureResults, model: FigureModel, reading: Reading) -> np.ndarray:
+    return results.over_seeds(model, reading).distance()
 
 
 def caption(name: str) -> str:
-    """What stands below a picture."""
+    """Text below a figure."""
     about = {
-        "3a": "B knows nothing of the ground, DF reads features as they are, CF compresses them.",
+        "3a": "B has no terrain features, DF reads features as they are, CF compresses them.",
         "3b": "CF by the length of its code; C 4 is CF.",
         "3c": "CF by the number of features that it reads, the first ones of the PCA.",
         "4a": "DF and CF, trained on hindsight, and B, by the distance that features and normals were seen from.",
@@ -91,16 +88,17 @@ def caption(name: str) -> str:
 
 
 SHOWN = 10
+"""Number of windows."""
 
 
 @dataclass(frozen=True)
 class SameWindows:
-    """Paths in the frame of each window's start: ahead, to the left [m].
+    """Paths in the frame of each window's start: ahead and to the left [m].
 
     Attributes:
         names: drive and time of each window.
-        recorded: where the vehicle went.
-        predicted: by model and feature set.
+        recorded: driven paths.
+        predicted: paths by model and feature set.
     """
 
     names: tuple[str, ...]
@@ -108,7 +106,7 @@ class SameWindows:
     predicted: Mapping[str, Mapping[str, Float[np.ndarray, "n T 2"]]]
 
 
-def spread_out(windows: Windows, *, count: int = SHOWN) -> Int[np.ndarray, " n"]:
+def spaced_windows(windows: Windows, *, count: int = SHOWN) -> Int[np.ndarray, " n"]:
     """Windows far apart from each other, no two of which share a row; fewer where there are not so many."""
     chosen: list[int] = []
     row, apart = windows.row_in_drive(np.arange(len(windows))), HISTORY_STEPS + HORIZON_STEPS
@@ -121,8 +119,8 @@ def spread_out(windows: Windows, *, count: int = SHOWN) -> Int[np.ndarray, " n"]
 
 
 def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindows:
-    """Predict those windows with features of every set, read at recorded places."""
-    index = spread_out(windows)
+    """Paths of ten windows, predicted with features of every set read at recorded places."""
+    index = spaced_windows(windows)
     batch = windows.gather(index)
     yaw = batch.state[:, 2].cpu().numpy()
     sets = FEATURE_SETS[: windows.sets]
@@ -138,22 +136,22 @@ def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindow
     return SameWindows(tuple(names), in_start_frame(batch.target[..., :2].cpu().numpy(), yaw), predicted)
 
 
-def draw_same(found: SameWindows) -> Figure:
-    """A line of panels a model, a column a window; heading up, a colour a distance."""
-    labels, count = list(found.predicted), len(found.names)
+def draw_same(same: SameWindows) -> Figure:
+    """Panels with a row per model and a column per window, heading up; the colour is the feature set."""
+    labels, count = list(same.predicted), len(same.names)
     figure = Figure(figsize=(0.8 + 1.5 * count, 0.9 + 2.05 * len(labels)), dpi=110, layout="constrained")
     panels = figure.subplots(len(labels), count, squeeze=False)
-    colours = _colours(list(next(iter(found.predicted.values()))))
+    colours = _colours(list(next(iter(same.predicted.values()))))
     for line, label in zip(panels, labels, strict=True):
         for number, axes in enumerate(line):
-            paths = {name: path[number] for name, path in found.predicted[label].items()}
+            paths = {name: path[number] for name, path in same.predicted[label].items()}
             for name, path in reversed(paths.items()):  # hindsight lies on top
                 _path(axes, path, colours[name], 1.1, name if name == "hindsight" else f"{name} m")
-            _path(axes, found.recorded[number], "black", 1.6, "recorded")
+            _path(axes, same.recorded[number], "black", 1.6, "recorded")
             axes.plot(0, 0, marker="^", color="black", markersize=5)
-            _frame(axes, found, number)
+            _frame(axes, same, number)
         line[0].set_ylabel(f"{label}\nahead [m]", fontsize=9)
-    for axes, name in zip(panels[0], found.names, strict=True):
+    for axes, name in zip(panels[0], same.names, strict=True):
         axes.set_title(name, fontsize=7)
     handles, names = panels[0, 0].get_legend_handles_labels()
     columns = min(len(names), count + 1)
@@ -161,9 +159,9 @@ def draw_same(found: SameWindows) -> Figure:
     return figure
 
 
-def _frame(axes: Axes, found: SameWindows, number: int) -> None:
-    """The same metres for all models of a window, as long ahead as aside; what leaves the recorded path far is cut."""
-    ahead, left = np.concatenate((np.zeros((1, 2)), found.recorded[number])).T
+def _frame(axes: Axes, same: SameWindows, number: int) -> None:
+    """Give all panels of a window the same limits, around the recorded path, with equal scales."""
+    ahead, left = np.concatenate((np.zeros((1, 2)), same.recorded[number])).T
     tall = max(float(np.ptp(ahead)), 1.6 * float(np.ptp(left)), 6.0) * 1.35
     across, along = -(left.min() + left.max()) / 2, (ahead.min() + ahead.max()) / 2
     axes.set(xlim=(across - 0.36 * tall, across + 0.36 * tall), ylim=(along - tall / 2, along + tall / 2))
@@ -179,6 +177,6 @@ def _path(axes: Axes, path: Float[np.ndarray, "T 2"], colour: object, width: flo
 
 
 def _colours(names: Sequence[str]) -> dict[str, object]:
-    """Green for hindsight; the nearer, the darker."""
+    """Colours by feature set: green for hindsight; the nearer, the darker."""
     scale = matplotlib.colormaps["plasma"](np.linspace(0, 0.9, max(len(names) - 1, 1)))
     return {"hindsight": "#1a7f37", **{name: tuple(c) for name, c in zip(names[1:], scale, strict=False)}}

@@ -1,16 +1,16 @@
-"""`offpiste reproduce`: drives, features, models and judgement of a figure of the paper, in one resumable command."""
+"""`offpiste reproduce`: drives, features, models, evaluation and report of a figure of the paper, resumable."""
 
 import logging
 from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from offpiste.reproduction.data import data_pieces, expected_features, open_checked
-from offpiste.reproduction.pieces import Piece, append_time, claim_folder, run_pieces
+from offpiste.reproduction.data import data_steps, expected_features, open_checked
 from offpiste.reproduction.report import write_figure
 from offpiste.reproduction.results import gather
-from offpiste.reproduction.runs import Driven, Work, driven_in, mapped, model_stages, readings
-from offpiste.reproduction.settings import Reproduction, members
+from offpiste.reproduction.runs import DrivenTime, EvaluationData, driven_time, figure_readings, mapped, model_stages
+from offpiste.reproduction.settings import ReproductionSettings, figure_models
+from offpiste.reproduction.steps import Step, append_time, claim_folder, run_steps
 from offpiste.training.run import check_device
 
 logger = logging.getLogger(__name__)
@@ -18,46 +18,46 @@ logger = logging.getLogger(__name__)
 REPORT_COST = 30.0
 
 
-def reproduce(asked: Reproduction) -> Path:
-    """Make a figure in `asked.out`; whatever is there already from the same settings is used again.
+def reproduce(settings: ReproductionSettings) -> Path:
+    """Make a figure in `settings.out`; results that are there from the same settings are used again.
 
     Returns:
-        report.html.
+        Path of report.html.
 
     Raises:
         RunError: the folder was begun with other settings.
-        OffpisteError: as the stages do.
+        OffpisteError: a stage failed.
     """
-    check_device(asked.device)
-    if asked.dataset is not None:
-        open_checked(asked)
-    data = data_pieces(asked)
-    planned = _plan(asked, expected_features(asked), data)
-    claim_folder(asked.out, asked.described())
-    record = partial(append_time, asked.times)
-    run_pieces([[piece] for piece in data], later=planned, record=record)
-    work = Work(asked, open_checked(asked))
-    chosen = members(asked.figure, len(work.dataset.features))
-    found_ways = readings(asked.figure, mapped=mapped(work.dataset))
-    stages = model_stages(asked, chosen, found_ways, driven_in(work.dataset))
-    said: list[str] = []
+    check_device(settings.device)
+    if settings.dataset is not None:
+        open_checked(settings)
+    making_data = data_steps(settings)
+    planned = _plan(settings, expected_features(settings), making_data)
+    claim_folder(settings.out, settings.described())
+    record = partial(append_time, settings.times)
+    run_steps([[step] for step in making_data], later=planned, record=record)
+    data = EvaluationData(settings, open_checked(settings))
+    chosen = figure_models(settings.figure, len(data.dataset.features))
+    chosen_readings = figure_readings(settings.figure, mapped=mapped(data.dataset))
+    stages = model_stages(settings, chosen, chosen_readings, driven_time(data.dataset))
+    lines: list[str] = []
 
     def report() -> None:
-        claims = write_figure(asked, work, gather(asked, chosen, found_ways))
-        said.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
+        claims = write_figure(settings, data, gather(settings, chosen, chosen_readings))
+        lines.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
 
-    stages.append([Piece("report", REPORT_COST, lambda: False, report)])
-    run_pieces(stages, before=len(data), processes=asked.at_a_time, record=record)
-    for line in said:
+    stages.append([Step("report", REPORT_COST, lambda: False, report)])
+    run_steps(stages, before=len(making_data), processes=settings.at_a_time, record=record)
+    for line in lines:
         logger.info(line)
-    page = asked.out / asked.figure / "report.html"
+    page = settings.out / settings.figure / "report.html"
     logger.info(f"report: {page}")
     return page
 
 
-def _plan(asked: Reproduction, stored: int, data: list[Piece]) -> list[Piece]:
-    """What comes after the dataset, as far as it can be told before."""
-    driven = Driven(*asked.size.seconds) if data else driven_in(open_checked(asked))
-    chosen = members(asked.figure, stored)
-    stages = model_stages(asked, chosen, readings(asked.figure, mapped=True), driven)
-    return [*chain.from_iterable(stages), Piece("report", REPORT_COST, lambda: False, lambda: None)]
+def _plan(settings: ReproductionSettings, stored: int, making_data: list[Step]) -> list[Step]:
+    """Steps after the dataset, as far as they are known before it is made."""
+    driven = DrivenTime(*settings.size.seconds) if making_data else driven_time(open_checked(settings))
+    chosen = figure_models(settings.figure, stored)
+    stages = model_stages(settings, chosen, figure_readings(settings.figure, mapped=True), driven)
+    return [*chain.from_iterable(stages), Step("report", REPORT_COST, lambda: False, lambda: None)]

@@ -1,7 +1,4 @@
-"""The numbers of a figure: errors with intervals, and what each model gains over `b` on the same windows.
-
-Windows whose ground was seen all along: on them, what grows with distance is not for want of features.
-"""
+"""Numbers of a figure: errors with intervals, and the differences of each model to `b` on the same windows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,20 +18,20 @@ from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import LossUnits, Provenance, ResultRow
 from offpiste.evaluation.result_rows import Case, RunErrors, result_rows
 from offpiste.reproduction.runs import PART, errors_path
-from offpiste.reproduction.settings import BASELINE, Member, Reproduction
+from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
 
 SCHEMA = 1
 QUANTITIES = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "loss")
-"""That are compared with the baseline's, at the last horizon; the loss is over all steps."""
+"""Errors that are compared with the baseline's, at the last horizon; the loss is over all steps."""
 
 
-class Against(msgspec.Struct, frozen=True, kw_only=True):
+class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     """A model's mean errors relative to `b`'s, read in the same way on the same windows: -0.1 is 10 % below.
 
     Attributes:
-        seed: of a single run, against the `b` of its seed; None over all.
-        seen: only windows whose ground has features of the set all along.
-        n: windows.
+        seed: of a single run, compared with the `b` of its seed; None over all.
+        seen: whether only windows count in which all wheels have features of the set all along.
+        n: number of windows.
     """
 
     model: str
@@ -60,105 +57,105 @@ class FigureMetrics(msgspec.Struct, frozen=True, kw_only=True):
     windows: dict[str, int]
     made: Provenance
     loss: LossUnits
-    against_b: list[Against]
+    against_b: list[Comparison]
     coverage: dict[str, Any]
     results: list[ResultRow]
 
 
 @dataclass(frozen=True)
-class Findings:
+class FigureResults:
     """Errors of all runs of a figure.
 
     Attributes:
-        runs: by model and way of reading the ground, a run a seed.
-        sampling: of the intervals.
+        runs: by model and terrain lookup, one run per seed.
+        sampling: settings of the intervals.
     """
 
-    runs: Mapping[tuple[Member, Reading], Sequence[RunErrors]]
+    runs: Mapping[tuple[FigureModel, Reading], Sequence[RunErrors]]
     sampling: Sampling
 
     @property
     def readings(self) -> list[Reading]:
-        """Ways of reading the ground."""
+        """Terrain lookups, with their feature sets."""
         return list(dict.fromkeys(reading for _, reading in self.runs))
 
     @property
-    def members(self) -> list[Member]:
+    def models(self) -> list[FigureModel]:
         """The models."""
-        return list(dict.fromkeys(member for member, _ in self.runs))
+        return list(dict.fromkeys(model for model, _ in self.runs))
 
     @property
-    def baseline(self) -> Member:
+    def baseline(self) -> FigureModel:
         """The model that the others are compared with."""
-        return next(member for member in self.members if member.label == BASELINE)
+        return next(model for model in self.models if model.label == BASELINE)
 
-    def over_seeds(self, member: Member, reading: Reading) -> Errors:
+    def over_seeds(self, model: FigureModel, reading: Reading) -> Errors:
         """Errors of a model, each window's the mean over its seeds."""
-        return pool([run.errors for run in self.runs[member, reading]])
+        return pool([run.errors for run in self.runs[model, reading]])
 
     def rows(self) -> list[ResultRow]:
         """The rows of metrics.json."""
         return result_rows(
-            {_case(member, reading): list(runs) for (member, reading), runs in self.runs.items()}, PART, self.sampling
+            {_case(model, reading): list(runs) for (model, reading), runs in self.runs.items()}, PART, self.sampling
         )
 
-    def against(self, member: Member, reading: Reading, seen: Bool[np.ndarray, " n"] | None = None) -> Against:
-        """A model against `b`, over all seeds.
+    def compare(self, model: FigureModel, reading: Reading, seen: Bool[np.ndarray, " n"] | None = None) -> Comparison:
+        """Comparison of a model with `b`, over all seeds.
 
         Args:
-            seen: windows that count.
+            seen: whether each window counts; None: all do.
         """
-        mine, others = self.over_seeds(member, reading), self.over_seeds(self.baseline, reading)
-        return self._compared(member, reading, mine, others, None, seen)
+        mine, others = self.over_seeds(model, reading), self.over_seeds(self.baseline, reading)
+        return self._compared(model, reading, mine, others, None, seen)
 
-    def each_seed(self, member: Member, reading: Reading) -> list[Against]:
-        """Each run of a model against the `b` of its seed."""
+    def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
+        """Comparison of each run of a model with the `b` of its seed."""
         others = {run.seed: run.errors for run in self.runs[self.baseline, reading]}
         return [
-            self._compared(member, reading, run.errors, others[run.seed], run.seed, None)
-            for run in self.runs[member, reading]
+            self._compared(model, reading, run.errors, others[run.seed], run.seed, None)
+            for run in self.runs[model, reading]
             if run.seed in others
         ]
 
     def _compared(
         self,
-        member: Member,
+        model: FigureModel,
         reading: Reading,
         mine: Errors,
         others: Errors,
         seed: int | None,
         seen: Bool[np.ndarray, " n"] | None,
-    ) -> Against:
+    ) -> Comparison:
         index = np.arange(len(mine.row)) if seen is None else np.flatnonzero(seen)
-        found = {name: PairedDifference(np.nan, (np.nan, np.nan)) for name in QUANTITIES}
+        differences = {name: PairedDifference(np.nan, (np.nan, np.nan)) for name in QUANTITIES}
         if len(index):
             mine, others = mine.take(index), others.take(index)
             drawn = self.sampling.on(mine)
-            found = {name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES}
+            differences = {name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES}
         lookup, chosen = reading
-        return Against(
-            model=member.model,
-            variant=member.variant,
+        return Comparison(
+            model=model.model,
+            variant=model.variant,
             seed=seed,
             lookup=str(lookup),
             feature_set=chosen,
             seen=seen is not None,
             n=len(index),
-            relative=found,
+            relative=differences,
         )
 
 
-def gather(asked: Reproduction, members: Sequence[Member], readings: Sequence[Reading]) -> Findings:
+def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading]) -> FigureResults:
     """Read the errors of all runs."""
     runs = {
-        (member, reading): [
-            RunErrors(seed, None, pool([load_errors(errors_path(asked.runs / member.folder(seed), reading))]))
-            for seed in member.seeds(asked.size)
+        (model, reading): [
+            RunErrors(seed, None, pool([load_errors(errors_path(settings.runs / model.folder(seed), reading))]))
+            for seed in model.seeds(settings.size)
         ]
-        for member in members
+        for model in models
         for reading in readings
     }
-    return Findings(runs, Sampling())
+    return FigureResults(runs, Sampling())
 
 
 def last_rows(rows: Sequence[ResultRow], *, single: bool = False) -> list[ResultRow]:
@@ -170,13 +167,13 @@ def last_rows(rows: Sequence[ResultRow], *, single: bool = False) -> list[Result
     return [row for row in at_end if row.seed is None or row.reading_label not in several]
 
 
-def _case(member: Member, reading: Reading) -> Case:
-    return Case(member.model, member.variant, "causal", *reading)
+def _case(model: FigureModel, reading: Reading) -> Case:
+    return Case(model.model, model.variant, "causal", *reading)
 
 
-def valid_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool[np.ndarray, " n"]:
-    """Whether every wheel stands on a cell with features of the set at rows t-10 ... t+249 of each window."""
-    found = np.zeros(len(windows.row), bool)
+def seen_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool[np.ndarray, " n"]:
+    """Whether each window's wheels are all on cells with features of the set, at rows t-10 ... t+249."""
+    throughout = np.zeros(len(windows.row), bool)
     for number, drive in enumerate(dataset.drives):
         cells = drive.rows.cells
         mine = np.flatnonzero(windows.drive == number)
@@ -186,5 +183,5 @@ def valid_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Boo
         seen = ((cells.index >= 0) & valid[cells.index]).all(axis=1) if valid.size else np.zeros(len(cells.index), bool)
         run = np.concatenate(([0], np.cumsum(seen)))
         row = windows.row[mine]
-        found[mine] = run[row + HORIZON_STEPS] - run[row - HISTORY_STEPS] == HORIZON_STEPS + HISTORY_STEPS
-    return found
+        throughout[mine] = run[row + HORIZON_STEPS] - run[row - HISTORY_STEPS] == HORIZON_STEPS + HISTORY_STEPS
+    return throughout

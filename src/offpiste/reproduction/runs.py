@@ -1,9 +1,4 @@
-"""Stages of a training that are the same for every model of one seed.
-
-What a run got wrong, window by window, kept on disk: judging goes on where it stopped, and figures draw from it.
-
-Train and judge the models of a figure: a piece a run, done once, shared by both figures.
-"""
+"""Training and evaluation of a figure's models: two steps per run, each done once and shared by both figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,19 +17,19 @@ from offpiste.evaluation.errors import Errors, prediction_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.files import write_bytes
 from offpiste.progress import track
-from offpiste.reproduction.pieces import Piece
-from offpiste.reproduction.settings import BASELINE, Figure, Member, Reproduction, feature_sets
+from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
+from offpiste.reproduction.steps import Step
 from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run, load_run, refuse_seen
 from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train
 
 STAGES = ("actuators", "bicycle")
-"""They know nothing of terrain features: what one model fitted serves all."""
+"""Stages of training that do not read terrain features: fitted with one model, they serve all."""
 
 
 def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
-    """Give a run the stages that a run of the same seed has fitted already; folders are called NAME-SEED.
+    """Copy the stages that a run of the same seed has fitted already; folders are named NAME-SEED.
 
     Args:
         runs: folder of all runs, of one dataset and with the same settings of these stages.
@@ -48,10 +43,11 @@ def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
 
 
 PART = "test"
+"""Part of the split that models are evaluated on."""
 
 
-def readings(figure: Figure, *, mapped: bool) -> list[Reading]:
-    """Where the models of a figure read the ground: under recorded wheels by feature set, and on the map.
+def figure_readings(figure: Figure, *, mapped: bool) -> list[Reading]:
+    """Terrain lookups of a figure's models: at recorded places by feature set, and on the map.
 
     Args:
         mapped: whether the dataset keeps maps.
@@ -61,12 +57,12 @@ def readings(figure: Figure, *, mapped: bool) -> list[Reading]:
 
 
 def errors_path(run: Path, reading: Reading) -> Path:
-    """Where the errors of a run are kept: in its own folder, so that they go with it."""
+    """Path of the errors of a run, in its own folder so that they move with it."""
     return run / "errors" / f"{'-'.join(filter(None, reading))}.safetensors"
 
 
 def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.ndarray:
-    """Windows that are judged: a stride apart, or those with a snapshot of the map."""
+    """Indices of the windows to evaluate: a stride apart, or those with a snapshot of the map."""
     if reading[0] == "map":
         return windows.judged(stride)
     every = windows.every(stride)
@@ -104,115 +100,115 @@ def run_errors(
 
 
 def mapped(dataset: Dataset) -> bool:
-    """Whether windows of the test part have maps to be read at predicted places."""
+    """Whether windows of the test part have maps that can be read at predicted places."""
     return bool(Windows(dataset, PART).maps.any)
 
 
 WINDOW_SECONDS, READING = 0.5e-3, 1.8
-"""What a window costs the kernels, about; and how much more it does with features."""
+"""Rough time of the kernels per window [s], and its factor for models that read features."""
 
 MAP_SECONDS = 0.08
-"""What a window costs on a map of its own, about."""
+"""Rough time per window with a map of its own [s]."""
 
 
 @dataclass(frozen=True)
-class Driven:
-    """Seconds of driving to train, validate and test on; what pieces cost follows from them."""
+class DrivenTime:
+    """Seconds of driving to train, validate and test on, from which the steps' costs follow."""
 
     train: float
     validation: float
     test: float
 
 
-def driven_in(dataset: Dataset) -> Driven:
-    """Of a dataset."""
-    return Driven(*(DT * sum(int((d.part == part).sum()) for d in dataset.drives) for part in range(len(PARTS))))
+def driven_time(dataset: Dataset) -> DrivenTime:
+    """Seconds of driving in a dataset, by part."""
+    return DrivenTime(*(DT * sum(int((d.part == part).sum()) for d in dataset.drives) for part in range(len(PARTS))))
 
 
 @dataclass(frozen=True)
-class Work:
-    """Trains and judges runs on a dataset, and opens nothing before it is needed."""
+class EvaluationData:
+    """Dataset, windows and loss units of an evaluation, each opened when it is first needed."""
 
-    asked: Reproduction
+    settings: ReproductionSettings
     dataset: Dataset
 
     @cached_property
     def windows(self) -> Windows:
-        """That models are judged on."""
-        return Windows(self.dataset, PART, start="causal", device=self.asked.device)
+        """Windows of the test part."""
+        return Windows(self.dataset, PART, start="causal", device=self.settings.device)
 
     @cached_property
     def scale(self) -> torch.Tensor:
-        """Units of the loss: those of the first `b`, for all runs alike."""
-        return load_run(self.asked.runs / f"{BASELINE}-0").scale
+        """Units of the loss: those of the first `b`, the same for all runs."""
+        return load_run(self.settings.runs / f"{BASELINE}-0").scale
 
 
-def train_run(asked: Reproduction, member: Member, seed: int) -> None:
-    """Train a run, or go on with it."""
-    folder = asked.runs / member.folder(seed)
-    reuse_stages(asked.runs, folder, seed)
-    config = member.config(asked.size, seed, asked.device)
-    train(open_dataset(asked.data), config, folder, resume=(folder / "config.json").exists())
+def train_run(settings: ReproductionSettings, model: FigureModel, seed: int) -> None:
+    """Train a run, or resume its training."""
+    folder = settings.runs / model.folder(seed)
+    reuse_stages(settings.runs, folder, seed)
+    config = model.config(settings.size, seed, settings.device)
+    train(open_dataset(settings.data), config, folder, resume=(folder / "config.json").exists())
 
 
-def evaluate_run(asked: Reproduction, member: Member, seed: int, readings: Sequence[Reading]) -> None:
-    """Judge a run in the ways that are missing."""
-    work = Work(asked, open_dataset(asked.data))
-    run = load_run(asked.runs / member.folder(seed), device=asked.device)
-    refuse_seen(run, work.dataset, PART)
+def evaluate_run(settings: ReproductionSettings, model: FigureModel, seed: int, readings: Sequence[Reading]) -> None:
+    """Compute and save the errors of a run that are missing."""
+    data = EvaluationData(settings, open_dataset(settings.data))
+    run = load_run(settings.runs / model.folder(seed), device=settings.device)
+    refuse_seen(run, data.dataset, PART)
     for reading in readings:
         if not errors_path(run.folder, reading).exists():
-            index = evaluation_windows(work.windows, reading, asked.size.stride)
-            errors = run_errors(run, work.windows, index, reading, scale=work.scale)
+            index = evaluation_windows(data.windows, reading, settings.size.stride)
+            errors = run_errors(run, data.windows, index, reading, scale=data.scale)
             save_errors(errors_path(run.folder, reading), errors)
 
 
 def model_stages(
-    asked: Reproduction, members: Sequence[Member], readings: Sequence[Reading], driven: Driven
-) -> list[list[Piece]]:
-    """Training of the baseline, which fits what others reuse; training of these; judging of all.
+    settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading], driven: DrivenTime
+) -> list[list[Step]]:
+    """Stages: training of the baseline, which fits what others reuse; training of the others; evaluation of all.
 
     Args:
-        driven: how much, or how much there will be.
+        driven: seconds of driving that there are or will be.
     """
-    first: list[Piece] = []
-    others: list[Piece] = []
-    judged: list[Piece] = []
-    for member in members:
-        for seed in member.seeds(asked.size):
-            folder = asked.runs / member.folder(seed)
-            name = f"{member.label}, seed {seed}"
-            training = Piece(
+    first: list[Step] = []
+    others: list[Step] = []
+    evaluations: list[Step] = []
+    for model in models:
+        for seed in model.seeds(settings.size):
+            folder = settings.runs / model.folder(seed)
+            name = f"{model.label}, seed {seed}"
+            training = Step(
                 f"train {name}",
-                _cost_of_training(asked, member, driven),
+                _cost_of_training(settings, model, driven),
                 (folder / "model.json").exists,
-                partial(train_run, asked, member, seed),
+                partial(train_run, settings, model, seed),
             )
-            (first if member.model == BASELINE else others).append(training)
-            judged.append(
-                Piece(
-                    f"judge {name}",
-                    _cost_of_judging(asked, readings, driven),
-                    partial(_judged, folder, readings),
-                    partial(evaluate_run, asked, member, seed, readings),
+            (first if model.model == BASELINE else others).append(training)
+            evaluations.append(
+                Step(
+                    f"evaluate {name}",
+                    _cost_of_evaluation(settings, readings, driven),
+                    partial(_evaluated, folder, readings),
+                    partial(evaluate_run, settings, model, seed, readings),
                 )
             )
-    return [first, others, judged]
+    return [first, others, evaluations]
 
 
-def _judged(folder: Path, readings: Sequence[Reading]) -> bool:
+def _evaluated(folder: Path, readings: Sequence[Reading]) -> bool:
     return all(errors_path(folder, reading).exists() for reading in readings)
 
 
-def _cost_of_training(asked: Reproduction, member: Member, driven: Driven) -> float:
-    train = asked.size.train
+def _cost_of_training(settings: ReproductionSettings, model: FigureModel, driven: DrivenTime) -> float:
+    train = settings.size.train
     windows = driven.train / DT / train.stride + driven.validation / DT / train.stride / 3
-    if member.model == BASELINE:  # the first of its seed: it fits what others reuse, and kernels are compiled
+    if model.model == BASELINE:  # the first of its seed: it fits what others reuse, and kernels are compiled
         return WINDOW_SECONDS * windows * (train.epochs + train.bicycle_epochs + train.actuator_epochs) + 10
     return WINDOW_SECONDS * windows * train.epochs * READING + 2
 
 
-def _cost_of_judging(asked: Reproduction, readings: Sequence[Reading], driven: Driven) -> float:
-    recorded = 0.5 * WINDOW_SECONDS * driven.test / DT / asked.size.stride
-    on_map = MAP_SECONDS * driven.test / asked.size.snapshot_seconds
+def _cost_of_evaluation(settings: ReproductionSettings, readings: Sequence[Reading], driven: DrivenTime) -> float:
+    recorded = 0.5 * WINDOW_SECONDS * driven.test / DT / settings.size.stride
+    on_map = MAP_SECONDS * driven.test / settings.size.snapshot_seconds
     return sum(on_map if lookup == "map" else recorded for lookup, _ in readings) + 1

@@ -1,7 +1,4 @@
-"""How large a reproduction of the paper's figures is, and what it is of.
-
-Which models a figure is of, and which of them are the same.
-"""
+"""Settings of a reproduction: its size, its data, and the models of each figure."""
 
 import math
 from collections.abc import Sequence
@@ -16,25 +13,26 @@ from offpiste.parallel import usable_cores
 from offpiste.training.config import TrainConfig
 
 BASELINE = "b"
+"""Model that the others are compared with."""
 
 Figure = Literal["fig3", "fig4"]
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is driven, trained and judged.
+    """Amount of driving, training and evaluation.
 
     Attributes:
-        name: how a person asks for it.
+        name: value of --size.
         seconds: of driving to train, validate and test on, over all worlds [s].
         longest, shortest: of one drive [s]; a world whose share is less than `shortest` gets that much.
-        images: that the PCA is fitted on.
-        pca_drives: of each world that the PCA may look at.
-        snapshot_seconds: the map is kept for windows that validate and test, at most once in so long [s].
-        seeds: runs of `b`, `cf` and `dc`; other models have one.
-        stride: rows between the windows that are judged at recorded places; on the map, those with a snapshot are.
+        images: number of images that the PCA is fitted on.
+        pca_drives: number of drives of each world that the PCA is fitted on.
+        snapshot_seconds: least time between windows of validation and test for which the map is kept [s].
+        seeds: number of runs of `b`, `cf` and `dc`; other models have one.
+        stride: rows between windows evaluated at recorded places; on the map, those with a snapshot are evaluated.
         train: settings of all trainings.
-        world_size, world_resolution: [m].
+        world_size, world_resolution: extent and cell size of the worlds [m].
     """
 
     name: str
@@ -78,7 +76,7 @@ SIZES = {
         train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
     ),
 }
-"""`smoke` ends within minutes, `laptop` within two hours, `paper` has some 2M windows to train and 250k to test."""
+"""Sizes by name: `smoke` takes minutes, `laptop` two hours; `paper` has some 2M windows to train and 250k to test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
@@ -100,19 +98,19 @@ def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: i
 
 
 @dataclass(frozen=True)
-class Reproduction:
-    """What is reproduced.
+class ReproductionSettings:
+    """Settings of `offpiste reproduce`.
 
     Attributes:
         figure: of the paper; both share drives and runs in one folder.
-        size: how large.
+        size: amount of driving, training and evaluation.
         out: folder for everything.
-        dataset: with visual features, to take instead of simulating.
+        dataset: existing one with visual features; None: drives are simulated.
         backbone: of the visual features (`offpiste.perception.backbones.open_backbone`).
         split: "drives": tests on drives of their own; "blocks": on stretches of the same logs, as the paper does.
         contrast: of grip in the simulated worlds.
-        device: that backbone and models run on.
-        processes: drives simulated or extracted, and runs trained or judged, at a time; 0: one a core.
+        device: on which backbone and models run.
+        processes: drives simulated or extracted, and runs trained or evaluated, at a time; 0: one per core.
     """
 
     figure: Figure
@@ -127,26 +125,26 @@ class Reproduction:
 
     @property
     def data(self) -> Path:
-        """The dataset."""
+        """Path of the dataset."""
         return self.dataset or self.out / "dataset.zarr"
 
     @property
     def runs(self) -> Path:
-        """Folder of the trained models."""
+        """Folder of the trained runs."""
         return self.out / "runs"
 
     @property
     def times(self) -> Path:
-        """What each piece took, a line of JSON each."""
-        return self.out / "pieces.jsonl"
+        """File with the time that each step took, one line of JSON per step."""
+        return self.out / "steps.jsonl"
 
     @property
     def at_a_time(self) -> int:
-        """Processes; one where an accelerator is shared."""
+        """Number of processes; one where they would share an accelerator."""
         return (self.processes or usable_cores()) if self.device == "cpu" else 1
 
     def described(self) -> dict[str, Any]:
-        """What must be the same for pieces in `out` to be used again."""
+        """The settings that must be the same for results in `out` to be used again."""
         if self.dataset is not None:
             return {"size": asdict(self.size), "dataset": str(self.dataset.resolve())}
         return {
@@ -159,25 +157,25 @@ class Reproduction:
 
 
 CODES, PCA = 4, 40
-"""The paper's n and its number of PCA features."""
+"""The paper's length n of a code and its number of PCA features."""
 
 CODES_SWEPT = (1, 2, 4, 8, 16)
 PCA_SWEPT = (5, 10, 20, 40, 80)
-"""Fig. 3b and 3c."""
+"""Code lengths of Fig. 3b and numbers of features of Fig. 3c."""
 
 SEEDED = ("b", "cf", "dc")
-"""Models with several seeds."""
+"""Models that are trained with several seeds."""
 
 
 @dataclass(frozen=True)
-class Member:
+class FigureModel:
     """A model of a figure.
 
     Attributes:
         model: its name in `offpiste.dynamics.MODELS`.
-        codes: length of its code.
-        pca: how many of the dataset's features it reads.
-        variant: what tells it from the usual one of its name; empty for that one.
+        codes: length n of its code.
+        pca: number of the dataset's features that it reads.
+        variant: what tells it from the standard one of its name; empty for that one.
     """
 
     model: str
@@ -187,11 +185,11 @@ class Member:
 
     @property
     def label(self) -> str:
-        """Name and variant."""
+        """Name of the model, and its variant if it has one."""
         return label(self.model, self.variant)
 
     def folder(self, seed: int) -> str:
-        """Name of a run's folder."""
+        """Name of the folder of a run."""
         return "-".join((self.model, *filter(None, (self.variant.replace(" ", "-").replace("=", ""),)), str(seed)))
 
     def config(self, size: Size, seed: int, device: str) -> TrainConfig:
@@ -199,40 +197,40 @@ class Member:
         return replace(size.train, model=self.model, codes=self.codes, pca=self.pca, seed=seed, device=device)
 
     def seeds(self, size: Size) -> range:
-        """Of its runs."""
+        """Seeds of its runs."""
         return range(size.seeds if self.model in SEEDED and not self.variant else 1)
 
 
-def usual(model: str, stored: int) -> Member:
-    """A model as in the paper, or with as many features as there are."""
-    return Member(model, CODES, min(PCA, stored))
+def standard_model(model: str, stored: int) -> FigureModel:
+    """A model as in the paper, or with all features where the dataset has fewer."""
+    return FigureModel(model, CODES, min(PCA, stored))
 
 
-def compression_sizes(stored: int) -> dict[int, Member]:
-    """Fig. 3b: `cf` by the length of its code."""
-    same = usual("cf", stored)
+def compression_sizes(stored: int) -> dict[int, FigureModel]:
+    """Models of Fig. 3b: `cf` by the length of its code."""
+    same = standard_model("cf", stored)
     return {n: same if n == CODES else replace(same, codes=n, variant=f"n={n}") for n in CODES_SWEPT}
 
 
-def feature_numbers(stored: int) -> dict[int, Member]:
-    """Fig. 3c: `cf` by the number of features that it reads; none beyond what the dataset stores."""
-    same = usual("cf", stored)
+def feature_numbers(stored: int) -> dict[int, FigureModel]:
+    """Models of Fig. 3c: `cf` by the number of features that it reads, at most as many as the dataset stores."""
+    same = standard_model("cf", stored)
     numbers = sorted({min(n, stored) for n in PCA_SWEPT})
     return {n: same if n == same.pca else replace(same, pca=n, variant=f"pca={n}") for n in numbers}
 
 
-def members(figure: Figure, stored: int) -> list[Member]:
+def figure_models(figure: Figure, stored: int) -> list[FigureModel]:
     """The models of a figure, `b` first, each once.
 
     Args:
-        stored: how many features the dataset has.
+        stored: number of features in the dataset.
     """
     if figure == "fig4":
-        return [usual(name, stored) for name in ("b", "df", "cf", "dc")]
+        return [standard_model(name, stored) for name in ("b", "df", "cf", "dc")]
     swept = [*compression_sizes(stored).values(), *feature_numbers(stored).values()]
-    return list(dict.fromkeys([usual(name, stored) for name in ("b", "df", "cf")] + swept))
+    return list(dict.fromkeys([standard_model(name, stored) for name in ("b", "df", "cf")] + swept))
 
 
 def feature_sets(figure: Figure) -> Sequence[str]:
-    """That models read at recorded places."""
+    """Feature sets that models read at recorded places."""
     return FEATURE_SETS if figure == "fig4" else FEATURE_SETS[:1]

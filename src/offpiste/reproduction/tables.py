@@ -1,7 +1,4 @@
-"""What the paper says of its figures, beside what was found: nothing is rounded in favour of either.
-
-The numbers of a figure as tables of text.
-"""
+"""Tables of a figure: its numbers, and the paper's claims beside the results, rounded in favour of neither."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,7 +10,7 @@ from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.metrics import ResultRow
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.reproduction.results import Findings, last_rows, valid_throughout
+from offpiste.reproduction.results import FigureResults, last_rows, seen_throughout
 from offpiste.reproduction.settings import BASELINE, compression_sizes, feature_numbers
 
 HINDSIGHT: Reading = ("recorded", "hindsight")
@@ -38,77 +35,77 @@ def verdict(difference: PairedDifference, limit: float = 0.0) -> str:
     return reached if sure else f"{reached}, not certain"
 
 
-def fig3_claims(found: Findings, stored: int) -> TextTable:
-    """Hindsight: what features are worth, and that neither n nor their number matters much."""
-    by_label = {member.label: member for member in found.members}
+def fig3_claims(results: FigureResults, stored: int) -> TextTable:
+    """Claims of figure 3: features help in hindsight, and neither n nor their number matters much."""
+    by_label = {model.label: model for model in results.models}
     lines: list[tuple[str, ...]] = []
     for quantity, name, limit in (("loss", "summed loss", -0.10), ("vx_error_mps", "v_x error at 5 s", -0.08)):
-        for reading in _present(found, (HINDSIGHT, MAP)):
-            mine = found.against(by_label["cf"], reading).relative[quantity]
+        for reading in _present(results, (HINDSIGHT, MAP)):
+            mine = results.compare(by_label["cf"], reading).relative[quantity]
             paper = f"{100 * limit:.0f} %" if reading == HINDSIGHT else f"{100 * limit:.0f} % (recorded)"
-            lines.append((f"cf against b, mean {name}, {_said(reading)}", paper, percent(mine), verdict(mine, limit)))
-    for reading in _present(found, (HINDSIGHT, MAP)):
-        df, cf = (found.against(by_label[name], reading).relative["distance_error_m"] for name in ("df", "cf"))
+            lines.append((f"cf against b, mean {name}, {_place(reading)}", paper, percent(mine), verdict(mine, limit)))
+    for reading in _present(results, (HINDSIGHT, MAP)):
+        df, cf = (results.compare(by_label[name], reading).relative["distance_error_m"] for name in ("df", "cf"))
         apart = df.mean - cf.mean
         lines.append(
             (
-                f"df at or slightly below cf, distance error, {_said(reading)}",
+                f"df at or slightly below cf, distance error, {_place(reading)}",
                 "df slightly below",
                 f"df {100 * df.mean:+.1f} %, cf {100 * cf.mean:+.1f} % of b",
                 "yes" if apart <= 0 else "no",
             )
         )
     for name, swept in (("n", compression_sizes(stored)), ("PCA features", feature_numbers(stored))):
-        gains = {n: found.against(member, HINDSIGHT).relative["distance_error_m"].mean for n, member in swept.items()}
-        said = ", ".join(f"{n}: {100 * gain:+.1f} %" for n, gain in gains.items())
+        gains = {n: results.compare(model, HINDSIGHT).relative["distance_error_m"].mean for n, model in swept.items()}
+        numbers = ", ".join(f"{n}: {100 * gain:+.1f} %" for n, gain in gains.items())
         below = all(gain < 0 for gain in gains.values())
-        lines.append((f"robust to {name}, distance error against b", "all below b", said, "yes" if below else "no"))
+        lines.append((f"robust to {name}, distance error against b", "all below b", numbers, "yes" if below else "no"))
     return _table(lines)
 
 
-def fig4_claims(found: Findings) -> TextTable:
-    """Distance: naive training fails far away, `dc` does not."""
-    by_label = {member.label: member for member in found.members}
+def fig4_claims(results: FigureResults) -> TextTable:
+    """Claims of figure 4: naive training fails with features seen from afar, `dc` does not."""
+    by_label = {model.label: model for model in results.models}
 
     def gain(label: str, name: str) -> PairedDifference:
-        return found.against(by_label[label], ("recorded", name)).relative["distance_error_m"]
+        return results.compare(by_label[label], ("recorded", name)).relative["distance_error_m"]
 
     lines: list[tuple[str, ...]] = []
     for label in ("df", "cf"):
         far = {name: gain(label, name) for name in ("20", "30", "40")}
         behind = [name for name, value in far.items() if value.mean > 0]
-        said = ", ".join(f"{name} m: {100 * value.mean:+.1f} %" for name, value in far.items())
-        lines.append((f"{label} falls behind b far away", "behind", said, "yes" if behind else "no"))
+        numbers = ", ".join(f"{name} m: {100 * value.mean:+.1f} %" for name, value in far.items())
+        lines.append((f"{label} falls behind b far away", "behind", numbers, "yes" if behind else "no"))
     ahead = [gain("df", name).mean - gain("cf", name).mean for name in ("10", "20", "30", "40")]
-    said = f"df minus cf, mean over 10 to 40 m: {100 * float(np.mean(ahead)):+.1f} % of b"
-    lines.append(("df is more sensitive than cf", "df worse", said, "yes" if np.mean(ahead) > 0 else "no"))
+    numbers = f"df minus cf, mean over 10 to 40 m: {100 * float(np.mean(ahead)):+.1f} % of b"
+    lines.append(("df is more sensitive than cf", "df worse", numbers, "yes" if np.mean(ahead) > 0 else "no"))
     for name in ("hindsight", "0", "10", "20", "30"):
         value = gain("dc", name)
         where = "in hindsight" if name == "hindsight" else f"at {name} m"
         lines.append((f"dc below b {where}", "below", percent(value), verdict(value)))
-    for reading in _present(found, (MAP,)):
-        value = found.against(by_label["dc"], reading).relative["distance_error_m"]
-        lines.append((f"dc below b, {_said(reading)} (decides)", "not in the paper", percent(value), verdict(value)))
+    for reading in _present(results, (MAP,)):
+        value = results.compare(by_label["dc"], reading).relative["distance_error_m"]
+        lines.append((f"dc below b, {_place(reading)} (decides)", "not in the paper", percent(value), verdict(value)))
     return _table(lines)
 
 
-def sentences(found: Findings, label: str) -> list[str]:
-    """The main numbers of a model, the way that decides first."""
-    member = next(member for member in found.members if member.label == label)
+def sentences(results: FigureResults, label: str) -> list[str]:
+    """Sentences with a model's main numbers, the terrain lookup that decides first."""
+    model = next(model for model in results.models if model.label == label)
 
     def sentence(reading: Reading) -> str:
-        gains = found.against(member, reading).relative
+        gains = results.compare(model, reading).relative
         numbers = f"distance error after 5 s {percent(gains['distance_error_m'])}, loss {percent(gains['loss'])}"
-        return f"{label} against b, {_said(reading)}: {numbers}"
+        return f"{label} against b, {_place(reading)}: {numbers}"
 
-    return [sentence(reading) for reading in _present(found, (MAP, HINDSIGHT))]
-
-
-def _present(found: Findings, wanted: Sequence[Reading]) -> Iterator[Reading]:
-    return (reading for reading in wanted if reading in found.readings)
+    return [sentence(reading) for reading in _present(results, (MAP, HINDSIGHT))]
 
 
-def _said(reading: Reading) -> str:
+def _present(results: FigureResults, wanted: Sequence[Reading]) -> Iterator[Reading]:
+    return (reading for reading in wanted if reading in results.readings)
+
+
+def _place(reading: Reading) -> str:
     return "map at predicted places" if reading == MAP else "recorded lookup in hindsight"
 
 
@@ -130,7 +127,7 @@ NAMES = {
 
 
 def error_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Mean errors after 5 s of every model, in every way of reading the ground."""
+    """Mean errors after 5 s of every model and terrain lookup."""
     lines = [
         (
             row.reading_label,
@@ -142,71 +139,71 @@ def error_table(rows: Sequence[ResultRow]) -> TextTable:
     ]
     about = (
         "Mean absolute errors with 95 % intervals, bootstrapped over blocks of 10 s; the loss is over all steps. "
-        "Several seeds: each window's error is their mean. On the map, other windows are judged."
+        "Several seeds: each window's error is their mean. On the map, other windows are evaluated."
     )
     return TextTable("Errors after 5 s", ("model", *NAMES.values(), "median [m]", "windows"), tuple(lines), about)
 
 
-def difference_table(found: Findings) -> TextTable:
-    """Every model against `b`, read in the same way on the same windows."""
+def difference_table(results: FigureResults) -> TextTable:
+    """Every model against `b`, with the same terrain lookup on the same windows."""
     lines = []
-    for member in found.members:
-        for reading in found.readings:
-            if member.label != BASELINE:
-                against = found.against(member, reading)
-                name = f"{member.label} · {' '.join(filter(None, reading))}"
+    for model in results.models:
+        for reading in results.readings:
+            if model.label != BASELINE:
+                against = results.compare(model, reading)
+                name = f"{model.label} · {' '.join(filter(None, reading))}"
                 lines.append((name, *(percent(against.relative[key]) for key in NAMES), str(against.n)))
     about = f"Mean error of the model relative to that of {BASELINE}; negative: the model is better."
     names = ("model", *(name.partition(" [")[0] for name in NAMES.values()), "windows")
     return TextTable("Against b", names, tuple(lines), about)
 
 
-def seed_table(found: Findings) -> TextTable:
-    """Each run against the `b` of its seed, for models with several."""
+def seed_table(results: FigureResults) -> TextTable:
+    """Each run against the `b` of its seed, for models with several runs."""
     lines = []
-    for member in found.members:
-        for reading in found.readings:
-            runs = found.each_seed(member, reading)
-            if member.label != BASELINE and len(runs) > 1 and reading[1] in (None, "hindsight"):
+    for model in results.models:
+        for reading in results.readings:
+            runs = results.compare_seeds(model, reading)
+            if model.label != BASELINE and len(runs) > 1 and reading[1] in (None, "hindsight"):
                 gains = [100 * run.relative["distance_error_m"].mean for run in runs]
                 losses = [100 * run.relative["loss"].mean for run in runs]
-                name = f"{member.label} · {' '.join(filter(None, reading))}"
+                name = f"{model.label} · {' '.join(filter(None, reading))}"
                 lines.append((name, _spread(gains), _spread(losses)))
     about = "Each run relative to the b of its seed, and their standard deviation."
     return TextTable("Seeds", ("model", "distance error [%]", "loss [%]"), tuple(lines), about)
 
 
-def distance_table(found: Findings, results: Sequence[ResultRow], quantity: str) -> TextTable:
-    """A mean error by the distance that features were seen from, and relative to `b`'s with the normals seen then."""
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
-    rows = {row.reading_label: row for row in last_rows(results)}
+def distance_table(results: FigureResults, result_rows: Sequence[ResultRow], quantity: str) -> TextTable:
+    """Mean error by the distance that features were seen from, and relative to `b`'s with the same normals."""
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in results.readings]
+    rows = {row.reading_label: row for row in last_rows(result_rows)}
     lines = []
-    for member in found.members:
-        mine = [rows[_way(member.label, name)] for name in sets]
-        lines.append((member.label, *(number(getattr(row, quantity).mean, 3) for row in mine)))
+    for model in results.models:
+        mine = [rows[_reading_label(model.label, name)] for name in sets]
+        lines.append((model.label, *(number(getattr(row, quantity).mean, 3) for row in mine)))
         lines.append(("  95 % interval", *(interval(getattr(row, quantity).ci95, 3) for row in mine)))
-        if member.label != BASELINE:
-            gains = [found.against(member, ("recorded", name)).relative[quantity] for name in sets]
+        if model.label != BASELINE:
+            gains = [results.compare(model, ("recorded", name)).relative[quantity] for name in sets]
             lines.append(("  against b", *(percent(gain) for gain in gains)))
     about = "At recorded places; every model, b too, reads the normals of the same set as its features."
     return TextTable(f"Mean {NAMES[quantity]} by distance", ("model", *_metres(sets)), tuple(lines), about)
 
 
-def seen_table(found: Findings, dataset: Dataset) -> TextTable:
-    """Distance errors against `b` where nothing is missing: what is left is how looks change with distance."""
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in found.readings]
-    windows = found.over_seeds(found.baseline, ("recorded", sets[0]))
-    seen = {name: valid_throughout(dataset, name, windows) for name in sets}
+def seen_table(results: FigureResults, dataset: Dataset) -> TextTable:
+    """Distance errors against `b` in windows without missing features, where only their looks change with distance."""
+    sets = [name for name in FEATURE_SETS if ("recorded", name) in results.readings]
+    windows = results.over_seeds(results.baseline, ("recorded", sets[0]))
+    seen = {name: seen_throughout(dataset, name, windows) for name in sets}
     lines: list[tuple[str, ...]] = [("windows", *(str(int(s.sum())) for s in seen.values()))]
-    for member in found.members:
-        if member.label != BASELINE:
-            gains = [found.against(member, ("recorded", name), seen[name]).relative for name in sets]
-            lines.append((member.label, *(percent(gain["distance_error_m"]) for gain in gains)))
+    for model in results.models:
+        if model.label != BASELINE:
+            gains = [results.compare(model, ("recorded", name), seen[name]).relative for name in sets]
+            lines.append((model.label, *(percent(gain["distance_error_m"]) for gain in gains)))
     about = "Distance error against b, only on windows whose every wheel has features of the set all along."
     return TextTable("Windows valid throughout", ("model", *_metres(sets)), tuple(lines), about)
 
 
-def _way(label: str, feature_set: str) -> str:
+def _reading_label(label: str, feature_set: str) -> str:
     return f"{label} · recorded" + ("" if feature_set == "hindsight" else f" {feature_set} m")
 
 

@@ -78,9 +78,9 @@ def test_a_map_shifted_by_nothing_is_the_map(dataset: Dataset) -> None:
     windows, index = Windows(dataset, "test"), np.array([5, 300])
     model = MODELS["df"](vehicle_of(dataset))
     batch = encoded(model, windows.gather(index))
-    usual, source = on_map(model, windows, index, batch)
+    standard_model, source = on_map(model, windows, index, batch)
     moved, other = ShiftedMap(windows, 0.0)(model, windows, index, batch)
-    torch.testing.assert_close(moved.history.terrain.latent, usual.history.terrain.latent)
+    torch.testing.assert_close(moved.history.terrain.latent, standard_model.history.terrain.latent)
     for state in batch.target[:, ::100].unbind(1):
         torch.testing.assert_close(other.at(0, state).latent, source.at(0, state).latent)
         torch.testing.assert_close(other.at(0, state).normal, source.at(0, state).normal)

@@ -1,0 +1,190 @@
+"""Long experiments as resumable steps: each is done whole and once, and the log says how much time is left."""
+
+import io
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from offpiste.errors import RunError
+from offpiste.parallel import Report, run_all
+from offpiste.training.checkpoint import load_json, save_json
+
+logger = logging.getLogger(__name__)
+
+
+def claim_folder(out: Path, settings: dict[str, Any]) -> None:
+    """Write the settings of an experiment to `out/settings.json`, or check that they are the same.
+
+    Raises:
+        RunError: the folder was begun with other settings.
+    """
+    path, wanted = out / "settings.json", json.loads(json.dumps(settings))
+    if not path.exists():
+        save_json(path, wanted)
+        return
+    there = load_json(path)
+    other = [key for key in sorted({*there, *wanted}) if there.get(key) != wanted.get(key)]
+    if other:
+        other = [name for key in other for name in _differing(key, there.get(key), wanted.get(key))]
+        raise RunError(
+            f"was begun with other settings ({', '.join(other)})",
+            where=out,
+            how="give the same again, or choose another --out",
+        )
+
+
+def _differing(name: str, there: Any, wanted: Any) -> list[str]:
+    """Names of the settings that differ, inside of a table of settings by its own keys."""
+    if not (isinstance(there, dict) and isinstance(wanted, dict)):
+        return [name]
+    return [f"{name}.{key}" for key in sorted({*there, *wanted}) if there.get(key) != wanted.get(key)]
+
+
+Record = Callable[[str, float], None]
+"""Receives the name of a step and the time it took [s]."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of an experiment.
+
+    Attributes:
+        name: shown in the log.
+        cost: rough duration, in proportion to other steps [s].
+        done: whether its result is there.
+        do: makes the result, whole or not at all, or resumes making it.
+    """
+
+    name: str
+    cost: float
+    done: Callable[[], bool]
+    do: Callable[[], None]
+
+
+def nothing(name: str, seconds: float) -> None:
+    """Record nothing."""
+
+
+def run_steps(
+    stages: Sequence[Sequence[Step]],
+    *,
+    before: int = 0,
+    later: Sequence[Step] = (),
+    processes: int = 1,
+    record: Record = nothing,
+    clock: Callable[[], float] = time.perf_counter,
+) -> None:
+    """Do the steps that are not done yet, stage after stage.
+
+    Args:
+        stages: steps of one stage do not depend on each other.
+        before: number of steps that came first.
+        later: steps that come afterwards; they count for the time left.
+        processes: number of steps of a stage that are done side by side; with more than one, `do` and `record` must
+            be picklable.
+        record: receives the time that each step took.
+
+    Raises:
+        OffpisteError: a step failed; others of its stage may have been done nevertheless.
+    """
+    steps = [step for stage in stages for step in stage]
+    pace = _Pace([*steps, *later], clock)
+    total = before + len(steps) + len(later)
+    numbers = {step.name: f"[{number}/{total}]" for number, step in enumerate(steps, start=before + 1)}
+    for stage in stages:
+        missing = [step for step in stage if not step.done()]
+        for step in stage:
+            if step not in missing:
+                logger.info(f"{numbers[step.name]} {step.name}: there")
+        if processes > 1 and len(missing) > 1:
+            _side_by_side(missing, numbers, processes, pace, record)
+            continue
+        for step in missing:
+            number = numbers[step.name]
+            logger.info(f"{number} {step.name}; about {pace.left()} left")
+            seconds = _timed(step.do, clock)
+            record(step.name, seconds)
+            pace.spent += step.cost
+            logger.info(f"{' ' * len(number)} done in {format_duration(seconds)}")
+
+
+class _Pace:
+    """Estimate of the time left, from the time that the steps so far took."""
+
+    def __init__(self, steps: Sequence[Step], clock: Callable[[], float]) -> None:
+        self._steps, self._clock, self._began = steps, clock, clock()
+        self.spent = 0.0
+
+    def left(self) -> str:
+        seconds = sum(step.cost for step in self._steps if not step.done())
+        return format_duration(seconds * ((self._clock() - self._began) / self.spent if self.spent else 1.0))
+
+
+def _side_by_side(
+    steps: Sequence[Step],
+    numbers: Mapping[str, str],
+    processes: int,
+    pace: _Pace,
+    record: Record,
+) -> None:
+    named = {step.name: step for step in steps}
+    logger.info(f"{len(steps)} steps, {min(processes, len(steps))} at a time: {', '.join(named)}")
+
+    def done(name: str) -> None:
+        if name not in named:  # the message of a failure
+            logger.info(name)
+            return
+        pace.spent += named[name].cost
+        logger.info(f"{numbers[name]} {name}: done; about {pace.left()} left")
+
+    failed = run_all(_alone, [_Job(step.name, step.do, record) for step in steps], processes, "steps", finished=done)
+    if failed:
+        raise failed[0]
+
+
+@dataclass(frozen=True)
+class _Job:
+    name: str
+    do: Callable[[], None]
+    record: Record
+
+
+def _alone(job: _Job, report: Report) -> str:
+    with redirect_stderr(io.StringIO()):  # bars of several processes would run into each other
+        job.record(job.name, _timed(job.do, time.perf_counter))
+    return job.name
+
+
+def _timed(do: Callable[[], None], clock: Callable[[], float]) -> float:
+    started = clock()
+    do()
+    return clock() - started
+
+
+def append_time(path: Path, name: str, seconds: float) -> None:
+    """Append the time that a step took; of a resumed step, only the time since it was resumed."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"step": name, "seconds": round(seconds, 1)}) + "\n")
+
+
+def times_by_kind(path: Path) -> dict[str, float]:
+    """Time spent by the first word of steps' names: simulate, train, ... [s]."""
+    spent: dict[str, float] = {}
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    for line in lines:
+        step = json.loads(line)
+        kind = step["step"].split()[0]
+        spent[kind] = spent.get(kind, 0.0) + step["seconds"]
+    return spent
+
+
+def format_duration(seconds: float) -> str:
+    """A duration in seconds, minutes or hours."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,104 @@
+"""Steps are done in order, each once, also after a kill; the log shows the time left."""
+
+import shutil
+from functools import partial
+
+import pytest
+
+from log_messages import logged
+from offpiste.errors import RunError
+from offpiste.reproduction.steps import Step, append_time, format_duration, run_steps, times_by_kind
+from offpiste.training.checkpoint import load_json, save_json
+
+
+class Killed(BaseException):
+    """Stands in for a kill."""
+
+
+class Bench:
+    """Steps that take time on a clock of their own."""
+
+    def __init__(self, kill_at: str = "") -> None:
+        self.made: list[str] = []
+        self.now, self.kill_at, self.logged = 0.0, kill_at, []
+
+    def step(self, name: str, cost: float, takes: float) -> Step:
+        def do() -> None:
+            if name == self.kill_at:
+                raise Killed
+            self.now += takes
+            self.made.append(name)
+
+        return Step(name, cost, lambda: name in self.made, do)
+
+    def run(self, steps: list[Step], **options: object) -> None:
+        with logged() as messages:
+            try:
+                run_steps([steps], clock=lambda: self.now, **options)
+            finally:
+                self.logged += messages
+
+
+def test_steps_are_done_in_order_and_resumed_after_a_kill():
+    bench = Bench(kill_at="third")
+    steps = [bench.step(name, 1.0, 1.0) for name in ("first", "second", "third", "fourth")]
+    with pytest.raises(Killed):
+        bench.run(steps)
+    assert bench.made == ["first", "second"]
+    bench.kill_at = ""
+    bench.run(steps)
+    assert bench.made == ["first", "second", "third", "fourth"]
+    assert sum("first: there" in line for line in bench.logged) == 1
+
+
+def test_time_left_follows_the_pace_so_far_and_counts_what_comes_later():
+    bench = Bench()
+    bench.run([bench.step("a", 10.0, 30.0), bench.step("b", 20.0, 60.0)], later=[bench.step("c", 40.0, 0.0)])
+    assert "[1/3] a; about 70 s left" in bench.logged
+    assert "[2/3] b; about 3 min left" in bench.logged  # 60 of cost at a third of the pace
+
+
+def test_what_is_there_takes_no_time():
+    bench = Bench()
+    bench.made = ["a"]
+    bench.run([bench.step("a", 1000.0, 1.0), bench.step("b", 5.0, 5.0)], before=2)
+    assert bench.logged[0] == "[3/4] a: there"
+    assert bench.logged[1] == "[4/4] b; about 5 s left"
+
+
+def test_time_of_steps_is_kept_and_summed_by_kind(tmp_path):
+    file = tmp_path / "steps.jsonl"
+    assert times_by_kind(file) == {}
+    bench = Bench()
+    steps = [bench.step(name, 1.0, takes) for name, takes in (("train a", 3.0), ("evaluate a", 1.0), ("train b", 4.0))]
+    bench.run(steps, record=lambda name, seconds: append_time(file, name, seconds))
+    assert times_by_kind(file) == {"train": 7.0, "evaluate": 1.0}
+
+
+def test_side_by_side_a_failure_stops_no_other_step_and_no_later_stage_begins(tmp_path):
+    save_json(tmp_path / "source", {})
+
+    def step(name, do=None):
+        do = do or partial(shutil.copy, tmp_path / "source", tmp_path / name)
+        return Step(f"make {name}", 1.0, (tmp_path / name).exists, do)
+
+    failing = partial(load_json, tmp_path / "missing")
+    stages = [[step("a"), step("b", failing), step("c")], [step("d")]]
+    record = partial(append_time, tmp_path / "steps.jsonl")
+    with logged() as lines, pytest.raises(RunError, match="missing"):
+        run_steps(stages, processes=2, record=record)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "c", "source", "steps.jsonl"]
+    assert set(times_by_kind(tmp_path / "steps.jsonl")) == {"make"}
+    assert any("[3/4] make c: done" in line for line in lines)
+    assert any("missing" in line for line in lines)
+    stages[0][1] = step("b")
+    with logged() as lines:
+        run_steps(stages, processes=2)
+    assert (tmp_path / "b").exists()
+    assert (tmp_path / "d").exists()
+    assert "[1/4] make a: there" in lines
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (89.0, "89 s"), (90.0, "2 min"), (7200.0, "2.0 h")])
+def test_durations_have_a_unit_that_suits_them(seconds, text):
+    assert format_duration(seconds) == text
