@@ -5,6 +5,7 @@ python examples/predict_and_plot.py runs/b dataset.zarr
 
 import argparse
 
+import numpy as np
 import torch
 from matplotlib import pyplot as plt
 
@@ -15,8 +16,8 @@ def predict_windows(run_folder: str, dataset_folder: str, count: int = 64) -> tu
     """Predicted and recorded states of windows across the test part [B, 250, 6], relative to each window's start."""
     run = offpiste.load_run(run_folder)
     windows = offpiste.Windows(offpiste.open_dataset(dataset_folder), "test")
-    spread = torch.linspace(0, len(windows) - 1, min(count, len(windows))).long().numpy()
-    return run.predict(windows[spread]).state, windows.gather(spread).target
+    chosen = np.linspace(0, len(windows) - 1, min(count, len(windows))).astype(int)
+    return run.predict(windows[chosen]).state, windows.gather(chosen).target
 
 
 def draw(predicted: torch.Tensor, recorded: torch.Tensor, out: str) -> None:

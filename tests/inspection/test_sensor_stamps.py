@@ -63,7 +63,7 @@ def test_a_driver_that_repeats_images():
     assert check_frozen("front", pictures) == []
     again = [replace(p, pixels=pictures[i // 3 * 3].pixels) for i, p in enumerate(pictures)]
     (finding,) = check_frozen("front", again)
-    assert finding.evidence == "13 of 19 images are those before them, bit by bit"
+    assert finding.evidence == "13 of 19 images are those before them, bit for bit"
 
 
 def test_pairs_are_half_a_second_apart():

@@ -1,1 +1,1 @@
-"""What `offpiste inspect` finds in the channels and the sensors of a log."""
+"""Inspection of a log: checks of its channels and sensors, their findings, and a first rig."""

@@ -1,4 +1,4 @@
-"""A camera against the poses: points of a scan should look the same in two of its images.
+"""Check of a camera against the poses: points of a scan should look the same in two of its images.
 
 A small square of the ground or a wall, its plane known from a scan, is found in one image and drawn as it must look in
 the other if mounting and stamps are right. How far it has to be shifted to fit (normalised cross-correlation, Lewis
@@ -24,15 +24,15 @@ from offpiste.perception.occlusion import occluded_points
 from offpiste.perception.projection import project_to_pinhole
 
 _HALF: Final = 6
-"""Half of the side of a square [px]."""
+"""Half the side of a square [px]."""
 _SEARCH: Final = 12
-"""It is looked for as far as this from its place [px]."""
+"""Distance from its place within which a square is searched [px]."""
 _SQUARES: Final = 150
-"""In a pair of images at most."""
+"""Most squares in a pair of images."""
 _ALIKE: Final = 0.8
-"""Correlation from which on it is the same square."""
+"""Correlation above which it is the same square."""
 _OLD: Final = 0.3
-"""A scan this far in time from the image still knows its surroundings [s]."""
+"""Most time between an image and the scan that gives its distances [s]."""
 _FURTHEST: Final = 40.0
 _NONE: Final = Pair(np.zeros(0), np.zeros((0, 4)))
 
@@ -45,11 +45,11 @@ def check_camera(
     poses: Poses,
     lidar_parameters: Parameters | None = None,
 ) -> Misfit | None:
-    """By how much its mounting and stamps are off; None where too few images tell.
+    """Estimate by how much a camera's mounting and stamps are off; None with too few usable images.
 
     Args:
-        lidar: whose scans tell how far away things are.
-        lidar_parameters: what is wrong with these.
+        lidar, scans: measure the distances of what the images show.
+        lidar_parameters: misfit of the LiDAR, which is corrected.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
     times = np.array([scan.time for scan in scans]) - given[3]
@@ -71,7 +71,7 @@ def _compared(
 ) -> Pair:
     """Shifts of squares from where they should be, x and y [px], and how they change with the parameters."""
     matrix = camera.rectifier.pinhole.matrix
-    first, second = (_look(camera, image.time, poses, parameters) for image in (one, other))
+    first, second = (_camera_pose(camera, image.time, poses, parameters) for image in (one, other))
     if first is None or second is None or len(world) < 100:
         return _NONE
     points, at = _squares(camera, one, world, first)
@@ -86,11 +86,11 @@ def _compared(
     back = _Mapping(matrix, second, first, points, normal)
 
     def residual(now: Parameters) -> Float[np.ndarray, " n"]:
-        # Where the two cameras would see the points; the second place is carried back to the first image.
-        looks = [_look(camera, image.time, poses, now) for image in (one, other)]
-        if looks[0] is None or looks[1] is None:
+        # Where the two cameras would see the points; the second place is mapped back to the first image.
+        views = [_camera_pose(camera, image.time, poses, now) for image in (one, other)]
+        if views[0] is None or views[1] is None:
             return np.full(2 * len(points), np.nan)
-        here, there = (_pixels(matrix, look, points) for look in looks if look is not None)
+        here, there = (_pixels(matrix, view, points) for view in views if view is not None)
         expected = back(there[:, None])[:, 0] - here
         return (shift - expected).ravel()
 
@@ -99,7 +99,7 @@ def _compared(
 
 @dataclass(frozen=True)
 class _Mapping:
-    """From one image to another by planes in the world, one plane a square."""
+    """Mapping from one image to another by planes in the world, one plane a square."""
 
     matrix: Float[np.ndarray, "3 3"]
     world_from_one: Float[np.ndarray, "4 4"]
@@ -108,7 +108,7 @@ class _Mapping:
     normals: Float[np.ndarray, "n 3"]
 
     def __call__(self, pixels: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k 2"]:
-        """Places in the other image; NaN where a plane is not seen."""
+        """Pixels in the other image; NaN where a plane is not seen [px]."""
         rays = np.concatenate((pixels, np.ones((*pixels.shape[:2], 1))), axis=2)
         rays = rays @ (self.world_from_one[:3, :3] @ np.linalg.inv(self.matrix)).T
         origin = self.world_from_one[:3, 3]
@@ -120,7 +120,9 @@ class _Mapping:
         return _pixels(self.matrix, self.world_from_other, world.reshape(-1, 3)).reshape(pixels.shape)
 
 
-def _look(camera: SmallCamera, time: float, poses: Poses, parameters: Parameters) -> Float[np.ndarray, "4 4"] | None:
+def _camera_pose(
+    camera: SmallCamera, time: float, poses: Poses, parameters: Parameters
+) -> Float[np.ndarray, "4 4"] | None:
     """`world_from_camera` with these parameters."""
     matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.camera.body_from_camera, parameters)
     return matrix if np.isfinite(matrix).all() else None
@@ -129,7 +131,7 @@ def _look(camera: SmallCamera, time: float, poses: Poses, parameters: Parameters
 def _pixels(
     matrix: Float[np.ndarray, "3 3"], world_from_camera: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Where a pinhole sees points; NaN behind it [px]."""
+    """Pixels at which a pinhole camera sees points; NaN behind it [px]."""
     seen = transformed(points, inverse(world_from_camera)) @ matrix.T
     depth = np.where(seen[:, 2:] > 0.1, seen[:, 2:], np.nan)
     return seen[:, :2] / depth
@@ -152,7 +154,7 @@ def _squares(
     found, at, column, row = found[inside], at[inside], column[inside], row[inside]
     texture = cv2.cornerMinEigenVal(image.pixels, 2 * _HALF + 1, ksize=3)[row, column]
     order = np.argsort(-texture, kind="stable")
-    # One a tile: squares that overlap tell the same.
+    # One a tile: squares that overlap carry the same information.
     _, firsts = np.unique((row // 16 * 10_000 + column // 16)[order], return_index=True)
     chosen = order[np.sort(firsts)[:_SQUARES]]
     return world[found[chosen]], at[chosen]
@@ -161,7 +163,7 @@ def _squares(
 def _shifts(
     one: Grey, other: Grey, at: Float[np.ndarray, "n 2"], mapping: _Mapping
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """How far from its place each square lies in the other image, in pixels of this one, and where it is found."""
+    """Shift of each square in the other image, in pixels of this one, and whether it was found."""
     reach = _HALF + _SEARCH
     side = np.arange(-reach, reach + 1.0)
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -186,7 +188,7 @@ def _sampled(image: Grey, places: Float[np.ndarray, "k 2"]) -> np.ndarray:
 
 
 def _peak(score: np.ndarray) -> Float[np.ndarray, " 2"]:
-    """Where the best score lies from the middle, between pixels by a parabola; NaN at the edge or if it is too low."""
+    """Offset of the best score from the middle, refined by a parabola [px]; NaN at the edge or if it is too low."""
     row, column = np.unravel_index(int(score.argmax()), score.shape)
     top = score[row, column]
     if not (top > _ALIKE and 0 < row < len(score) - 1 and 0 < column < len(score) - 1):

@@ -130,5 +130,5 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
 
 
 def motion_of(topics: Topics, drive: Drive, path: Path) -> Motion:
-    """What the checks of the motion read."""
+    """Collect what checks of the motion read."""
     return Motion(topics, drive, path, heading_fits(path))

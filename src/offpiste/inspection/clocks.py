@@ -1,4 +1,4 @@
-"""Clocks that drift against the pose's, seen where a topic carries the speed of the wheels."""
+"""Check of clocks that drift against the pose's, where a topic holds the speed of the wheels."""
 
 from dataclasses import dataclass
 
@@ -49,12 +49,12 @@ def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides
     """A finding for each clock behind the rig's channels that is late or drifts; topics with equal stamps share one."""
     known = set(rig.alignment.topics) if rig.alignment else set()
     findings: list[Finding] = []
-    judged: set[str] = set()
+    checked: set[str] = set()
     for wheel in sorted(find_wheel_speeds(recorded, path, besides=besides | known), key=lambda w: -w.correlation):
-        if wheel.topic in judged:
+        if wheel.topic in checked:
             continue
         shared = [t for t, r in recorded.items() if np.array_equal(r.time, recorded[wheel.topic].time)]
-        judged |= set(shared)
+        checked |= set(shared)
         if not any(source.topic in shared for source in rig.channels.values()):
             continue
         speed = np.isfinite(path.speed)
@@ -64,22 +64,22 @@ def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides
         topics = ", ".join(f'"{t}"' for t in shared)
         field = place(wheel.topic, wheel.field)
         source = f'{{ topic = "{wheel.topic}", fields = ["{wheel.field}"], scale = {number(wheel.scale)} }}'
-        said = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
-        said += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
+        evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
+        evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
         if high - low > _CHANGE:
             remedy = f"[alignment] topics = [{topics}], speed = {source}, max_lag = {_MAX_LAG}"
-            findings.append(Finding("warning", ", ".join(shared), "has a clock that drifts", said, remedy, 0.9))
+            findings.append(Finding("warning", ", ".join(shared), "has a clock that drifts", evidence, remedy, 0.9))
         elif abs(middle) > 0.15:
-            findings.append(_constant(shared, float(middle), said, rig))
+            findings.append(_constant(shared, float(middle), evidence, rig))
     return findings
 
 
-def _constant(topics: list[str], lag: float, said: str, rig: Rig) -> Finding:
+def _constant(topics: list[str], lag: float, evidence: str, rig: Rig) -> Finding:
     """A lag that does not change is the delay of the channels that read these topics."""
     readers = [name for name, source in rig.channels.items() if source.topic in topics]
     lines = ", ".join(f"channels.{name}.delay = {number(round(rig.channels[name].delay + lag, 2))}" for name in readers)
     what = "is late" if lag > 0 else "is early"
-    return Finding("warning", ", ".join(topics), what, said, lines, 0.8)
+    return Finding("warning", ", ".join(topics), what, evidence, lines, 0.8)
 
 
 def _proportional(

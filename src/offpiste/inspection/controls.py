@@ -26,17 +26,17 @@ def check_controls(drive: Drive, path: Path, *, given: bool) -> list[Finding]:
     steers = turns_vehicle(drive, path) if heading_fits(path) else True
     drives = changes_speed(drive, path)
     if "steer" not in drive.channels and drives:
-        what, said = "there is no steering", "pedals alone do not tell where the vehicle goes"
+        what, evidence = "there is no steering", "pedals alone do not tell where the vehicle goes"
         remedy = "add [channels.steer] with the topic that holds it: commanded, or else measured"
-        said += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
+        evidence += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
         # Without a rig only names were guessed, and the topic may have another.
-        findings.append(Finding("fatal" if given else "warning", "controls", what, said, remedy, 1.0))
+        findings.append(Finding("fatal" if given else "warning", "controls", what, evidence, remedy, 1.0))
     if not steers and not drives and not _others_work(drive, path):
         present = [control.name for control in all_controls() if control.name in drive.channels]
         what = "no control has any effect" if present else "there is no control channel"
-        said = f"checked: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
+        evidence = f"checked: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
         remedy = "add [channels.steer] and [channels.throttle] with the topics that hold them"
-        findings.append(Finding("fatal", "controls", what, said, remedy, 1.0))
+        findings.append(Finding("fatal", "controls", what, evidence, remedy, 1.0))
     return findings
 
 

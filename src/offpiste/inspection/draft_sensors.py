@@ -50,7 +50,7 @@ def draft_sensors(log: Log, pose_topic: str) -> str:
 
 
 def missing(draft: str) -> list[str]:
-    """What a drafted rig says is missing."""
+    """Lines of a drafted rig that say what is missing."""
     return [line.partition("MISSING: ")[2] for line in draft.splitlines() if "MISSING: " in line]
 
 
@@ -150,7 +150,7 @@ def _info(log: Log, image: str) -> str:
 
 
 def _name(topic: str, taken: set[str], kind: str) -> str:
-    """What tells a sensor from others, of its topic's path."""
+    """Parts of a topic's path that distinguish a sensor from others."""
     said = [part for part in topic.strip("/").split("/") if not _NO_NAME.match(part)]
     name = re.sub(r"\W+", "_", "_".join(said)) or kind
     number, wanted = 2, name

@@ -1,4 +1,4 @@
-"""The driven path by the pose alone: what the other channels are judged against."""
+"""The driven path from the pose alone: the reference for all other channels."""
 
 from dataclasses import dataclass
 
@@ -16,9 +16,9 @@ _WINDOW = 0.4
 _LONGEST = 86400.0
 """A recording is no longer than a day [s]."""
 MOVING = 0.3
-"""Below this speed a vehicle stands [m/s]."""
+"""Speed below which a vehicle is at a standstill [m/s]."""
 TURNING = 0.05
-"""A drive whose yaw rates spread less than this tells nothing about turning [rad/s]."""
+"""Least spread of the yaw rates of a drive that shows turning [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Path:
 
     @property
     def distance(self) -> float:
-        """Length of the path [m], standing left out."""
+        """Length of the path [m], without standstills."""
         return float(np.nansum(np.where(self.speed > MOVING, self.speed, 0.0)) * _STEP)
 
     @property

@@ -61,7 +61,7 @@ def _drafted(log: Log) -> tuple[Rig | None, list[Finding]]:
 
 
 def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], Path | None]:
-    """Findings on the pose, and on all that the driven path tells; and the path, where there is one."""
+    """Findings on the pose, and on channels against the driven path; and the path, where there is one."""
     pose = rig.channels["position"].topic
     findings = check_spans(topics.inspected, pose, used=topics.given) if pose in topics.inspected else []
     tilted = _check_orientation(topics.recorded, rig)
@@ -96,7 +96,7 @@ def _check_amount(path: Path) -> list[Finding]:
     """A finding if there is too little driving to learn from."""
     if path.driving >= _LEAST_DRIVING and path.cruise >= _LEAST_CRUISE:
         return []
-    said = f"{path.driving:.1f} s faster than {MOVING} m/s, {path.distance:.1f} m, 95 % of the speeds below "
-    said += f"{path.cruise:.2f} m/s"
+    evidence = f"{path.driving:.1f} s faster than {MOVING} m/s, {path.distance:.1f} m, 95 % of the speeds below "
+    evidence += f"{path.cruise:.2f} m/s"
     what = "hardly moves" if path.driving < 1 else "is driven for too short a time"
-    return [Finding("fatal", "position", what, said, "record more driving, or fix channels.position", 1.0)]
+    return [Finding("fatal", "position", what, evidence, "record more driving, or fix channels.position", 1.0)]

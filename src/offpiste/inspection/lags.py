@@ -36,7 +36,7 @@ class LagFit:
     count: int
 
     def best(self, low: float = -np.inf, high: float = np.inf, *, sign: int = 0) -> int:
-        """Index of the lag within [low, high] that explains most, with a gain of this sign if one is asked for."""
+        """Index of the lag within [low, high] that explains most, with a gain of this sign if it is not 0."""
         score = np.abs(self.r) if sign == 0 else sign * self.r
         score = np.where((self.lags >= low - 1e-9) & (self.lags <= high + 1e-9), score, -np.inf)
         return int(score.argmax())
@@ -91,7 +91,7 @@ def check_delay(
 
     Args:
         own: delays of the motion that are the vehicle's own [s].
-        clear: correlation above which a delay can be told.
+        clear: correlation above which a delay is clear.
         sign: of the right effect; 0: either.
     """
     best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
@@ -101,10 +101,12 @@ def check_delay(
     weak = abs(fit.r[best]) < clear
     if weak or own[0] <= lag <= own[1] or gained < _CLEARER or best in (0, len(fit.lags) - 1):
         return []
-    said = f"the motion is {abs(lag):.2f} s {'before' if lag < 0 else 'after'} it: R2 {fit.r[best] ** 2:.2f} there and "
-    said += f"{fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
+    evidence = (
+        f"the motion is {abs(lag):.2f} s {'before' if lag < 0 else 'after'} it: R2 {fit.r[best] ** 2:.2f} there and "
+    )
+    evidence += f"{fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
     what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
     remedy = f"channels.{name}.delay = {number(rig.channels[name].delay - lag)}"
     if lag < 0:
         remedy += "; if it is called a command, it is a copy of a measurement"
-    return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, said, remedy, gained)]
+    return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, evidence, remedy, gained)]

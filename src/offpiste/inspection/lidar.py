@@ -1,6 +1,6 @@
-"""A LiDAR against the poses: two of its scans should show one world.
+"""Check of a LiDAR against the poses: two of its scans should show one world.
 
-Points of one scan are carried by the poses to the other's surroundings; their distances from the planes there
+Points of one scan are moved by the poses to the other's surroundings; their distances from the planes there
 (Chen and Medioni, 1992) depend on how the LiDAR is mounted, wherever the vehicle drives on or turns, and on its delay,
 wherever it turns or changes its speed.
 """
@@ -18,16 +18,16 @@ from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
 _SAMPLE: Final = 1500
-"""Points of a scan that look for their plane in the other."""
+"""Points of a scan that are compared with planes of the other."""
 _REACH: Final = 1.0
-"""Planes are looked for within this [m]; a few degrees off at 20 m."""
+"""Distance within which a plane is searched [m]: a few degrees at 20 m."""
 _FURTHEST: Final = 40.0
 """Further away neighbours are too far from each other for planes [m]."""
 _NEIGHBOURS: Final = 12
 
 
 def check_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> Misfit | None:
-    """By how much its mounting and stamps are off; None where too few scans tell."""
+    """Estimate by how much a LiDAR's mounting and stamps are off; None with too few usable scans."""
     rng = np.random.default_rng(seed)
     chosen = [rng.permutation(len(scan.points))[:_SAMPLE] for scan in scans]
     couples = list(pairs([scan.time for scan in scans]))

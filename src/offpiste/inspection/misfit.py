@@ -1,4 +1,4 @@
-"""By how much a mounting is turned and a stamp is late, from residuals of many pairs of measurements.
+"""Estimate of how far a mounting is turned and stamps are late, from residuals of many pairs of measurements.
 
 Robust Gauss-Newton: Tukey's biweight (Beaton and Tukey, 1974) on residuals scaled by their median. The uncertainty is
 that of the pairs, taken as independent of each other (a sandwich estimate, Huber 1967), plus that of the rows: what
@@ -14,11 +14,11 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
-"""What is thought possible before looking [rad, rad, rad, s]: what nothing tells about stays as uncertain as this."""
+"""Standard deviation of the prior [rad, rad, rad, s]: what the data do not tell stays as uncertain as this."""
 STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04])
-"""For differences [rad, rad, rad, s]. Long in time: over less, noise of the poses would pass for motion."""
+"""Steps of the differences [rad, rad, rad, s]. Long in time: over less, noise of the poses would pass for motion."""
 LEAST_PAIRS: Final = 8
-"""Fewer pairs than this cannot tell their own scatter."""
+"""Least number of pairs: fewer do not show their own scatter."""
 _BIWEIGHT: Final = 4.685
 """95 % efficient on normal errors."""
 
@@ -27,7 +27,7 @@ Parameters = Float[np.ndarray, " 4"]
 
 @dataclass(frozen=True)
 class Pair:
-    """What two measurements disagree about, near some parameters.
+    """Residuals of two measurements, linear near some parameters.
 
     Attributes:
         residual: zero where all is right [m or px].
@@ -40,7 +40,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Misfit:
-    """What is wrong with a sensor's mounting and stamps.
+    """Error of a sensor's mounting and stamps.
 
     Attributes:
         parameters: turn about the body's axes, so that the right mounting is `exp(turn) @ body_from_sensor` [rad];

@@ -105,21 +105,21 @@ def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
         remedy += " (of the camera before rectification, if its CameraInfo has a rotation R)"
     angle, sigma = one.turn
     what = f"looks {np.rad2deg(angle):.1f} degrees away from where its mounting says"
-    said = f"{_axes(misfit)}; {_basis(one, misfit)}"
-    return Finding("warning", sensor.name, what, said, remedy, float(min(1.0, (angle - sigma) / np.deg2rad(5))))
+    evidence = f"{_axes(misfit)}; {_basis(one, misfit)}"
+    return Finding("warning", sensor.name, what, evidence, remedy, float(min(1.0, (angle - sigma) / np.deg2rad(5))))
 
 
 def _late(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     late, sigma = float(misfit.parameters[3]), float(misfit.sigma[3])
     what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
-    said = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
+    evidence = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
     remedy = f"{one.key}.delay = {number(round(one.sensor.source.delay + late, 3))}"
     if one.untimed:
         field = f'{one.key}.time_field = "{one.untimed}", with its time_unit'
         remedy = f"{field}; only if its scans are compensated: {remedy}"
     elif alike:
         remedy += "; as all sensors say the same, the pose's stamps may be what is off: fix its delay instead"
-    return Finding("warning", one.sensor.name, what, said, remedy, min(1.0, abs(late) / 0.2))
+    return Finding("warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2))
 
 
 def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int) -> bool:
@@ -138,19 +138,19 @@ def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int)
 
 
 def _apart(one: CheckedSensor, misfit: Misfit) -> Finding:
-    said = (
+    evidence = (
         f"points of one scan lie {misfit.scale:.2f} m from the planes of another (median, scaled), {misfit.pairs} pairs"
     )
     remedy = f"check {one.key}: frame, mounting, time_field, time_unit and delay"
-    return Finding("warning", one.sensor.name, "its scans show no common world", said, remedy, 1.0)
+    return Finding("warning", one.sensor.name, "its scans show no common world", evidence, remedy, 1.0)
 
 
 def _unseen(one: CheckedSensor) -> Finding:
     kind = "squares of ground are not found again in the next image" if isinstance(one.sensor, Camera) else "scans"
-    said = f"too few {kind}" if isinstance(one.sensor, Lidar) else kind
+    evidence = f"too few {kind}" if isinstance(one.sensor, Lidar) else kind
     remedy = "nothing if it is at a standstill or sees little; else check the mounting, which may be far off, and"
     remedy += " [frames] body"
-    return Finding("note", one.sensor.name, "could not be checked against the poses", said, remedy)
+    return Finding("note", one.sensor.name, "could not be checked against the poses", evidence, remedy)
 
 
 def _unknown(one: CheckedSensor, misfit: Misfit) -> list[Finding]:

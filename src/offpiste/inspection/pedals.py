@@ -16,7 +16,7 @@ _OWN_DELAY = (-0.15, 0.8)
 _EFFECT = 0.2
 """Correlation of acceleration and pedal, with speed, slope and the other pedal taken out, above which it is one."""
 _CLEAR = 0.3
-"""Correlation above which a delay can be told."""
+"""Correlation above which a delay is clear."""
 
 
 def check_pedals(drive: Drive, path: Path) -> list[Finding]:
@@ -26,13 +26,15 @@ def check_pedals(drive: Drive, path: Path) -> list[Finding]:
         sign = _EFFECTS[name]
         right, wrong = fit.best(*_OWN_DELAY, sign=sign), fit.best(*_OWN_DELAY, sign=-sign)
         if not _has_effect(fit):
-            said = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s"
+            evidence = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s"
             what, how = "does not change the speed", "look for another field, or declare it absent"
-            findings.append(Finding("note", name, what, said, how, 0.5))
+            findings.append(Finding("note", name, what, evidence, how, 0.5))
         elif abs(fit.r[wrong]) > max(_EFFECT, 2 * max(sign * fit.r[right], 0.0)):
-            said = f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
+            evidence = (
+                f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
+            )
             how = _flip(name, drive.channels[name], drive.rig)
-            findings.append(Finding("warning", name, "acts the wrong way", said, how, 1.0))
+            findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0))
         else:
             findings += check_delay(name, fit, _OWN_DELAY, drive.rig, clear=_CLEAR, sign=sign)
     return findings
@@ -44,7 +46,7 @@ def changes_speed(drive: Drive, path: Path) -> bool:
 
 
 def _fits(drive: Drive, path: Path) -> dict[str, LagFit]:
-    """Fits of the pedals that can be told, by name."""
+    """Fits of the pedals that move, by name."""
     moved = [name for name in _EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
     fits = {name: _pedal_fit(name, drive, path) for name in moved}
     return {name: fit for name, fit in fits.items() if fit is not None}

@@ -1,4 +1,4 @@
-"""Whether the pose can be one: order of the quaternion, which way is up, heading against course, jumps, units."""
+"""Checks of the pose: order of the quaternion, which way is up, heading against course, jumps, units."""
 
 import numpy as np
 from jaxtyping import Float
@@ -52,8 +52,8 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
         what, remedy = "the body's z axis points down (NED)", "convert the pose to x forward, y left, z up"
     else:
         what, remedy = "the body's z axis does not point up", "take another pose, or turn this one to z up"
-    said = f"the median z component of the body's z axis is {up:.2f} where a vehicle's is near 1"
-    return [*findings, Finding("fatal", "orientation", what, said, remedy, 1.0)]
+    evidence = f"the median z component of the body's z axis is {up:.2f} where a vehicle's is near 1"
+    return [*findings, Finding("fatal", "orientation", what, evidence, remedy, 1.0)]
 
 
 def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
@@ -61,14 +61,14 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
     xy, rig = drive.channels["position"].values[:, :2], drive.rig
     degrees = np.ptp(xy, axis=0).max() < 0.5 and np.abs(xy[:, 0]).max() <= 90 and np.abs(xy[:, 1]).max() <= 180
     if degrees and 1e-8 < path.cruise < 1e-3 and np.abs(xy).max() > 1:
-        said = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
+        evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
         how = "project it to a local frame (UTM, ENU), or take another pose"
-        return [Finding("fatal", "position", "looks like latitude and longitude", said, how, 1.0)]
+        return [Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0)]
     if path.cruise > _FASTEST:
         now = rig.channels["position"].unit or "m"
         unit = "mm" if path.cruise > 20 * _FASTEST else "cm"
-        said = f"95 % of the speeds reach {path.cruise:.0f} m/s, read as {now}"
-        return [Finding("fatal", "position", "moves too fast", said, f'channels.position.unit = "{unit}"', 1.0)]
+        evidence = f"95 % of the speeds reach {path.cruise:.0f} m/s, read as {now}"
+        return [Finding("fatal", "position", "moves too fast", evidence, f'channels.position.unit = "{unit}"', 1.0)]
     return []
 
 
@@ -79,7 +79,7 @@ def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
 
 
 def heading_fits(path: Path) -> bool:
-    """Whether the heading follows the course, so that turning and steering can be judged by it."""
+    """Whether the heading follows the course, so that turning and steering can be checked by it."""
     return _resultant(path, 1.0) > _TOGETHER
 
 
@@ -117,9 +117,9 @@ def _level(place: Channel) -> list[Finding]:
     spread = np.ptp(np.stack([median_filter(c, 11, mode="nearest") for c in place.values.T], axis=1), axis=0)
     if spread[2] < 0.7 * np.hypot(*spread[:2]) or spread[2] < 1:
         return []
-    said = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
+    evidence = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
     how = "reorder channels.position.fields so that z is up, or take another pose (this may be a camera's frame)"
-    return [Finding("warning", "position", "climbs as much as it drives", said, how, 0.9)]
+    return [Finding("warning", "position", "climbs as much as it drives", evidence, how, 0.9)]
 
 
 def _course(drive: Drive, path: Path) -> list[Finding]:
@@ -133,7 +133,7 @@ def _course(drive: Drive, path: Path) -> list[Finding]:
         off = _mean_difference(path)
         if abs(off) < np.radians(15):
             return []
-        said = f"{np.degrees(off):.0f} degrees on average while moving"
+        evidence = f"{np.degrees(off):.0f} degrees on average while moving"
         if abs(off) > np.radians(150):
             how = "turn the pose by 180 degrees, unless it drove backwards"
         else:
@@ -141,7 +141,7 @@ def _course(drive: Drive, path: Path) -> list[Finding]:
         if channel == "yaw":
             offset = drive.rig.channels["yaw"].sign * off + drive.rig.channels["yaw"].offset
             how = f"channels.yaw.offset = {number(offset)}" if not drive.rig.channels["yaw"].unit else how
-        return [Finding("warning", channel, "the heading is turned against the course", said, how, 0.8)]
+        return [Finding("warning", channel, "the heading is turned against the course", evidence, how, 0.8)]
     return [_heading_apart(drive, path, channel, fits)]
 
 
@@ -156,15 +156,15 @@ def _heading_apart(drive: Drive, path: Path, channel: str, fits: float) -> Findi
         yaw = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0] * factor))
         found[name] = _resultant(path, 1.0, yaw)
     best = max(found, key=lambda name: found[name])
-    said = f"they agree to {fits:.2f} (1: always, 0: never)"
+    evidence = f"they agree to {fits:.2f} (1: always, 0: never)"
     if found[best] < _TOGETHER or channel != "yaw":
         if found["sign"] > _TOGETHER:
-            said += f", and to {found['sign']:.2f} with the heading mirrored"
+            evidence += f", and to {found['sign']:.2f} with the heading mirrored"
         how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
-        return Finding("warning", channel, "the heading does not follow the course", said, how, 1.0)
+        return Finding("warning", channel, "the heading does not follow the course", evidence, how, 1.0)
     line = f"sign = {-drive.rig.channels['yaw'].sign}" if best == "sign" else f'unit = "{best}"'
-    said += f", and to {found[best]:.2f} with the line below"
-    return Finding("fatal", "yaw", "the heading does not follow the course", said, f"channels.yaw.{line}", 1.0)
+    evidence += f", and to {found[best]:.2f} with the line below"
+    return Finding("fatal", "yaw", "the heading does not follow the course", evidence, f"channels.yaw.{line}", 1.0)
 
 
 def _moving(path: Path) -> np.ndarray:

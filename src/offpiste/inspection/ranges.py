@@ -1,4 +1,4 @@
-"""Channels as the rig converts them against what their units allow."""
+"""Check of channels, as the rig converts them, against the range of their unit."""
 
 import msgspec
 import numpy as np
@@ -49,7 +49,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
 
 
 def _limits() -> list[tuple[str, float, float]]:
-    """What controls and actuators can be, by channel, in offpiste's units."""
+    """Ranges of controls and actuators, by channel, in offpiste's units."""
     controls = [(control.name, control.low, control.high) for control in all_controls()]
     actuators = [(a.channel, a.low, a.high) for a in all_actuators() if a.low is not None and a.high is not None]
     return controls + actuators

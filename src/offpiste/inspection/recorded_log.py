@@ -1,4 +1,4 @@
-"""What a log holds, read once for all checks."""
+"""Topics of a log, read once for all checks."""
 
 import re
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ from offpiste.rig.rig import Rig
 _BULK = re.compile(
     r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
 )
-"""Types that are slow to read and tell nothing about the motion."""
+"""Types that are slow to read and hold nothing about the motion."""
 _MAX_FIELDS = 64
-"""No more fields of a topic are looked at."""
+"""Most fields of a topic that are read."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RememberedLog(Log):
     """Another log, each topic of which is decoded once for all checks (a bag would be decoded anew by every read).
 
     Args:
-        rig: what it reads is looked at, whatever it is.
+        rig: all fields that it reads are kept, arrays' entries as well.
     """
 
     def __init__(self, log: Log, rig: Rig | None = None) -> None:
@@ -57,10 +57,10 @@ class RememberedLog(Log):
         return self._log.topics
 
     def quantities(self, topic: Topic) -> tuple[str, ...]:
-        """Fields worth a look; entries of arrays (scans, covariances) are none unless the rig reads them (joints)."""
+        """Fields that are checked: no entries of arrays (scans, covariances) unless the rig reads them (joints)."""
         plain = tuple(f for f in topic.fields if not f.endswith("]"))[:_MAX_FIELDS]
-        asked = {field for source in self._sources if source.topic == topic.name for field in source.fields}
-        more = tuple(f for f in topic.fields if f in asked and f not in plain)
+        needed = {field for source in self._sources if source.topic == topic.name for field in source.fields}
+        more = tuple(f for f in topic.fields if f in needed and f not in plain)
         return plain + more or topic.fields[:1]
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:

@@ -1,4 +1,4 @@
-"""The few scans and images of a log that its sensors are judged by, held at once."""
+"""The scans and images that sensors are checked by: the first minute of driving, held in memory."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,17 +17,17 @@ from offpiste.perception.motion_compensation import MOMENT
 from offpiste.progress import track
 
 SECONDS: Final = 60.0
-"""No more of a log than this is looked at [s]."""
+"""Driving that is read [s]."""
 _PAIRS: Final = 40
-"""As many pairs of measurements of a sensor are wanted."""
+"""Wanted number of pairs of measurements of a sensor."""
 APART: Final = 0.5
-"""Between the two of a pair [s]: enough to drive some metres, too short to lose sight of much."""
+"""Time between the two of a pair [s]: enough to drive some metres, too short to lose sight of much."""
 _POINTS: Final = 20_000
-"""Of a scan at most."""
+"""Most points of a scan."""
 _FINE: Final = 400.0
 """Images with a longer focal length are halved [px]."""
 _MOVING: Final = 1.0
-"""What is faster than this is driving [m/s]."""
+"""Speed above which the vehicle is driving [m/s]."""
 
 
 @dataclass(frozen=True)

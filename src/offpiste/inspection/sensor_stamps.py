@@ -1,4 +1,4 @@
-"""What is wrong with images and clouds before any geometry: stamps, spans, repeats, the vehicle's own body."""
+"""Checks of images and clouds without geometry: stamps, spans, repeats, the vehicle's own body."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -27,7 +27,7 @@ _DRIFT: Final = 0.1
 _STAMPS: Final = 50
 """Fewer messages than this do not show a drift."""
 _ABOVE_GROUND: Final = 0.5
-"""What stays in place higher than this between the wheels is the vehicle [m]."""
+"""Height above the ground from which points between the wheels belong to the vehicle [m]."""
 _OFTEN: Final = 0.5
 _FROZEN: Final = 0.1
 _HALF: Final = 0.5
@@ -43,11 +43,11 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     topics += [lidar.source.topic for lidar in sensors.lidars.values()]
     recorded = {topic: _recorded(log, topic, rig) for topic in (pose, *topics)}
     several = {t: r for t, r in recorded.items() if t != pose and len(r.time) > 2}
-    said = check_stamps(several, clock, used=set(topics))
+    findings = check_stamps(several, clock, used=set(topics))
     # Where a sensor is silent, rows lack visual features and no more: as long as half of the drive has them.
     for finding in check_spans(recorded, pose, used=True):
-        said.append(replace(finding, severity="note" if finding.score < _HALF else "warning"))
-    return [*said, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose], rig.clock.stamps))]
+        findings.append(replace(finding, severity="note" if finding.score < _HALF else "warning"))
+    return [*findings, *(f for topic in topics for f in _drift(recorded[topic], recorded[pose], rig.clock.stamps))]
 
 
 def untimed_points(log: Log, lidars: Mapping[str, Lidar]) -> dict[str, str]:
@@ -77,15 +77,15 @@ def _drift(sensor: Recorded, pose: Recorded, stamps: str) -> list[Finding]:
     found = clock_difference(*own, *poses)
     if found is None or not abs(found.drift) > _DRIFT:
         return []
-    said = (
+    evidence = (
         f"from start to end, arrival moves by {found.drift:+.2f} s against the header's stamp, compared with the pose"
     )
     remedy = 'synchronise its clock; or clock.stamps = "receive"'
-    return [Finding("warning", sensor.topic.name, "its clock drifts", said, remedy, min(1.0, abs(found.drift)))]
+    return [Finding("warning", sensor.topic.name, "its clock drifts", evidence, remedy, min(1.0, abs(found.drift)))]
 
 
 def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[float, float]]) -> list[Finding]:
-    """Points above the ground between the wheels, in most scans: the vehicle sees itself."""
+    """Finding if most scans have points above the ground between the wheels: the vehicle sees itself."""
     seen, points, top = [], 0, 0.0
     low, high = np.min(wheels, axis=0), np.max(wheels, axis=0)
     for scan in scans:
@@ -100,26 +100,26 @@ def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[f
         top = max(top, float(body[inside, 2].max(initial=0.0)))
     if len(seen) < 5 or np.mean(seen) < _OFTEN:
         return []
-    said = f"points above the ground and between the wheels in {np.mean(seen):.0%} of {len(seen)} scans, "
-    said += f"{points / len(seen):.0f} a scan, up to {top:.1f} m above the pose point"
+    evidence = f"points above the ground and between the wheels in {np.mean(seen):.0%} of {len(seen)} scans, "
+    evidence += f"{points / len(seen):.0f} a scan, up to {top:.1f} m above the pose point"
     remedy = f"lidars.{lidar.name}.own_body = [[x, y, z], [x, y, z]] or min_range = {number(2.0)}"
-    return [Finding("warning", lidar.name, "sees the vehicle itself", said, remedy, float(np.mean(seen)))]
+    return [Finding("warning", lidar.name, "sees the vehicle itself", evidence, remedy, float(np.mean(seen)))]
 
 
 def check_frozen(name: str, images: Sequence[Grey]) -> list[Finding]:
-    """Images that are the same again, bit by bit."""
+    """Finding if images repeat, bit for bit."""
     if len(images) < 10:
         return []
     same = [np.array_equal(a.pixels, b.pixels) for a, b in pairwise(images)]
     share = float(np.mean(same))
     if share < _FROZEN:
         return []
-    said = f"{sum(same)} of {len(same)} images are those before them, bit by bit"
-    return [Finding("warning", name, "repeats images", said, "record it again: its driver hangs", share)]
+    evidence = f"{sum(same)} of {len(same)} images are those before them, bit for bit"
+    return [Finding("warning", name, "repeats images", evidence, "record it again: its driver hangs", share)]
 
 
 def refused(error: OffpisteError, where: str) -> Finding:
-    """What cannot be read, as a finding."""
+    """Finding for sensors that cannot be read."""
     return Finding(
         "warning", where, error.what, f"on reading it{f': {error.where}' if error.where else ''}", error.how, 1.0
     )

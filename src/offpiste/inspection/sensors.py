@@ -40,9 +40,9 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
     for name in cameras:
         findings += check_frozen(name, gathered.images[name])
     if sensors.notes:
-        said = "; ".join(sensors.notes)
+        evidence = "; ".join(sensors.notes)
         findings.append(
-            Finding("note", "cameras and LiDARs", "are there in part", said, "nothing where the rest is enough")
+            Finding("note", "cameras and LiDARs", "are there in part", evidence, "nothing where the rest is enough")
         )
     untimed = untimed_points(log, sensors.lidars)
     checked = [

@@ -1,4 +1,4 @@
-"""What single signals show by themselves: values that are no numbers, dead channels, spikes, wrapped counters."""
+"""Checks of single signals: values that are not finite, dead channels, spikes, wrapped counters."""
 
 from dataclasses import dataclass
 
@@ -42,7 +42,7 @@ class Signal:
 
 
 def recorded_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal]:
-    """Every field as recorded; `rig` only tells which channel would read it."""
+    """Every field as recorded; `rig` only names the channel that would read it."""
     readers = {
         (source.topic, field): f"channels.{name}"
         for name, source in (rig.channels.items() if rig else ())
@@ -94,7 +94,7 @@ def check_signals(signals: list[Signal]) -> list[Finding]:
 
 
 def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
-    """How a counter of 16 bits wraps below zero, or None.
+    """Wrap of a 16-bit counter below zero; None where there is none.
 
     It jumps by nearly a period between samples, its values keep to two bands with most of the period empty between
     them, and none exceeds the period. Values are finite.
@@ -182,7 +182,7 @@ def _spiked(signal: Signal) -> list[Finding]:
     low, high = _limits(usual, at)
     room = np.ptp(usual) / 4
     if at.max() < usual.max() + room and at.min() > usual.min() - room:
-        return []  # a quick hand on a pedal looks like that, and no rig line could fix it
+        return []  # a quick foot on a pedal looks like that, and no rig line could fix it
     inside = int(((at >= low) & (at <= high)).sum())
     remedy = signal.line(f"valid = [{number(low)}, {number(high)}]")
     return [

@@ -1,4 +1,4 @@
-"""Stamps: rate, gaps, repeats, steps back, clocks that do not fit together."""
+"""Checks of stamps: rate, gaps, repeats, steps back, clocks that disagree."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 @dataclass(frozen=True)
 class Timing:
-    """How a topic is stamped.
+    """Statistics of a topic's stamps.
 
     Attributes:
         rate: one over the median interval [Hz]; NaN for fewer than three samples.
@@ -52,7 +52,7 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
     if len(forward) < 2:
         return Timing(start, end, len(time), np.nan, 0.0, 0.0, repeated, backward, ())
     low, typical, high = np.percentile(forward, (5, 50, 95))
-    # Where samples arrive in bunches or at odd times only the mean tells the rate; else losses would spoil the mean.
+    # Where samples arrive in bunches or at odd times only the mean gives the rate; elsewhere losses would bias it.
     lost = _lost(forward[forward <= max(max_gap, 10 * typical)] / typical) if repeated < 0.02 * len(time) else None
     interval = float(typical if lost is not None else np.mean(step[(step >= 0) & (step <= max(max_gap, 10 * typical))]))
     is_gap = step > max(max_gap, 10 * interval)

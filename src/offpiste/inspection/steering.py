@@ -15,13 +15,13 @@ _OWN_DELAY = (-0.08, 0.4)
 _EFFECT = 0.5
 """Correlation of yaw rate with speed times steering above which the steering is one."""
 _CLEAR = 0.7
-"""Correlation above which a delay can be told."""
+"""Correlation above which a delay is clear."""
 _WINDOW = 8.0
-"""Length of a stretch whose delay is told by itself [s]."""
+"""Length of a stretch whose delay is estimated by itself [s]."""
 _SLIDING = 0.35
 """Sliding tyres leave at least this share of the turning that the wheels' angle asks for."""
 _MAX_LATERAL = 3.0
-"""Above this lateral acceleration tyres slip too much to tell the steering's scale [m/s^2]."""
+"""Above this lateral acceleration tyres slip too much to estimate the steering's scale [m/s^2]."""
 
 
 def steering_fit(channel: Channel, path: Path, rig: Rig) -> LagFit | None:
@@ -43,9 +43,9 @@ def check_steering(drive: Drive, path: Path, *, measured: bool) -> list[Finding]
     findings: list[Finding] = []
     for name, fit in _fits(drive, path).items():
         if not _has_effect(fit):
-            said = f"correlation of yaw rate with speed times {name}: {fit.r[fit.best()]:.2f} at best, within 1.5 s"
+            evidence = f"correlation of yaw rate with speed times {name}: {fit.r[fit.best()]:.2f} at best, within 1.5 s"
             other = f'look for another field, or absent = ["{name}"]'
-            findings.append(Finding("warning", name, "does not turn the vehicle", said, other, 1.0))
+            findings.append(Finding("warning", name, "does not turn the vehicle", evidence, other, 1.0))
             continue
         findings += _steer_sign(name, fit, drive.rig)
         drift = _drift(name, drive.channels[name], path, drive.rig)
@@ -60,7 +60,7 @@ def turns_vehicle(drive: Drive, path: Path) -> bool:
 
 
 def _fits(drive: Drive, path: Path) -> dict[str, LagFit]:
-    """Fits of the steering channels that can be told, by name."""
+    """Fits of the steering channels in a drive that turns, by name."""
     if np.nanstd(path.yaw_rate) < TURNING:
         return {}
     present = {name: drive.channels[name] for name in ("steer", "steer_angle") if name in drive.channels}
@@ -77,9 +77,9 @@ def _steer_sign(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
     wrong, right = fit.best(sign=-1), fit.best(sign=1)
     if -fit.r[wrong] < 1.3 * max(fit.r[right], 0.0):
         return []
-    said = f"correlation of yaw rate (+ left) with speed times {name}: {fit.r[wrong]:+.2f}"
+    evidence = f"correlation of yaw rate (+ left) with speed times {name}: {fit.r[wrong]:+.2f}"
     remedy = f"channels.{name}.sign = {-rig.channels[name].sign}"
-    return [Finding("warning", name, "is positive to the right", said, remedy, 1.0)]
+    return [Finding("warning", name, "is positive to the right", evidence, remedy, 1.0)]
 
 
 def _steer_scale(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
@@ -90,12 +90,12 @@ def _steer_scale(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
         return []
     if name == "steer":
         angle, stated = float(np.arctan(implied)), rig.vehicle.max_steer
-        said = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {angle:.3f} rad at steer = 1"
-        said += f"; the rig says {stated:.3f} rad"
+        evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {angle:.3f} rad at steer = 1"
+        evidence += f"; the rig says {stated:.3f} rad"
         factor, remedy = angle / stated, f"vehicle.max_steer = {number(angle)}"
     else:
         source = rig.channels[name]
-        said = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {implied:.3g} times the angle"
+        evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply {implied:.3g} times the angle"
         factor, remedy = implied, f"channels.{name}.scale = {number(source.scale * implied)}"
         if abs(implied * 180 / np.pi - 1) < 0.4:
             remedy = f'channels.{name}.unit = "deg"'
@@ -104,21 +104,21 @@ def _steer_scale(name: str, fit: LagFit, rig: Rig) -> list[Finding]:
     if 0.6 < factor < 1.6:
         return []
     if factor > 1:
-        return [Finding("warning", name, "turns the vehicle more than the rig says", said, remedy, 0.6)]
+        return [Finding("warning", name, "turns the vehicle more than the rig says", evidence, remedy, 0.6)]
     # Sliding tyres turn a vehicle less than its wheels: on slippery ground down to a half is no fault of the rig.
     slides = factor > _SLIDING
     what = "turns the vehicle less than the rig says"
     remedy += "; or the tyres slip" if slides else ""
-    return [Finding("note" if slides else "warning", name, what, said, remedy, 0.6)]
+    return [Finding("note" if slides else "warning", name, what, evidence, remedy, 0.6)]
 
 
 def _steer_radius(name: str, fit: LagFit) -> list[Finding]:
     """The scale of the steering where no wheelbase is known."""
     curvature = abs(float(fit.gain[fit.best()]))
-    said = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
+    evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
     line = f"atan({curvature:.3g} * wheelbase)"
     remedy = f"vehicle.max_steer = {line}" if name == "steer" else "compare with tan(angle) / wheelbase"
-    return [Finding("note", name, "has this scale", said, remedy, 0.4)]
+    return [Finding("note", name, "has this scale", evidence, remedy, 0.4)]
 
 
 def _drift(name: str, channel: Channel, path: Path, rig: Rig) -> list[Finding]:
@@ -129,10 +129,12 @@ def _drift(name: str, channel: Channel, path: Path, rig: Rig) -> list[Finding]:
     low, middle, high = np.percentile(lags, (10, 50, 90))
     if high - low < 0.35 or low > -0.2:
         return []
-    said = f"the motion comes {low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f}) in {len(lags)} "
-    said += f"stretches of {_WINDOW:.0f} s"
+    evidence = (
+        f"the motion comes {low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f}) in {len(lags)} "
+    )
+    evidence += f"stretches of {_WINDOW:.0f} s"
     how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
-    return [Finding("warning", name, "has a delay that changes", said, how + " with [alignment]", 0.9)]
+    return [Finding("warning", name, "has a delay that changes", evidence, how + " with [alignment]", 0.9)]
 
 
 def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " w"]:

@@ -1,4 +1,4 @@
-"""Fields that repeat the steering later: they look like its command, and are not."""
+"""Check for fields that repeat the steering later: they look like its command, and are not."""
 
 import numpy as np
 from jaxtyping import Float
@@ -38,10 +38,10 @@ def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
             low, high = np.percentile(lags, (10, 90))
             if high < _LATE:
                 continue
-            said = f"in {len(lags)} of {windows} stretches of {_WINDOW:.0f} s it is the steering, {low:.1f} to "
-            said += f"{high:.1f} s later (10 to 90 %)"
+            evidence = f"in {len(lags)} of {windows} stretches of {_WINDOW:.0f} s it is the steering, {low:.1f} to "
+            evidence += f"{high:.1f} s later (10 to 90 %)"
             name, what = place(topic, field), "is a late copy of the steering, not its command"
-            findings.append(Finding("note", name, what, said, "do not feed channels.steer from it", 0.3))
+            findings.append(Finding("note", name, what, evidence, "do not feed channels.steer from it", 0.3))
     return findings
 
 
@@ -51,7 +51,7 @@ def _window_lags(
     other_time: Float[np.ndarray, " m"],
     other: Float[np.ndarray, " m"],
 ) -> tuple[Float[np.ndarray, " w"], int]:
-    """By how much `other` is later, in each stretch in which `values` moves and both agree; number that move."""
+    """Lags of `other` in the stretches in which `values` moves and both agree [s], and how many stretches move."""
     if not np.isfinite(other).all() or np.ptp(other) == 0:
         return np.zeros(0), 1
     at = np.arange(time[0] + 2, time[-1] - 2, 0.1)

@@ -1,4 +1,4 @@
-"""Recorded velocities against the derivative of the pose: frame, unit, sign and delay."""
+"""Checks of recorded velocities against the derivative of the pose: frame, unit, sign and delay."""
 
 from dataclasses import dataclass
 
@@ -53,21 +53,21 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     source = drive.rig.channels["linear_velocity"]
     best = min(fits.values(), key=lambda fit: fit.misfit)
     stated = fits.get(source.frame)
-    said = ", ".join(f"{fit.misfit:.2f} as {fit.frame}" for fit in fits.values())
-    said = f"RMS difference to the pose's derivative over RMS speed: {said}"
+    evidence = ", ".join(f"{fit.misfit:.2f} as {fit.frame}" for fit in fits.values())
+    evidence = f"RMS difference to the pose's derivative over RMS speed: {evidence}"
     key = "channels.linear_velocity"
     if best.misfit > 2 * _FITS:
         if source.frame == "unknown":
             return []
         what = "fits the pose in neither frame"
-        return [Finding("warning", "linear_velocity", what, said, f'{key}.frame = "unknown"', 1.0)]
+        return [Finding("warning", "linear_velocity", what, evidence, f'{key}.frame = "unknown"', 1.0)]
     findings = []
     if stated is None:
         what = f"its frame is {best.frame}, and could be used"
-        findings.append(Finding("note", "linear_velocity", what, said, f'{key}.frame = "{best.frame}"', 0.3))
+        findings.append(Finding("note", "linear_velocity", what, evidence, f'{key}.frame = "{best.frame}"', 0.3))
     elif stated.frame != best.frame and stated.misfit > max(_FITS, 2 * best.misfit):
         what = f"is in the {best.frame} frame, not the {stated.frame}'s"
-        findings.append(Finding("warning", "linear_velocity", what, said, f'{key}.frame = "{best.frame}"', 1.0))
+        findings.append(Finding("warning", "linear_velocity", what, evidence, f'{key}.frame = "{best.frame}"', 1.0))
     fit = best if stated is None or findings else stated
     return (
         findings
@@ -86,9 +86,9 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
     scalar = Channel(name, rate.unit, rate.time, recorded[:, None])
     fit = _best("", _shifted(path, scalar), path.yaw_rate[None])
     if fit.misfit > 0.6:
-        said = f"RMS difference to d(yaw)/dt over its RMS: {fit.misfit:.2f} at the best gain and delay"
+        evidence = f"RMS difference to d(yaw)/dt over its RMS: {fit.misfit:.2f} at the best gain and delay"
         how = f"remove [channels.{name}]: the pose is differentiated instead"
-        return [Finding("warning", name, "does not follow the pose's yaw rate", said, how, 1.0)]
+        return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0)]
     return _gain(name, fit.gain, source, "rad/s", _RATE_UNITS) + _delay(name, fit.delay, fit.misfit, source)
 
 
@@ -140,10 +140,10 @@ def _best(frame: str, sampled: Float[np.ndarray, "L c n"], true: Float[np.ndarra
 
 def _gain(name: str, gain: float, source: ChannelSource, unit: str, units: dict[str, float]) -> list[Finding]:
     findings = []
-    said = f"it is {gain:.3g} times the pose's derivative"
+    evidence = f"it is {gain:.3g} times the pose's derivative"
     if gain < -0.5:
         remedy = f"channels.{name}.sign = {-source.sign}"
-        findings.append(Finding("warning", name, "has the wrong sign", said, remedy, 1.0))
+        findings.append(Finding("warning", name, "has the wrong sign", evidence, remedy, 1.0))
     size = abs(gain)
     if not 0.85 < size < 1.18:
         # A unit that is stated and should not be is as likely as one that should be and is not.
@@ -158,7 +158,9 @@ def _gain(name: str, gain: float, source: ChannelSource, unit: str, units: dict[
         )
         serious = not 0.67 < size < 1.5
         findings.append(
-            Finding("warning" if serious else "note", name, f"is not in {unit}", said, f"channels.{name}.{line}", 0.9)
+            Finding(
+                "warning" if serious else "note", name, f"is not in {unit}", evidence, f"channels.{name}.{line}", 0.9
+            )
         )
     return findings
 
@@ -166,6 +168,6 @@ def _gain(name: str, gain: float, source: ChannelSource, unit: str, units: dict[
 def _delay(name: str, delay: float, misfit: float, source: ChannelSource) -> list[Finding]:
     if abs(delay) < 0.12 or misfit > 2 * _FITS:
         return []
-    said = f"it fits the pose's derivative best when taken {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'}"
+    evidence = f"it fits the pose's derivative best when taken {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'}"
     remedy = f"channels.{name}.delay = {number(source.delay + delay)}"
-    return [Finding("warning", name, "is late" if delay > 0 else "is early", said, remedy, 0.7)]
+    return [Finding("warning", name, "is late" if delay > 0 else "is early", evidence, remedy, 0.7)]
