@@ -1,1 +1,1 @@
-"""Studies and ablations: what offpiste was measured by; not in the wheel (README.md)."""
+"""Studies and ablations behind docs/results.md; not in the wheel (README.md)."""

@@ -1,6 +1,6 @@
-"""What the map's fusion rules do to features: coverage, steadiness over distance, and what still tells ground apart.
+"""Fusion rules of the map compared: coverage, stability of features over distance, and separability of ground kinds.
 
-Simulated drives are played back once with each rule; PCA and frames are the same.
+Simulated drives are replayed once with each rule; PCA and keyframes are the same.
 `python -m experiments.fusion LOG... --pca pca.safetensors`
 """
 
@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from rich.table import Table
 
 from experiments.command import run
-from experiments.sensor_faults import stretch
+from experiments.perturbed_sensors import stretch
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.cells import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, differences, feature_range, valid_rates, within_reach
@@ -78,8 +78,8 @@ def between_kinds(features: Float[np.ndarray, "M F"], kind: Int[np.ndarray, " M"
 def compare(drive: Ridden) -> list[dict[str, Any]]:
     """A row for each rule and feature set.
 
-    Rates are of the cells that could have been seen at the distance. Differences are relative to the range under the
-    same rule. Kinds are told apart in the cells that are valid under all rules.
+    Rates refer to the cells that could have been seen at the distance. Differences are relative to the range under the
+    same rule. Kinds are separated in the cells that are valid under all rules.
     """
     common = np.logical_and.reduce([cells.valid for cells in drive.cells.values()])
     rows = []

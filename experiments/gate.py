@@ -1,8 +1,7 @@
-"""The gate before any camera: whether knowing the ground ahead is worth anything.
+"""Gate before any camera: how much knowing the true ground ahead reduces the prediction error.
 
-Physics-only drives, the true ground under each wheel as features, read where predictions go. `df` knows the ground
-along its way, `hold` only that of the start, `b` nothing; `b-history` has more units to feel it with.
-`python -m experiments.gate --help`
+Simulated drives without sensors; features are the true ground under each wheel, read at predicted places. `df` knows
+the ground along its path, `hold` only that of the start, `b` nothing; `b-history` has more units for the last 0.2 s.
 """
 
 import json
@@ -28,22 +27,22 @@ logger = logging.getLogger("experiments")
 
 @dataclass(frozen=True)
 class Gate:
-    """Simulate, train, judge; goes on where it stopped."""
+    """How much the true ground ahead reduces the prediction error; resumes where it stopped."""
 
     out: Path = Path("gate")
-    """Folder for everything."""
+    """Folder of all outputs."""
     world: str = "mojave"
-    """Preset; `uniform` makes the features a placebo."""
+    """World; on `uniform` the features are a placebo."""
     contrast: float = 1.0
     """Grip contrast of the worlds."""
     features: Literal["ground-truth", "ground-kind"] = "ground-truth"
-    """What the oracle knows; on `uniform` only kinds differ."""
+    """Features of the oracle; on `uniform` only kinds differ."""
     drives: tuple[int, int, int] = (12, 3, 6)
-    """Of train, validation and test, each in a world of its own."""
+    """Number of drives to train, validate and test on, each in a world of its own."""
     same_world: bool = False
-    """All drives in one world: ground shared by training and test."""
+    """Simulate all drives in one world, so that training and test share the ground."""
     seconds: float = 120.0
-    """Of each drive."""
+    """Duration of each drive [s]."""
     models: tuple[str, ...] = ("df", "hold", "b", "parametric", "b-history")
     """Models to compare."""
     seeds: int = 3
@@ -52,7 +51,7 @@ class Gate:
     """Settings of all trainings."""
 
     def run(self) -> None:
-        """The whole experiment."""
+        """Run the whole experiment."""
         drives = self.simulate()
         dataset = make_dataset(
             [path for path, _ in drives],
@@ -74,23 +73,23 @@ class Gate:
         logger.info(verdict(json.loads((self.out / "report" / "metrics.json").read_text("utf-8"))))
 
     def simulate(self) -> list[tuple[Path, str]]:
-        """The logs and their parts."""
-        found = []
+        """Simulated logs and their parts of the dataset."""
+        logs = []
         for number, part in enumerate(
             p for p, n in zip(("train", "validation", "test"), self.drives, strict=True) for _ in range(n)
         ):
             path = self.out / "logs" / f"{self.world}-{number}.mcap"
             world = WorldSettings(self.world, 1000 if self.same_world else 1000 + number, self.contrast)
             logger.info(simulate_once(DriveSettings(world, self.seconds, seed=number, sensors="none"), path))
-            found.append((path, part))
-        return found
+            logs.append((path, part))
+        return logs
 
 
 def verdict(metrics: dict[str, Any]) -> str:
     """Mean 5 s error and loss of each model on the map from the causal start, and `df` against the others."""
     rows = {
         row["model"]: row
-        for row in reversed(metrics["results"])  # the row over all seeds stands first
+        for row in reversed(metrics["results"])  # the row over all seeds comes first
         if row["start"] == "causal" and row["lookup"] in ("map", None) and row["horizon_s"] == 5.0
     }
     lines = ["model         5 s error [m]          loss    df against it: position            loss"]

@@ -1,10 +1,11 @@
-"""One scan carried by the poses to another's surroundings: how far it lies off what stands upright there.
+"""A KITTI drive through the whole pipeline: PCA, dataset, pictures, valid rates by distance, and LiDAR scan alignment.
 
-A KITTI drive the whole way: PCA, dataset, pictures, valid rates by distance, and scans carried by the poses.
+Scans are transformed by the poses onto later ones; their distance from upright planes there shows whether poses,
+motion compensation and stamps are right.
 
 `python -m experiments.kitti ../shared/data/kitti_raw/2011_09_26/2011_09_26_drive_0013_sync --out kitti`
 
-Its drives are too short to be split: all of it counts as training (`blocks:1,0,0`).
+KITTI's drives are too short to be split: all of a drive counts as training (`blocks:1,0,0`).
 """
 
 import logging
@@ -33,54 +34,54 @@ from offpiste.visualization.view import view
 
 logger = logging.getLogger("experiments")
 
-WAYS = ("by the poses", "sweep not unbent", "stamped 0.2 s late", "not carried")
-"""How scans are carried: as they should be, and three ways in which they should not."""
+VARIANTS = ("by the poses", "without motion compensation", "stamped 0.2 s late", "not transformed")
+"""Variants of the transformation: the right one, and three wrong ones."""
 _LATE = 0.2
-"""[s]"""
-_LEAST = 300
-"""Points on upright planes, below which two scans tell nothing."""
+"""Delay of the wrong stamps [s]."""
+_MIN_POINTS = 300
+"""Least number of points on upright planes for a comparison of two scans."""
 
 
-def carried_scans(
+def scan_alignment(
     scans: Sequence[Cloud], lidar: Lidar, poses: Poses, *, apart: int, every: int = 5
 ) -> Float[np.ndarray, "n 4"]:
-    """Median distance from upright planes of the later scan, by `WAYS` [m]; NaN where there are too few planes.
+    """Median distance from upright planes of a later scan, by `VARIANTS` [m]; NaN where there are too few planes.
 
     Args:
-        apart: which later scan each one is carried to.
-        every: that scan of the drive begins a pair.
+        apart: number of scans between the two of a pair.
+        every: every that many scans begins a pair.
     """
-    found = []
+    distances = []
     for one, other in zip(scans[: len(scans) - apart : every], scans[apart::every], strict=False):
-        unbent = [_in_world(scan, lidar, poses) for scan in (one, other)]
-        bent = [_in_world(replace(scan, offset=None), lidar, poses) for scan in (one, other)]
+        compensated = [_in_world(scan, lidar, poses) for scan in (one, other)]
+        uncompensated = [_in_world(replace(scan, offset=None), lidar, poses) for scan in (one, other)]
         late = _in_world(replace(one, time=one.time + _LATE), lidar, poses)
-        stays = _in_world(replace(one, time=other.time), lidar, poses)
-        pairs = (unbent, bent, (late, unbent[1]), (stays, unbent[1]))
-        found.append([off_upright_planes(carried[::5], onto[::2]) for carried, onto in pairs])
-    return np.array(found).reshape(-1, len(WAYS))
+        unmoved = _in_world(replace(one, time=other.time), lidar, poses)
+        pairs = (compensated, uncompensated, (late, compensated[1]), (unmoved, compensated[1]))
+        distances.append([distance_from_upright_planes(moved[::5], onto[::2]) for moved, onto in pairs])
+    return np.array(distances).reshape(-1, len(VARIANTS))
 
 
-def off_upright_planes(carried: Float[np.ndarray, "n 3"], onto: Float[np.ndarray, "m 3"]) -> float:
+def distance_from_upright_planes(moved: Float[np.ndarray, "n 3"], onto: Float[np.ndarray, "m 3"]) -> float:
     """Median distance of points from planes through upright structure of another scan [m]; NaN where there is little.
 
     Of each point the nearest one of the other scan within 1 m counts, where its ten neighbours lie on a plane that is
     flat to 5 cm, no line, and not level.
     """
-    if len(carried) < _LEAST or len(onto) < _LEAST:
+    if len(moved) < _MIN_POINTS or len(onto) < _MIN_POINTS:
         return float("nan")
     tree = cKDTree(onto)
-    distance, index = tree.query(carried, distance_upper_bound=1.0)
-    carried, index = carried[np.isfinite(distance)], index[np.isfinite(distance)]
+    distance, index = tree.query(moved, distance_upper_bound=1.0)
+    moved, index = moved[np.isfinite(distance)], index[np.isfinite(distance)]
     reach, near = tree.query(onto[index], 10)
     patch = onto[near] - onto[near].mean(axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", patch, patch) / 10)
     normal, spread = axes[:, :, 0], spread.clip(0)
     upright = (np.abs(normal[:, 2]) < 0.3) & (spread[:, 0] < 0.05**2) & (spread[:, 1] > 9 * spread[:, 0])
     upright &= reach[:, -1] < 1
-    if upright.sum() < _LEAST:
+    if upright.sum() < _MIN_POINTS:
         return float("nan")
-    return float(np.median(np.abs(np.einsum("ni,ni->n", carried - onto[index], normal))[upright]))
+    return float(np.median(np.abs(np.einsum("ni,ni->n", moved - onto[index], normal))[upright]))
 
 
 def _in_world(scan: Cloud, lidar: Lidar, poses: Poses) -> Float[np.ndarray, "n 3"]:
@@ -90,30 +91,30 @@ def _in_world(scan: Cloud, lidar: Lidar, poses: Poses) -> Float[np.ndarray, "n 3
 
 SPLIT = "blocks:1,0,0"
 APART = (1, 2, 5)
-"""Scans between which one is carried."""
+"""Numbers of scans between the two of a pair."""
 
 
-def carried_table(log: SensorLog) -> str:
-    """Distances by how far scans lie apart and by how they are carried, in lines; all LiDARs one after the other."""
-    lines = [f"{'off upright planes [m]':22}" + "".join(f"{reading:>20}" for reading in WAYS) + "     pairs"]
+def alignment_table(log: SensorLog) -> str:
+    """Table of the alignment of all LiDARs, by distance between scans and by variant."""
+    lines = [f"{'from upright planes [m]':22}" + "".join(f"{variant:>28}" for variant in VARIANTS) + "     pairs"]
     for name, lidar in log.lidars.items():
         scans = [scan for scan in log.stream([name]) if isinstance(scan, Cloud)]
         for apart in APART:
-            found = carried_scans(scans, lidar, log.poses, apart=apart)
-            found = found[np.isfinite(found).all(axis=1)]
-            if len(found):
-                middle, worst = np.median(found, axis=0), found.max(axis=0)
-                cells = "".join(f"{m:10.3f} (max {w:.2f})" for m, w in zip(middle, worst, strict=True))
-                lines.append(f"{name}, {apart} apart".ljust(22) + cells + f"{len(found):10}")
+            distances = scan_alignment(scans, lidar, log.poses, apart=apart)
+            distances = distances[np.isfinite(distances).all(axis=1)]
+            if len(distances):
+                middle, worst = np.median(distances, axis=0), distances.max(axis=0)
+                cells = "".join(f"{m:18.3f} (max {w:.2f})" for m, w in zip(middle, worst, strict=True))
+                lines.append(f"{name}, {apart} apart".ljust(22) + cells + f"{len(distances):10}")
     return "\n".join(lines)
 
 
 def main(drive: tyro.conf.Positional[Path], out: Path = Path("kitti"), backbone: str = "filterbank") -> None:
-    """Fit, extract, draw, measure.
+    """Run a KITTI drive through the pipeline: fit a PCA, extract, draw, and measure how well scans align.
 
     Args:
         drive: a folder `..._sync` beside its day's calibration files.
-        out: for pca.safetensors, dataset.zarr, and the pictures in `log` and `dataset`.
+        out: folder of pca.safetensors, dataset.zarr, and the pictures in `log` and `dataset`.
         backbone: as in `offpiste fit-pca`.
     """
     rig = load_rig("kitti")
@@ -123,7 +124,7 @@ def main(drive: tyro.conf.Positional[Path], out: Path = Path("kitti"), backbone:
     dataset = make_dataset([drive], rig, out / "dataset.zarr", split=SPLIT, pca=pca)
     written = view(drive, out / "log", rig="kitti", pca=pca, rrd=False)
     written += view(dataset.path, out / "dataset")
-    logger.info(carried_table(open_sensors(open_log(drive), rig)))
+    logger.info(alignment_table(open_sensors(open_log(drive), rig)))
     logger.info(f"wrote {', '.join(map(str, written))}")
 
 

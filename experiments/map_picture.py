@@ -1,4 +1,4 @@
-"""A map from above as pictures: its features as colours, and its ground shaded, with what stands on it."""
+"""Picture of a terrain map from above: its features as colours, and its ground shaded, with obstacles."""
 
 import cv2
 import numpy as np
@@ -8,9 +8,9 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.visualization.images import colours
 
 _SUN = np.array([-0.5, 0.45, 0.74])
-"""Towards the light: from the upper left, as on maps."""
-_STANDS = 0.3
-"""What is higher above the ground than this is drawn as standing on it [m]."""
+"""Direction to the light: the upper left, as on maps."""
+_OBSTACLE_HEIGHT = 0.3
+"""Height above the ground from which something is drawn as an obstacle [m]."""
 
 
 def map_picture(
@@ -24,10 +24,10 @@ def map_picture(
     """Features as RGB, and right of them shaded ground with obstacles in green; y up, black where nothing is known.
 
     Args:
-        around: x, y of the middle of the picture; marked in red [m].
-        reach: half the side of what is drawn [m].
-        limits: of the colours (`perception.pictures.colour_limits`); of this map by default.
-        pixels: side of a cell.
+        around: x, y of the picture's centre, marked in red [m].
+        reach: half the side of the picture [m].
+        limits: limits of the colours (`visualization.images.colour_limits`); this map's own by default.
+        pixels: side of a cell [px].
     """
     ny, nx = layers.elevation.shape
     first = np.clip(np.round((around - reach - layers.origin) / layers.resolution).astype(int), 0, [nx, ny])
@@ -45,7 +45,7 @@ def _shaded(layers: TerrainLayers, window: tuple[slice, slice]) -> UInt8[np.ndar
     light = np.nan_to_num(layers.normal[window] @ (_SUN / np.linalg.norm(_SUN)), nan=0.7)
     grey = np.rint(230 * light.clip(0, 1)).astype(np.uint8)[..., None].repeat(3, axis=-1)
     height: Float[np.ndarray, "h w"] = np.nan_to_num(layers.obstacle_height[window])
-    stands: Bool[np.ndarray, "h w"] = height > _STANDS
-    share = (height[stands] / 2).clip(0, 1)[:, None]
-    grey[stands] = np.rint((1 - share) * np.array([190, 230, 150]) + share * np.array([10, 80, 20])).astype(np.uint8)
+    obstacle: Bool[np.ndarray, "h w"] = height > _OBSTACLE_HEIGHT
+    share = (height[obstacle] / 2).clip(0, 1)[:, None]
+    grey[obstacle] = np.rint((1 - share) * np.array([190, 230, 150]) + share * np.array([10, 80, 20])).astype(np.uint8)
     return np.where(layers.known[window][..., None], grey, 0).astype(np.uint8)

@@ -1,8 +1,7 @@
-"""Do edges of depth fall on edges of the image? Extrinsics and stamps that are right make them.
+"""One forest frame of MonoForce's tracked robot: points in four distorted cameras, and the map of one LiDAR scan.
 
-After Levinson and Thrun, "Automatic Online Calibration of Cameras and Lasers", RSS 2013, section III.
-
-The forest frame of MonoForce's tracked robot: points in four distorted cameras, and the map of that one scan.
+Depth edges fall on image edges where extrinsics and stamps are right (after Levinson and Thrun, "Automatic Online
+Calibration of Cameras and Lasers", RSS 2013, section III).
 
 `python -m experiments.marv ../shared/data/monoforce_marv --out marv`
 """
@@ -46,7 +45,7 @@ _APART: Final = 3
 
 
 def depth_edges(points_lidar: Float[np.ndarray, "n 3"], *, least: float = 1.0) -> Float[np.ndarray, " n"]:
-    """How far each point stands before what is seen left or right of it, the square root of metres; 0 for most.
+    """Depth step at each point to its left or right neighbour, square root of metres; 0 for most.
 
     Edges belong to the nearer side, and only edges across the turning direction count: along it a LiDAR is dense.
 
@@ -189,7 +188,7 @@ def edge_scores(frame: Frame, turns: tuple[float, ...] = TURNS) -> Float[np.ndar
 
 
 def fit_extractor(frame: Frame, backbone: Backbone, *, components: int = 20) -> FeatureExtractor:
-    """A PCA on the patches of the frame's images that points hit at all: a forest's ground is hard to tell."""
+    """Feature extractor with a PCA on all patches that points hit: a forest's ground is hard to segment."""
     found = project(frame.points_body, frame.views)
     moments = Moments.none(backbone.channels)
     for number, (view, image) in enumerate(zip(frame.views, frame.images, strict=True)):

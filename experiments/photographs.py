@@ -1,4 +1,4 @@
-"""Photographs without LiDAR or poses as features see them: the first components of a PCA as colours beside each.
+"""Features of photographs without LiDAR or poses: the first components of a PCA as colours beside each photograph.
 
 `python -m experiments.photographs ../shared/data/tartandrive2/images --out photographs`
 """

@@ -1,18 +1,14 @@
-"""Recorded sensors under a wrong belief: cameras mounted a little otherwise, images taken at another moment.
+"""How large a mounting or stamp error must be for `offpiste inspect` to find it, in cameras and LiDARs.
 
-From what error on `offpiste inspect` finds a turned or delayed camera or LiDAR.
-
-Faults are planted in the measurements of a log, one sensor and one fault at a time: mountings are turned about a random
-axis, stamps are moved. `python -m experiments.sensor_faults LOG... --rig proving_ground`.
+Faults are planted in the measurements of a log, one sensor and one fault at a time: mountings are rotated about a
+random axis, stamps are shifted. `python -m experiments.sensor_faults LOG... --rig proving_ground`.
 """
 
 import logging
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
-import msgspec
 import numpy as np
 import tyro
 from jaxtyping import Float
@@ -25,83 +21,28 @@ from offpiste.inspection.mountings import CheckedSensor
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
 from offpiste.inspection.sensors import camera_misfits, lidar_misfits
 from offpiste.logs import open_log
-from offpiste.logs.channel import Channel
-from offpiste.logs.measurements import Camera, Lidar
-from offpiste.logs.sensor_log import SensorLog, open_sensors
+from offpiste.logs.measurements import Lidar
+from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 
 logger = logging.getLogger("experiments")
 
 
-@dataclass(frozen=True)
-class Flaw:
-    """What is believed wrongly of every camera; LiDARs and poses are left alone.
-
-    Attributes:
-        degrees: angle between believed and true mounting.
-        direction: seed of the axes that cameras are turned about, one drawn for each from all directions alike.
-        late: how much later than it was an image is believed to have been taken [s].
-    """
-
-    degrees: float = 0.0
-    direction: int = 0
-    late: float = 0.0
-
-    def __str__(self) -> str:
-        return f"{self.degrees:g}deg{self.direction}-{1000 * self.late:g}ms"
-
-
-def perturbed(log: SensorLog, flaw: Flaw) -> SensorLog:
-    """The same log, its cameras believed wrongly; the log given stays as it is."""
-    rng = np.random.default_rng(flaw.direction)
-    other = copy(log)
-    other.cameras = {name: _perturbed(camera, flaw, rng) for name, camera in log.cameras.items()}
-    return other
-
-
-def stretch(log: SensorLog, start: float, end: float) -> SensorLog:
-    """The same log with its poses known from `start` to `end` [s] only: nothing else of it is mapped."""
-    other = copy(log)
-    position, orientation = (_cut(c, start, end) for c in (log.poses.position, log.poses.orientation))
-    other.poses = replace(log.poses, position=position, orientation=orientation)
-    return other
-
-
-def turn(degrees: float, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-    """A rotation by an angle about an axis drawn from all directions alike."""
-    axis = rng.normal(size=3)
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)).as_matrix()
-    return matrix
-
-
-def _perturbed(camera: Camera, flaw: Flaw, rng: np.random.Generator) -> Camera:
-    mounting = camera.body_from_camera @ turn(flaw.degrees, rng)
-    # A delay is taken off the stamps: less of it makes images later.
-    source = msgspec.structs.replace(camera.source, delay=camera.source.delay - flaw.late)
-    return replace(camera, body_from_camera=mounting, source=source)
-
-
-def _cut(channel: Channel, start: float, end: float) -> Channel:
-    inside = (channel.time >= start) & (channel.time <= end)
-    return replace(channel, time=channel.time[inside], values=channel.values[inside])
-
-
 TURNS: Final = (0.0, 0.5, 1.0, 2.0, 3.0)
-"""[deg]."""
+"""Planted rotations [deg]."""
 DELAYS: Final = (20.0, 50.0, 100.0)
-"""[ms]; 0 is the first of `TURNS`."""
+"""Planted delays [ms]; no delay is the first of `TURNS`."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is planted in one sensor.
+    """Fault planted in one sensor.
 
     Attributes:
         kind: "camera" or "lidar".
-        turn: [deg], about a random axis.
-        late: [ms].
+        turn: rotation of the mounting about a random axis [deg].
+        late: delay of the stamps [ms].
     """
 
     kind: str
@@ -111,12 +52,13 @@ class Fault:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a fault.
+    """Result for one planted fault.
 
     Attributes:
-        turned, late: whether a finding said so of that sensor.
-        other: whether another sensor was accused.
-        turn_error: angle that the found turn leaves of the planted one [deg]; late_error: likewise [ms].
+        turned, late: whether a finding reported that fault of that sensor.
+        other: whether a finding reported another sensor.
+        turn_error: angle between the estimated and the planted rotation [deg].
+        late_error: difference of the estimated and the planted delay [ms].
     """
 
     fault: Fault
@@ -128,14 +70,14 @@ class Outcome:
 
 
 def faults() -> Iterator[Fault]:
-    """All of the table."""
+    """All faults of the table."""
     for kind in ("camera", "lidar"):
         yield from (Fault(kind, turn, 0.0) for turn in TURNS)
         yield from (Fault(kind, 0.0, late) for late in DELAYS)
 
 
 def outcomes(path: str, rig: Rig, rng: np.random.Generator) -> Iterator[Outcome]:
-    """Every fault in the first camera and LiDAR of a log."""
+    """Results of every fault in the first camera and LiDAR of a log."""
     sensors = open_sensors(open_log(path), rig)
     cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
     gathered = gather(sensors, cameras)
@@ -145,11 +87,11 @@ def outcomes(path: str, rig: Rig, rng: np.random.Generator) -> Iterator[Outcome]
         turn, late = np.deg2rad(fault.turn) * axis / np.linalg.norm(axis), fault.late / 1e3
         name = next(iter(cameras if fault.kind == "camera" else sensors.lidars))
         lidars, turned_cameras, moved = planted(sensors.lidars, cameras, gathered, name, turn, late)
-        judged = clean if name in cameras else lidar_misfits(lidars, moved, sensors.poses)
-        judged = judged + camera_misfits(turned_cameras, judged, moved, sensors.poses)
-        accused = {one.sensor.name: one for one in judged}
-        mine = accused.pop(name)
-        other = any(one.is_turned or one.is_late for one in accused.values())
+        checked = clean if name in cameras else lidar_misfits(lidars, moved, sensors.poses)
+        checked = checked + camera_misfits(turned_cameras, checked, moved, sensors.poses)
+        checked_by_name = {one.sensor.name: one for one in checked}
+        mine = checked_by_name.pop(name)
+        other = any(one.is_turned or one.is_late for one in checked_by_name.values())
         yield Outcome(fault, mine.is_turned, mine.is_late, other, *_errors(mine, turn, late))
 
 
@@ -161,11 +103,11 @@ def planted(
     turn: Float[np.ndarray, " 3"],
     late: float,
 ) -> tuple[dict[str, Lidar], dict[str, SmallCamera], Gathered]:
-    """The same measurements, those of one sensor mounted and stamped wrongly; nothing given is changed.
+    """Copies of the measurements with a wrong mounting and wrong stamps of one sensor.
 
     Args:
-        turn: by which the mounting is wrong, about the body's axes [rad].
-        late: of its stamps [s].
+        turn: error of the mounting about the body's axes [rad].
+        late: delay of its stamps [s].
     """
     parameters = np.append(turn, 0.0)
     if name in cameras:
@@ -181,27 +123,29 @@ def planted(
 
 
 def _errors(found: CheckedSensor, turn: Float[np.ndarray, " 3"], late: float) -> tuple[float, float]:
-    """How far the found turn [deg] and lateness [ms] are from the planted ones; NaN where nothing was found."""
+    """Errors of the estimated rotation [deg] and delay [ms]; NaN where nothing was found."""
     if found.misfit is None:
         return np.nan, np.nan
     left = Rotation.from_rotvec(found.misfit.parameters[:3]) * Rotation.from_rotvec(turn)
     return float(np.rad2deg(left.magnitude())), float(1e3 * abs(found.misfit.parameters[3] - late))
 
 
-def tabulate(found: Sequence[Outcome]) -> Table:
+def tabulate(results: Sequence[Outcome]) -> Table:
     """Share of the logs in which each fault was found."""
     table = Table(box=None)
-    for name in ("fault", "logs", "said to be turned", "said late or early", "another accused"):
+    for name in ("fault", "logs", "rotation found", "delay found", "another sensor reported"):
         table.add_column(name)
-    table.add_column(r"turn\'s error, median / worst \[deg]")
-    table.add_column(r"lateness\'s error, median / worst \[ms]")
+    table.add_column(r"error of the rotation, median / worst \[deg]")
+    table.add_column(r"error of the delay, median / worst \[ms]")
     for fault in faults():
-        rows = [one for one in found if one.fault == fault]
-        said = [f"{sum(flags)}/{len(rows)}" for flags in zip(*((r.turned, r.late, r.other) for r in rows), strict=True)]
+        rows = [one for one in results if one.fault == fault]
+        counts = [
+            f"{sum(flags)}/{len(rows)}" for flags in zip(*((r.turned, r.late, r.other) for r in rows), strict=True)
+        ]
         errors = np.array([(r.turn_error, r.late_error) for r in rows])
         worst = [f"{np.nanmedian(e):.2f} / {np.nanmax(e):.2f}" for e in errors.T]
         what = f"{fault.kind}: {f'{fault.late:g} ms' if fault.late else f'{fault.turn:g} degrees'}"
-        table.add_row(what, str(len(rows)), *said, *worst)
+        table.add_row(what, str(len(rows)), *counts, *worst)
     return table
 
 
@@ -210,17 +154,17 @@ def main(
     rig: str = "proving_ground",
     seed: int = 0,
 ) -> None:
-    """Plant faults in logs, and say which are found.
+    """Plant faults in logs, and count those that are found.
 
     Args:
-        logs: with cameras and LiDARs.
+        logs: logs with cameras and LiDARs.
         rig: a preset's name or a rig file.
-        seed: of the axes of turns.
+        seed: seed of the rotation axes.
     """
-    found: list[Outcome] = []
+    results: list[Outcome] = []
     for number, path in enumerate(logs):
-        found += outcomes(path, load_rig(rig), np.random.default_rng((seed, number)))
-    logger.info(tabulate(found))
+        results += outcomes(path, load_rig(rig), np.random.default_rng((seed, number)))
+    logger.info(tabulate(results))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Command line of the closed loop's table, and of its faults."""
+"""Closed loop: planners compared on many courses, or under faults of their sensors."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -23,31 +23,34 @@ logger = logging.getLogger("experiments")
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Drive seeded courses with every run given; a result per course and planner, then table.md. Resumes."""
+    """Drive seeded courses with every given run: a result per course and planner, then table.md. Resumes."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")]
     """Run folders: parametric, b, dc, and a `df` trained on ground-truth features (the ceiling)."""
     pca: Path | None = None
-    """What runs with visual features were trained with."""
+    """PCA of runs with visual features."""
     courses: int = 20
+    """Number of courses."""
     test: bool = False
     """Courses of the test seeds (from 201) instead of those for development (from 1)."""
     out: Path = Path("closed-loop")
+    """Folder of all outputs."""
     seconds: float = 40.0
+    """Longest duration of a drive [s]."""
     speed: float = 7.0
-    """Wanted along the courses [m/s]."""
+    """Target speed along the courses [m/s]."""
     latencies: tuple[float, ...] = (0.0, 0.3)
-    """Of dc and the ceiling, beside 0.1 [s]."""
+    """Latencies of dc and the ceiling, beside 0.1 [s]."""
     keep_logs: bool = False
-    """Of every drive: 150 MB each."""
+    """Keep the log of every drive: 150 MB each."""
     faults: bool = False
-    """Instead: each fault once, with every run given, into OUT/faults."""
+    """Instead, drive each sensor fault once with every given run, into OUT/faults."""
 
     processes: int = 0
-    """Courses that are driven at a time; 0: one a core."""
+    """Number of courses at a time; 0: one per core."""
 
     def run(self) -> None:
-        """Drive, write, print.
+        """Drive, write and show the table.
 
         Raises:
             OffpisteError: nothing to drive, a setting is out of range, or a drive fails.
@@ -57,17 +60,17 @@ class ClosedLoop:
         if self.courses < 1:
             raise OffpisteError(f"{self.courses} courses", where="--courses", how="give 1 or more")
         planners = [load_planner(run, self.pca) for run in self.runs]
-        asked = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
+        settings = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
         drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores())
         if not self.faults:
-            results = drive(entries(planners, self.latencies), out=self.out, asked=asked)
+            results = drive(entries(planners, self.latencies), out=self.out, settings=settings)
             logger.info(write_table(results, self.out, self.seconds))
             return
         kinds: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "none")
         for kind in kinds:
-            told = replace(asked, fault=kind)
-            for result in drive(entries(planners, ()), out=self.out / "faults" / kind, asked=told):
+            faulty = replace(settings, fault=kind)
+            for result in drive(entries(planners, ()), out=self.out / "faults" / kind, settings=faulty):
                 ending = ", ".join(f"{t} s {mode}: {why}" for t, mode, why in result["modes"])
                 logger.info(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
 

@@ -1,4 +1,4 @@
-"""Many courses, several planners: a drive each, done once. Goes on where it was stopped, from its folder."""
+"""Drives of several planners on many courses, each done once; resumes from its folder."""
 
 import io
 import json
@@ -27,7 +27,7 @@ from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 
 DEVELOPMENT, TEST = 1, 201
-"""First seeds of the courses: everything is chosen on the first, and judged on the second."""
+"""First seeds of the courses: everything is chosen on the first, and evaluated on the second."""
 
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 """Course after course."""
@@ -81,7 +81,7 @@ def drive_all(
     rows: Sequence[Entry],
     worlds: Sequence[WorldSettings],
     out: Path,
-    asked: CourseDrive | None = None,
+    settings: CourseDrive | None = None,
     *,
     processes: int = 1,
 ) -> list[dict[str, Any]]:
@@ -95,27 +95,31 @@ def drive_all(
         OffpisteError: a setting is out of range, the folder is a file, or a result in it is broken: nothing is driven
             then. Or a course cannot be driven; the others are.
     """
-    asked = asked or CourseDrive()
+    settings = settings or CourseDrive()
     check_folder(out)
     for row in rows:
-        check_settings(_at_latency(asked, row))
-    courses = [(world, [row for row in rows if _found(row, world, out, asked) is None]) for world in worlds]
-    failed = run_all(partial(_drive_rows, out=out, asked=asked), [c for c in courses if c[1]], processes, "courses")
+        check_settings(_at_latency(settings, row))
+    courses = [
+        (world, [row for row in rows if _finished_result(row, world, out, settings) is None]) for world in worlds
+    ]
+    failed = run_all(
+        partial(_drive_rows, out=out, settings=settings), [c for c in courses if c[1]], processes, "courses"
+    )
     if failed:
         raise failed[0]
-    found = [(row, _found(row, world, out, asked)) for world in worlds for row in rows]
-    return [{**result, "row": row.name} for row, result in found if result is not None]
+    results = [(row, _finished_result(row, world, out, settings)) for world in worlds for row in rows]
+    return [{**result, "row": row.name} for row, result in results if result is not None]
 
 
 def _drive_rows(
-    course: tuple[WorldSettings, list[Entry]], report: Callable[[float], None], *, out: Path, asked: CourseDrive
+    course: tuple[WorldSettings, list[Entry]], report: Callable[[float], None], *, out: Path, settings: CourseDrive
 ) -> str:
     """Drive a course with several planners, one after the other."""
     (place, rows), said = course, []
     world = make_world(place)
     scene = world_scene(world)
     for number, row in enumerate(rows):
-        drive = replace(_at_latency(asked, row), world=place)
+        drive = replace(_at_latency(settings, row), world=place)
         said.append(_driven(row, drive, _folder(row, place, out), world, scene))
         report((number + 1) / len(rows))
     return "\n".join(said)
@@ -128,21 +132,21 @@ def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World, scene: S
     return f"{row.name}: {described(result)}"
 
 
-def _at_latency(asked: CourseDrive, row: Entry) -> CourseDrive:
-    return replace(asked, runtime=replace(asked.runtime, latency=row.latency))
+def _at_latency(settings: CourseDrive, row: Entry) -> CourseDrive:
+    return replace(settings, runtime=replace(settings.runtime, latency=row.latency))
 
 
 def _folder(row: Entry, place: WorldSettings, out: Path) -> Path:
     return out / row.name / f"{place.preset}-{place.seed}"
 
 
-def _found(row: Entry, place: WorldSettings, out: Path, asked: CourseDrive) -> dict[str, Any] | None:
+def _finished_result(row: Entry, place: WorldSettings, out: Path, settings: CourseDrive) -> dict[str, Any] | None:
     """The result of a drive that is there already."""
     folder = _folder(row, place, out)
     path = folder / "result.json"
     if not path.exists():
         return None
-    wanted = settings_of(row.planner, _at_latency(asked, row))
+    wanted = settings_of(row.planner, _at_latency(settings, row))
     result = _read(path, [*NEEDED, *(name for name in wanted if name not in NEWER)])
     if other := [name for name, value in wanted.items() if name in result and not _agree(result[name], value)]:
         raise RunError(f"a drive with another {other[0]}", where=folder, how="give another --out")
@@ -150,7 +154,7 @@ def _found(row: Entry, place: WorldSettings, out: Path, asked: CourseDrive) -> d
 
 
 def _agree(known: Any, wanted: Any) -> bool:
-    """Whether settings are the same, as far as both tell them: a setting that came later costs nobody their drives."""
+    """Whether settings agree as far as both record them: a new setting does not invalidate finished drives."""
     if isinstance(known, dict) and isinstance(wanted, dict):
         return all(_agree(known[name], value) for name, value in wanted.items() if name in known)
     return bool(known == wanted)

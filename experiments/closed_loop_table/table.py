@@ -99,7 +99,7 @@ def _differences(drives: Drives, limit: float) -> list[str]:
     """A line for every two planners that are compared."""
     lines = [
         "Paired differences on the same courses, with 95 % intervals bootstrapped over courses. The last column leaves"
-        " out courses that not both finish, and so tells how they drive, not how often they stand.",
+        " out courses that not both finish, and so shows how they drive, not how often they stop.",
         "",
         _line(["difference", *MEASURES.values(), BOTH_FINISH]),
         _rule(2 + len(MEASURES)),

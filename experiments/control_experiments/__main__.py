@@ -1,4 +1,4 @@
-"""`python -m experiments.control_experiments WHAT --reproduction results/ --out controls/`; docs/controls.md."""
+"""Control experiments on a finished `offpiste reproduce fig4` (docs/control-experiments.md)."""
 
 import logging
 from collections.abc import Callable
@@ -25,37 +25,37 @@ What = Literal["models", "snapshots", "shift", "oracle", "uniform", "twins", "co
 
 
 @dataclass(frozen=True)
-class Controls:
-    """Run a control; whatever is in --out already is used again."""
+class ControlExperiment:
+    """Run a control experiment on a finished `offpiste reproduce fig4`; results already in --out are reused."""
 
     what: Annotated[What, tyro.conf.Positional]
-    """Which one."""
+    """Name of the experiment (docs/control-experiments.md)."""
     reproduction: Path = Path("results")
     """Folder of a finished `offpiste reproduce fig4`."""
     out: Path = Path("controls")
-    """Folder for everything."""
+    """Folder of all outputs."""
     models: tuple[str, ...] = ()
-    """For `models`: only these."""
+    """For `models`: names of the models to train; default all."""
     uniform: UniformDrives = field(default_factory=UniformDrives)
-    """For `uniform`: how much is driven."""
+    """For `uniform`: amount of driving."""
 
     snapshot_drives: int = 8
-    """For `snapshots`: how many training drives are extracted once more."""
+    """For `snapshots`: number of training drives that are extracted once more."""
     snapshot_seconds: float = 0.5
-    """For `snapshots`: at most one in so long [s]."""
+    """For `snapshots`: least time between two [s]."""
     sweep: Sweep = field(default_factory=Sweep)
-    """For `contrast` and `appearance`."""
+    """For `contrast` and `appearance`: values and drives."""
     twin_drives: int = 4
-    """For `twins`: how many test drives are driven once more."""
+    """For `twins`: number of test drives that are simulated once more."""
     twin_seconds: float = 60.0
-    """For `twins`: of each [s]."""
+    """For `twins`: duration of each [s]."""
 
     def run(self) -> None:
-        """Do it, and show the tables."""
+        """Run the experiment, and show its tables."""
         of = open_reproduction(self.reproduction)
-        # What was judged is used again: it must be of the same runs.
+        # Evaluations in the folder are reused: they must belong to the same runs.
         claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
-        controls: dict[What, Callable[[], Path]] = {
+        experiments: dict[What, Callable[[], Path]] = {
             "models": lambda: models_control(of, self.out, list(self.models)),
             "snapshots": lambda: snapshots_control(
                 of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds
@@ -73,10 +73,10 @@ class Controls:
             "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep),
             "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep),
         }
-        page = controls[self.what]()
+        page = experiments[self.what]()
         logger.info(page.read_text("utf-8"))
         logger.info(f"written: {page}")
 
 
 if __name__ == "__main__":
-    run(Controls)
+    run(ControlExperiment)

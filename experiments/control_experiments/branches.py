@@ -73,7 +73,7 @@ def _ends(
             vehicle.step(*command)
         step = parting
         twin = vehicle.branch(ground)
-        twin.sample()  # events of before are told
+        twin.sample()  # clears the events so far
         for command in commands[step : step + HORIZON_STEPS]:
             twin.step(*command)
         sample = twin.sample()

@@ -47,7 +47,7 @@ class Gain(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def evaluation_index(windows: Windows, reading: Reading, stride: int, *, most: int = 0) -> Int[np.ndarray, " n"]:
-    """Windows that a reproduction judges in one way.
+    """Windows of a reproduction that are evaluated with one terrain lookup.
 
     Args:
         most: so many of them, evenly spread; 0: all.

@@ -1,6 +1,6 @@
-"""Other models beside `b` and `dc`: what looking ahead, physics, parameters, history and drawn sets are worth.
+"""Ablated models beside `b` and `dc`: looking ahead, physics, parameters, history and drawn feature sets.
 
-Runs that controls need beside those of a reproduction; a finished one is used again, an interrupted one goes on.
+A finished run is reused, an interrupted one resumed.
 """
 
 import logging
@@ -37,7 +37,7 @@ ABOUT = (
 
 
 def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
-    """Train one run each of the control models as the reproduction trains its own, and judge all on its windows.
+    """Train one run of each ablated model like the reproduction's own, and evaluate all on its windows.
 
     Args:
         models: of `FEATURED` and `BLIND`; all where empty.
@@ -57,7 +57,7 @@ def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
         for model in runs:
             if reading in (MAP, HINDSIGHT) or model not in BLIND:
                 errors[model, reading] = [
-                    errors_of(run, windows, index, reading, scale=scale, kept=out / "judged") for run in runs[model]
+                    errors_of(run, windows, index, reading, scale=scale, kept=out / "evaluated") for run in runs[model]
                 ]
     over_b = [
         gain(FEATURED.get(model, BLIND.get(model, "")), model, found, errors["b", reading], reading)

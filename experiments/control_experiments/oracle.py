@@ -1,4 +1,4 @@
-"""The ceiling: what models gain that are told the true ground, and how much of it visual features reach."""
+"""Oracle: gain of models that are given the true ground, and the share of it that visual features reach."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,8 +27,8 @@ from offpiste.report.text_table import TextTable
 
 ABOUT = (
     "The oracle is df on the true friction, cornering stiffness, rolling resistance and sinkage drag; its baseline is "
-    "a b that reads the true normals. Both are trained on the same drives and judged on the same windows, on the whole "
-    "true map where predictions go, or at recorded places."
+    "a b that reads the true normals. Both are trained on the same drives and evaluated on the same windows, on the "
+    "whole true map at predicted places, or at recorded places."
 )
 SHARES = (
     "Part of the oracle's relative gain in distance error that a model reaches, each against the b with the same "
@@ -37,7 +37,7 @@ SHARES = (
 
 
 def oracle_control(of: Reproduced, out: Path) -> Path:
-    """Train b and df on the truth, judge them on the reproduction's windows, and compare its runs with them."""
+    """Train b and df on the truth, evaluate them on the reproduction's windows, and compare its runs with them."""
     folder, scale, stride = out / "oracle", of.scale, of.size.stride
     truth = oracle_dataset(of.logs(), of.split_for(folder), folder / "dataset.zarr")
     config = replace(of.size.train, seed=0)
@@ -51,12 +51,14 @@ def oracle_control(of: Reproduced, out: Path) -> Path:
         there, of_truth = same_windows(windows, index, true_windows), MAP if reading == MAP else HINDSIGHT
         if ("b", of_truth) not in oracle:
             for model, run in knowing.items():
-                kept = out / "judged" / "oracle"
+                kept = out / "evaluated" / "oracle"
                 oracle[model, of_truth] = errors_of(run, true_windows, there, of_truth, scale=scale, kept=kept)
             gains.append(gain("true ground", "oracle", [oracle["df", of_truth]], [oracle["b", of_truth]], of_truth))
 
         def errors(model: str, reading: Reading = reading, index: np.ndarray = index) -> list[Errors]:
-            return [errors_of(run, windows, index, reading, scale=scale, kept=out / "judged") for run in of.runs(model)]
+            return [
+                errors_of(run, windows, index, reading, scale=scale, kept=out / "evaluated") for run in of.runs(model)
+            ]
 
         blind = errors("b")
         for model in models:

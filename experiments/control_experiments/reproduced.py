@@ -22,7 +22,7 @@ class Reproduced:
 
     Attributes:
         folder: of `offpiste reproduce`.
-        size: what was judged, and how models were trained.
+        size: size of the evaluation, and settings of the training.
         dataset: with visual features by distance.
         contrast: of grip in its worlds.
     """

@@ -75,7 +75,7 @@ def _correlation(ss: np.ndarray, pp: np.ndarray, sp: np.ndarray) -> np.ndarray:
     return sp / np.sqrt(ss * pp)
 
 
-def sensitivity_table(told: Sequence[Sensitivity]) -> TextTable:
+def sensitivity_table(rows: Sequence[Sensitivity]) -> TextTable:
     """A line a model."""
 
     def said(value: PairedDifference) -> str:
@@ -89,13 +89,13 @@ def sensitivity_table(told: Sequence[Sensitivity]) -> TextTable:
             f"{t.predicted_rms_m:.2f}",
             *(said(value) for value in (t.slope, t.correlation, t.correlation_ahead, t.left_over)),
         )
-        for t in told
+        for t in rows
     ]
     names = ("model", "windows", "simulated [m]", "predicted [m]", "slope", "correlation", "of it ahead", "left over")
-    return TextTable("Twins told apart", names, tuple(lines), ABOUT)
+    return TextTable("Sensitivity to the ground of twins", names, tuple(lines), ABOUT)
 
 
-def draw_sensitivity(found: Mapping[str, Differences], told: Sequence[Sensitivity]) -> Figure:
+def draw_sensitivity(found: Mapping[str, Differences], rows: Sequence[Sensitivity]) -> Figure:
     """Predicted against simulated differences, a column a model, ahead and to the left."""
     figure = Figure(figsize=(1.0 + 2.8 * len(found), 5.6), layout="constrained")
     panels = figure.subplots(2, len(found), squeeze=False, sharex="row", sharey="row")
@@ -110,5 +110,5 @@ def draw_sensitivity(found: Mapping[str, Differences], told: Sequence[Sensitivit
             axes.grid(color="#e5e5e5", linewidth=0.5)
             if column == 0:
                 axes.set_ylabel(f"predicted, {name} [m]")
-        panels[0, column].set_title(f"{model}: slope {told[column].slope.mean:.2f}", fontsize=10)
+        panels[0, column].set_title(f"{model}: slope {rows[column].slope.mean:.2f}", fontsize=10)
     return figure

@@ -36,8 +36,8 @@ ABOUT = (
 
 
 def shift_control(of: Reproduced, out: Path) -> Path:
-    """Judge the reproduction's runs with features from elsewhere."""
-    windows, kept, scale = Windows(of.dataset, "test"), out / "judged", of.scale
+    """Evaluate the reproduction's runs with features from elsewhere."""
+    windows, kept, scale = Windows(of.dataset, "test"), out / "evaluated", of.scale
     elsewhere = Windows(shifted(of.dataset, METRES), "test")
     readings: list[Reading] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
     gains: list[Gain] = []
@@ -64,7 +64,7 @@ def shift_control(of: Reproduced, out: Path) -> Path:
 
 def shifted(dataset: Dataset, metres: float) -> Dataset:
     """The dataset with the features of each row those of the ground so much further along the driven path."""
-    # Windows are left out by what was seen of their own ground: that is done before, on the dataset itself.
+    # Windows are selected by their own ground, before, on the dataset itself.
     return replace(dataset, drives=tuple(_shifted(drive, metres) for drive in dataset.drives), min_hindsight=0.0)
 
 
@@ -84,7 +84,7 @@ def further(position: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarray
 
 
 class ShiftedMap:
-    """The ground of windows with the features of other windows' maps, for `evaluation.judge.predict`.
+    """The ground of windows with the features of other windows' maps, for `evaluation.evaluate.predict`.
 
     Args:
         windows: that have maps.
@@ -103,7 +103,7 @@ class ShiftedMap:
     ) -> tuple[Batch, TerrainSource]:
         """The batch and its ground; features are read where the other window's map has what lies likewise ahead.
 
-        Models that hold the features of the start read them along the way here.
+        Models that hold the features of the start read them along the path here.
         """
         other = self._other[index]
         start = windows.gather(other).state

@@ -29,13 +29,13 @@ from offpiste.rig.rig import load_rig
 
 ABOUT = (
     "Trained on windows that have a snapshot of the map at their start: on the snapshot at recorded places, or on the "
-    "usual features of the same windows. All judged on the map at predicted places, against the b of the same "
+    "usual features of the same windows. All evaluated on the map at predicted places, against the b of the same "
     "training; 95 % intervals over blocks of 10 s."
 )
 
 
 def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float) -> Path:
-    """Extract some drives with snapshots for their training windows too, train on both kinds, judge on maps.
+    """Extract some drives with snapshots for their training windows too, train on both kinds, evaluate on maps.
 
     Args:
         drives: how many training drives, evenly spread; all that validate are used.
@@ -75,7 +75,7 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float)
                 index,
                 MAP,
                 scale=of.scale,
-                kept=place / "judged",
+                kept=place / "evaluated",
             )
             for model in models
         }

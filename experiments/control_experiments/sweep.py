@@ -1,7 +1,7 @@
-"""Gain against grip contrast, and against what varies in looks for no reason.
+"""Gain against grip contrast, and against variation of appearance that is independent of grip.
 
-Cheap: drives without cameras; features are the true kinds of ground and wetness, what perfect sight could tell, with
-smooth noise of a stated size in the place of imperfect sight. Dear: drives with cameras and the reproduction's PCA.
+Cheap: drives without cameras; features are the true kinds of ground and wetness, with smooth noise of a stated size in
+the place of imperfect vision. Expensive: drives with cameras and the reproduction's PCA.
 """
 
 import logging
@@ -37,7 +37,7 @@ class Sweep:
     """What is swept.
 
     Attributes:
-        contrasts: of grip, at the usual looks.
+        contrasts: values of the grip contrast, at the usual appearance.
         appearances: at full contrast: with `visual`, `appearance_noise` of the worlds; else standard deviation of noise
             in units of each feature's own.
         visual: cameras and the reproduction's PCA; else true kinds and wetness.
@@ -55,7 +55,7 @@ class Sweep:
 
 
 def sweep_control(of: Reproduced, out: Path, kind: str, sweep: Sweep) -> Path:
-    """Drive, train and judge at every value of "contrast" or "appearance"."""
+    """Simulate, train and evaluate at every value of "contrast" or "appearance"."""
     by_contrast, gains = kind == "contrast", []
     values = sweep.contrasts if by_contrast else sweep.appearances
     for value in values:
@@ -98,7 +98,7 @@ def _condition(of: Reproduced, folder: Path, sweep: Sweep, contrast: float, look
     windows, scale = Windows(dataset, "test"), runs["b"].scale
     index = evaluation_index(windows, MAP, of.size.stride)
     errors = {
-        model: errors_of(run, windows, index, MAP, scale=scale, kept=run.folder.parent.parent / f"judged-{noise:g}")
+        model: errors_of(run, windows, index, MAP, scale=scale, kept=run.folder.parent.parent / f"evaluated-{noise:g}")
         for model, run in runs.items()
     }
     return [gain("", model, [errors[model]], [errors["b"]], MAP) for model in models[1:]]
@@ -139,8 +139,8 @@ def _about(sweep: Sweep) -> str:
         else "the true kinds of ground and wetness in the place of visual features, with smooth noise where stated"
     )
     return (
-        f"World {sweep.world}, {sight}. Trained and judged anew at each value, on the map at predicted places, against "
-        "b; 95 % intervals over blocks of 10 s."
+        f"World {sweep.world}, {sight}. Trained and evaluated anew at each value, on the map at predicted places, "
+        "against b; 95 % intervals over blocks of 10 s."
     )
 
 

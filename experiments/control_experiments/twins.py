@@ -1,7 +1,7 @@
 """Twins: whether a model tells one ground from another as the simulator does, from one start under the same commands.
 
 Test drives are recorded once more, every message the same but for what cameras and LiDARs see: the same hills on other
-ground. So two maps show the same places with other looks, everything else being equal, and `b` can tell nothing apart.
+ground. So two maps show the same places with other looks, all else being equal, and `b` cannot tell them apart.
 The simulator says where the vehicle would have gone there, parting from the drive at each window's start.
 """
 
@@ -58,9 +58,12 @@ def twins_control(of: Reproduced, out: Path, *, drives: int, seconds: float, ora
         truth = oracle_dataset(logs, f"drives:{folder / 'parts.txt'}", folder / "truth.zarr")
         run, own = load_run(oracle / "runs" / "df-0"), open_dataset(oracle / "dataset.zarr")
         found["oracle"] = _compared(run, own, truth, folder / "branches", like=found["b"], names=of.dataset)
-    told = [sensitivity(model, differences) for model, differences in found.items()]
+    measured = [sensitivity(model, differences) for model, differences in found.items()]
     return write_control(
-        folder, [sensitivity_table(told)], {"control": "twins", "told": told}, {"twins": draw_sensitivity(found, told)}
+        folder,
+        [sensitivity_table(measured)],
+        {"control": "twins", "sensitivity": measured},
+        {"twins": draw_sensitivity(found, measured)},
     )
 
 
@@ -158,7 +161,7 @@ def _simulated(
         off = np.hypot(*(driven - branches.path[row[mine]]).T)
         if np.median(off) > 0.2:
             raise RunError(
-                f"drive '{windows.drive_names[number]}' goes another way now ({np.median(off):.1f} m apart)",
+                f"drive '{windows.drive_names[number]}' takes another path now ({np.median(off):.1f} m apart)",
                 where=dataset.path,
                 how="simulate and extract the reproduction again with this version",
             )

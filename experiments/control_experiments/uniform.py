@@ -1,4 +1,4 @@
-"""Ground that looks different and drives alike: features have nothing to say, and no gain may remain."""
+"""Ground that looks different and drives alike: features carry no information, and no gain may remain."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from offpiste.dataset.windows import Windows
 
 ABOUT = (
     "World `uniform`: looks vary, grip does not. Models trained there, visual features, other worlds to test than to "
-    "train; 95 % intervals over blocks of 10 s. The map, read at predicted places, decides; recorded places tell how "
+    "train; 95 % intervals over blocks of 10 s. The map, read at predicted places, decides; recorded places show how "
     "far the vehicle went."
 )
 
@@ -36,7 +36,7 @@ FIRST_SEED = 3000
 
 
 def uniform_control(of: Reproduced, out: Path, drives: UniformDrives) -> Path:
-    """Drive, train and judge b, cf and dc on uniform ground, with the reproduction's PCA and settings."""
+    """Simulate, train and evaluate b, cf and dc on uniform ground, with the reproduction's PCA and settings."""
     folder = out / "uniform"
     lengths = (drives.train, drives.validation, drives.test)
     dataset = driven_dataset(planned("uniform", lengths, seed=FIRST_SEED, sensors="light"), folder, pca=of.pca)
@@ -53,7 +53,7 @@ def uniform_control(of: Reproduced, out: Path, drives: UniformDrives) -> Path:
     for reading in (MAP, HINDSIGHT):
         index = evaluation_index(windows, reading, of.size.stride)
         errors = {
-            model: [errors_of(run, windows, index, reading, scale=scale, kept=folder / "judged") for run in mine]
+            model: [errors_of(run, windows, index, reading, scale=scale, kept=folder / "evaluated") for run in mine]
             for model, mine in runs.items()
         }
         gains += [gain("uniform", model, errors[model], errors["b"], reading) for model in ("cf", "dc")]

@@ -1,1 +1,1 @@
-"""What visual features tell of the ground: linear probes to its true friction."""
+"""Linear probes from visual features to the ground's true friction."""

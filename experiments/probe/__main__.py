@@ -1,8 +1,7 @@
-"""What visual features tell of the ground: a linear probe to its true friction, by viewing distance.
+"""Do visual features know the friction? Linear probes to the true friction, by viewing distance.
 
-Drives of some seeds train it (and the PCA), drives of others judge it, each in a world of its own. Beside it stand its
-ceiling, the true ground kind, and its floor, brightness; then what wrong mountings and stamps of the camera cost.
-`python -m experiments.probe.__main__ --help`
+Drives of some seeds train the probe (and the PCA), drives of others test it, each in a world of its own. Its ceiling is
+the true ground kind, its floor brightness. Wrong mountings and stamps of the camera are tested as well.
 """
 
 import json
@@ -17,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from experiments.command import run
+from experiments.perturbed_sensors import Flaw
 from experiments.probe.cells import see_cells_once
 from experiments.probe.figures import distance_picture, distance_table, flaw_picture, flaw_table
 from experiments.probe.scores import Pooled, flaw_rows, pool, probe_rows
-from experiments.sensor_faults import Flaw
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
 from offpiste.errors import PerceptionError
@@ -43,7 +42,7 @@ MIXED = "mixed"
 
 @dataclass(frozen=True)
 class Probe:
-    """Simulate, fit the PCA, extract, probe; goes on where it stopped."""
+    """Do visual features know the friction? Simulates, fits the PCA and probes; resumes where it stopped."""
 
     out: Path = Path("probe")
     """Folder for everything."""
@@ -55,8 +54,8 @@ class Probe:
     """Of each simulated drive."""
     seeds: tuple[int, ...] = (61,)
     """Of the drives that train."""
-    judged: tuple[int, ...] = (62,)
-    """Of the drives that judge."""
+    test_seeds: tuple[int, ...] = (62,)
+    """Seeds of the test drives."""
     backbone: str = FILTERBANK
     """Whose features are probed."""
     images: int = 175
@@ -74,8 +73,8 @@ class Probe:
 
     def run(self) -> None:
         """The whole experiment."""
-        if both := set(self.seeds) & set(self.judged):
-            raise PerceptionError(f"seed {min(both)} both trains and judges", how="give --judged other seeds")
+        if both := set(self.seeds) & set(self.test_seeds):
+            raise PerceptionError(f"seed {min(both)} is in training and test", how="give other --test-seeds")
         rows = self.by_distance()
         flaws = self.by_flaw() if self.flaw_worlds else []
         made = {"numpy": np.__version__, "python": platform.python_version(), "pca": self.extractor.identity}
@@ -95,7 +94,7 @@ class Probe:
             groups[MIXED] = self.worlds
         rows: list[dict[str, Any]] = []
         for name, worlds in groups.items():
-            train, test = self.pooled(worlds, self.seeds), self.pooled(worlds, self.judged)
+            train, test = self.pooled(worlds, self.seeds), self.pooled(worlds, self.test_seeds)
             rows += probe_rows(train, test, name)
             logger.info(distance_table([row for row in rows if row["worlds"] == name], name))
         return rows
@@ -106,7 +105,7 @@ class Probe:
         flaws = [Flaw(), *turned, *(Flaw(late=ms / 1000) for ms in self.late)]
         train, test = (
             {str(flaw): self.pooled(self.flaw_worlds, seeds, flaw=flaw) for flaw in flaws}
-            for seeds in (self.seeds, self.judged)
+            for seeds in (self.seeds, self.test_seeds)
         )
         rows = flaw_rows(train, test, str(Flaw()), {str(flaw): asdict(flaw) for flaw in flaws})
         logger.info(flaw_table(rows))
@@ -145,7 +144,7 @@ class Probe:
         """Backbone and PCA; the PCA is fitted once, on the drives that train.
 
         Raises:
-            PerceptionError: the PCA that is there was fitted on a drive that judges.
+            PerceptionError: the PCA that is there was fitted on a test drive.
         """
         path = self.out / "pca.safetensors"
         if not path.exists():
@@ -154,9 +153,9 @@ class Probe:
             fitted = fit_pca(logs, self.rig, parse_split("blocks:1,0,0"), backbone, images=self.images)
             save_pca(path, fitted.pca)
         extractor = load_feature_extractor(path)
-        judged = {f"{world}-{seed}" for world in self.worlds for seed in self.judged}
-        if both := judged & set(extractor.pca.fitted_on.get("logs", ())):
-            raise PerceptionError(f"fitted on '{min(both)}', which judges", where=path, how="give another --out")
+        test_logs = {f"{world}-{seed}" for world in self.worlds for seed in self.test_seeds}
+        if both := test_logs & set(extractor.pca.fitted_on.get("logs", ())):
+            raise PerceptionError(f"fitted on '{min(both)}', a test drive", where=path, how="give another --out")
         return extractor
 
 

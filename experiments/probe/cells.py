@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from experiments.sensor_faults import Flaw, perturbed, stretch
+from experiments.perturbed_sensors import Flaw, perturbed, stretch
 from offpiste.conventions import WHEELS
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows
@@ -76,7 +76,7 @@ class WithColour(Backbone):
 
 
 def with_colour(extractor: FeatureExtractor) -> FeatureExtractor:
-    """The same look, with the mean red, green and blue of each patch as the last three features."""
+    """The extractor with the mean red, green and blue of each patch as the last three features."""
     backbone, pca = WithColour(extractor.backbone), extractor.pca
     basis = np.zeros((backbone.channels, pca.components + 3), np.float32)
     basis[: pca.basis.shape[0], : pca.components] = pca.basis
@@ -98,7 +98,7 @@ def see_cells(
     """Play a simulated drive back, and read the truth at the cells that its wheels touched.
 
     Args:
-        flaw: what is believed wrongly of the cameras.
+        flaw: calibration error of the cameras.
         seconds: of the drive, from its start; all of it by default.
 
     Raises:

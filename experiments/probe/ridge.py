@@ -1,4 +1,4 @@
-"""Linear probes: ridge regression whose penalty is chosen within the training data, and what it is worth elsewhere."""
+"""Linear probes: ridge regression with a cross-validated penalty, and its scores with intervals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from scipy.stats import rankdata
 from offpiste.evaluation.intervals import Resampling
 
 PENALTIES = tuple(float(p) for p in 10.0 ** np.arange(-5, 2.1, 0.5))
-"""That are tried, relative to the variance of a standardised feature."""
+"""Penalties to choose from, relative to the variance of a standardised feature."""
 
 
 @dataclass(frozen=True)
 class Ridge:
-    """y = offset + ((x - mean) / scale) weights.
+    """Ridge regression y = offset + ((x - mean) / scale) weights.
 
     Attributes:
-        mean, scale: of the features in training; the scale of a constant one is infinite, so that it counts nothing.
-        penalty: that was chosen.
+        mean, scale: of the training features; the scale of a constant feature is infinite, so that it has no effect.
+        penalty: the chosen penalty.
     """
 
     mean: Float[np.ndarray, " F"]
@@ -29,7 +29,7 @@ class Ridge:
     penalty: float
 
     def predict(self, features: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
-        """The target at each row."""
+        """Predicted target of each row."""
         return self.offset + ((features.astype(np.float64) - self.mean) / self.scale) @ self.weights
 
 
@@ -46,7 +46,7 @@ def fit_ridge(
         fold: number of each row's part in the cross-validation; with one part only, the largest penalty is taken.
     """
     x = features.astype(np.float64)
-    # Scaled once: what hardly varies in some folds would else be blown up there.
+    # Scaled once: features that hardly vary in some folds would otherwise be blown up there.
     scale = x.std(axis=0)
     scale = np.where(scale > 1e-9 * (1 + np.abs(x).max(axis=0)), scale, np.inf)
     error = np.zeros(len(penalties))
@@ -78,10 +78,10 @@ def _path(
 
 @dataclass(frozen=True)
 class Score:
-    """How well predictions tell a target.
+    """Scores of predictions.
 
     Attributes:
-        r2: 1 - squared error / squared deviation from the mean of the judged cells; below 0 where that mean is better.
+        r2: 1 - squared error / squared deviation from the mean of the test cells; below 0 where that mean is better.
         rank: Spearman's correlation; NaN where either is constant.
         r2_ci95, rank_ci95: 95 % intervals from blocks drawn with replacement (ranks stay those of all cells).
         n: cells.
@@ -95,7 +95,7 @@ class Score:
 
 
 def score(target: Float[np.ndarray, " n"], predicted: Float[np.ndarray, " n"], drawn: Resampling) -> Score:
-    """Judge predictions.
+    """Score predictions of a target.
 
     Args:
         drawn: resamples of the blocks that the rows belong to.
@@ -107,7 +107,7 @@ def score(target: Float[np.ndarray, " n"], predicted: Float[np.ndarray, " n"], d
 
 
 Statistic = Callable[[Float[np.ndarray, "6 ..."]], Float[np.ndarray, "..."]]
-"""Of the sums over rows of 1, y, p, y y, p p and y p."""
+"""Function of the sums over rows of 1, y, p, y y, p p and y p."""
 
 
 def _resampled(

@@ -1,4 +1,4 @@
-"""Probes fitted on the cells of some drives and judged on those of others, by feature set."""
+"""Probes fitted on the cells of some drives and tested on those of others, by feature set."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -17,19 +17,19 @@ from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 TARGETS = ("friction", "rolling_resistance")
 
 COMMON = ("hindsight", "-10", "0", "10", "20")
-"""Sets that are also judged on the cells valid in all of them."""
+"""Feature sets that are also tested on the cells valid in all of them."""
 
 PARTS = 5
 """Of the cross-validation that chooses the penalty: fifths of every drive, in the order of time."""
 
 FEWEST = 50
-"""Cells below which nothing is fitted or judged."""
+"""Least number of cells to fit or test on."""
 
 NEARBY = 20
-"""Rows to either side over which features are averaged along the way: 0.4 s, 2 m at 5 m/s."""
+"""Rows to either side over which features are averaged along the path: 0.4 s, 2 m at 5 m/s."""
 
 TRAINED = ("hindsight", "all", "same")
-"""Feature sets that a probe sees in training: hindsight only, all of them, or the one it is judged on."""
+"""Feature sets that a probe sees in training: hindsight only, all of them, or the one it is tested on."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def drawn_blocks(pooled: Pooled, chosen: Bool[np.ndarray, " M"], *, seed: int = 
 
 
 @dataclass(frozen=True)
-class Judged:
+class HeldOutCells:
     """Cells that are valid in a set, and the resamples of their blocks."""
 
     pooled: Pooled
@@ -150,23 +150,23 @@ class Judged:
     drawn: Resampling
 
 
-def judged(pooled: Pooled, feature_set: str, chosen: Bool[np.ndarray, " M"]) -> Judged | None:
-    """Cells to judge probes on; None where there are too few."""
-    return Judged(pooled, feature_set, chosen, drawn_blocks(pooled, chosen)) if chosen.sum() >= FEWEST else None
+def held_out_cells(pooled: Pooled, feature_set: str, chosen: Bool[np.ndarray, " M"]) -> HeldOutCells | None:
+    """Cells to test probes on; None where there are too few."""
+    return HeldOutCells(pooled, feature_set, chosen, drawn_blocks(pooled, chosen)) if chosen.sum() >= FEWEST else None
 
 
-def judge(ridge: Ridge, target: str, name: str, on: Judged) -> Score:
-    """How well a probe tells the target."""
+def score_probe(ridge: Ridge, target: str, name: str, on: HeldOutCells) -> Score:
+    """Score of a probe on a target."""
     predicted = ridge.predict(INPUTS[name](on.pooled, FEATURE_SETS.index(on.feature_set))[on.chosen])
     return score(target_of(on.pooled, target)[on.chosen], predicted, on.drawn)
 
 
 def probe_rows(train: Pooled, test: Pooled, worlds: str) -> list[dict[str, Any]]:
-    """All probes, judged on all sets: on the cells valid there, and on those valid in all of `COMMON`."""
+    """Scores of all probes on all feature sets: on the cells valid there, and on those valid in all of `COMMON`."""
     valid = {name: test.cells.valid[number] for number, name in enumerate(FEATURE_SETS)}
     common = np.asarray(np.stack([valid[name] for name in COMMON]).all(axis=0))
-    cells = {("valid", name): judged(test, name, chosen) for name, chosen in valid.items()}
-    cells |= {("common", name): judged(test, name, common) for name in COMMON}
+    cells = {("valid", name): held_out_cells(test, name, chosen) for name, chosen in valid.items()}
+    cells |= {("common", name): held_out_cells(test, name, common) for name in COMMON}
     rows: list[dict[str, Any]] = []
     for target, trained, name in product(TARGETS, TRAINED, INPUTS):
         training = _training_sets(trained)
@@ -177,18 +177,18 @@ def probe_rows(train: Pooled, test: Pooled, worlds: str) -> list[dict[str, Any]]
                 continue
             about: dict[str, Any] = {"worlds": worlds, "target": target, "trained": trained, "input": name}
             about |= {"feature_set": feature_set, "cells": which, "penalty": ridge.penalty}
-            rows.append(about | asdict(judge(ridge, target, name, on)))
+            rows.append(about | asdict(score_probe(ridge, target, name, on)))
     return rows
 
 
 def _training_sets(trained: str) -> dict[str, tuple[str, ...]]:
-    """By the set that is judged, those that train."""
+    """Training sets by test set."""
     whole = {"hindsight": ("hindsight",), "all": FEATURE_SETS}
     return {name: whole.get(trained, (name,)) for name in FEATURE_SETS}
 
 
 DEGRADED = ("hindsight", "10", "20")
-"""Sets on which flaws are judged."""
+"""Feature sets on which flaws are tested."""
 
 
 def flaw_rows(
@@ -196,7 +196,7 @@ def flaw_rows(
 ) -> list[dict[str, Any]]:
     """Probes from visual features under flaws: the one fitted without flaw (`clean`), and one fitted anew (`refitted`).
 
-    All are trained on hindsight, and judged on the cells that are valid under every flaw.
+    All are trained on hindsight, and tested on the cells that are valid under every flaw.
 
     Args:
         train, test: the same cells, seen under each flaw.
@@ -209,10 +209,10 @@ def flaw_rows(
         chosen = np.asarray(np.stack([seen.cells.valid[number] for seen in test.values()]).all(axis=0))
         first = fit_probe(train[clean], target, "visual", ("hindsight",))
         for flaw in test:
-            on = judged(test[flaw], feature_set, chosen)
+            on = held_out_cells(test[flaw], feature_set, chosen)
             again = fit_probe(train[flaw], target, "visual", ("hindsight",))
             for probe, ridge in (("clean", first), ("refitted", again)):
                 if ridge is not None and on is not None:
                     row = {"flaw": flaw, **about[flaw], "target": target, "probe": probe, "feature_set": feature_set}
-                    rows.append(row | asdict(judge(ridge, target, "visual", on)))
+                    rows.append(row | asdict(score_probe(ridge, target, "visual", on)))
     return rows

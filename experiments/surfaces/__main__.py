@@ -1,4 +1,4 @@
-"""Whether knowing a real floor helps: DART's car on three floors, the floor's label in the place of a visual feature.
+"""Does knowing a real floor help? DART's car on three floors, with the floor's label as a visual feature.
 
 Two halves of the recordings, each tested by models that were trained on the other. Beside the true labels, false ones:
 labels that changed places among the recordings, and the recordings' file format. Floor, day and format go together, so
@@ -85,7 +85,7 @@ def train_once(trial: Trial, report: Report) -> str:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Extract, train, judge; goes on where it stopped."""
+    """Does knowing a real floor help? Extracts, trains and evaluates; resumes where it stopped."""
 
     dart: tyro.conf.Positional[Path]
     """Folder of the recordings."""
@@ -96,7 +96,7 @@ class Surfaces:
     permutations: int = 6
     """False labellings, a run each."""
     models: tuple[str, ...] = ("df", "cf")
-    """Models that read labels; `b` stands beside them."""
+    """Models that read labels; `b` is compared with them."""
     seed: int = 0
     """Of the false labellings."""
     processes: int = 2
@@ -122,9 +122,11 @@ class Surfaces:
             failed = run_all(train_once, trials, self.processes, "train")
             if failed:
                 raise DatasetError(f"{len(failed)} trainings failed; the first: {failed[0]}", where=self.out)
-        said = tables(self._judge(blind + reading, floors), [drive.name for drive in dataset.drives], floors, FLOORS)
-        write_text(self.out / "surfaces.md", said + "\n")
-        return said
+        result = tables(
+            self._evaluate(blind + reading, floors), [drive.name for drive in dataset.drives], floors, FLOORS
+        )
+        write_text(self.out / "surfaces.md", result + "\n")
+        return result
 
     def _trials(
         self, label: str, labels: Labels, half: Labels, models: Sequence[str], seeds: Sequence[int]
@@ -143,10 +145,13 @@ class Surfaces:
             for number in HALVES
         ]
 
-    def _judge(self, trials: Sequence[Trial], floors: Labels) -> Results:
-        """Errors by label, model and seed, both halves put together; `exchanged`: the true label, judged on others."""
+    def _evaluate(self, trials: Sequence[Trial], floors: Labels) -> Results:
+        """Errors by label, model and seed, both halves together.
+
+        `exchanged` is trained on the true label and evaluated with others.
+        """
         parts: dict[tuple[str, str, int], list[Errors]] = {}
-        for trial in track(trials, "judge"):
+        for trial in track(trials, "evaluate"):
             model, seed = trial.config.model, trial.config.seed
             parts.setdefault((trial.label, model, seed), []).append(trial.errors())
             if trial.label == "floor":

@@ -61,7 +61,7 @@ def recordings(folder: Path) -> tuple[Recording, ...]:
 def extract_floors(found: Sequence[Recording], out: Path) -> tuple[Dataset, Labels]:
     """Rows of all recordings that have windows, and their floors. What is there already stays.
 
-    The two presets differ in their names only, so one rig stands for both.
+    The two presets differ in their names only, so one rig serves both.
     """
     split = Split("drives:recordings", "drives", drives=tuple((r.name, "train") for r in found))
     create(out, load_rig("dart"), split, FLOORS)

@@ -10,7 +10,7 @@ from offpiste.evaluation.intervals import Resampling, blocks, relative, resampli
 Results = Mapping[tuple[str, str, int], Errors]
 """Errors on the held-out recordings by label, model and seed; the same windows in each."""
 
-_READ = {"floor": "the floor", "format": "the file format", "exchanged": "floor, judged under another floor's label"}
+_READ = {"floor": "the floor", "format": "the file format", "exchanged": "floor, evaluated with another floor's label"}
 _VX = 2
 
 

@@ -53,7 +53,7 @@ def linear_discriminant(trail: list[np.ndarray], vegetation: list[np.ndarray]) -
 
 
 def held_out_accuracy(photographs, components: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Share of trail and of vegetation patches of each image that are told right by the seven others."""
+    """Share of trail and of vegetation patches of each image that the seven others classify correctly."""
     backbone = open_backbone("filterbank")
     trail_right, vegetation_right = {}, {}
     for held_out in photographs:

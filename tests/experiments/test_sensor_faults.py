@@ -1,4 +1,4 @@
-"""What is believed of cameras is changed by what was asked, and nothing else is."""
+"""Calibration errors change the cameras as requested, and nothing else."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.sensor_faults import Flaw, perturbed, stretch, turn
+from experiments.perturbed_sensors import Flaw, perturbed, stretch, turn
 from offpiste.logs.measurements import Image
 from sensor_bags import opened, record
 
@@ -16,7 +16,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("degrees", [0.0, 0.5, 2.0, 90.0])
-def test_a_turn_has_the_angle_asked_for(degrees: float) -> None:
+def test_a_rotation_has_the_requested_angle(degrees: float) -> None:
     assert angle_between(np.eye(4), turn(degrees, np.random.default_rng(1))) == pytest.approx(degrees, abs=1e-6)
 
 

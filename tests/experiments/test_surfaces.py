@@ -96,7 +96,7 @@ def test_the_format_tells_the_slippery_floor_only() -> None:
     assert list(formats(TRUE).values()) == [0] * 5 + [1] * 5
 
 
-def test_a_trained_trial_is_not_trained_again_and_is_judged_on_what_was_held_out(
+def test_a_trained_trial_is_not_trained_again_and_is_evaluated_on_the_held_out_half(
     dataset: Dataset, tmp_path: Path
 ) -> None:
     config = TrainConfig(model="df", epochs=1, bicycle_epochs=1, stride=100)

@@ -1,4 +1,4 @@
-"""How `python -m offpiste.closed_loop` ends when there is nothing to drive, and when it is interrupted."""
+"""`python -m experiments.closed_loop_table` without anything to drive, with a wrong run, and interrupted."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def test_nothing_to_drive_is_refused(given, message, tmp_path, monkeypatch):
 
 def test_a_wrong_run_ends_in_one_line(tmp_path):
     with pytest.raises(SystemExit) as ended:
-        command.main(["--runs", str(tmp_path / "none"), "--out", str(tmp_path / "out")])
+        command.run(command.ClosedLoop, ["--runs", str(tmp_path / "none"), "--out", str(tmp_path / "out")])
     assert "none: no such folder" in ended.value.code
     assert "\n" not in ended.value.code
 
@@ -38,6 +38,6 @@ def test_ctrl_c_ends_in_one_line(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(command.ClosedLoop, "run", interrupted)
     with pytest.raises(SystemExit) as ended:
-        command.main(["--runs", str(tmp_path)])
+        command.run(command.ClosedLoop, ["--runs", str(tmp_path)])
     assert ended.value.code == 130
-    assert capsys.readouterr().err == "interrupted; drives that were finished are kept\n"
+    assert capsys.readouterr().err == "interrupted; what was finished is kept\n"

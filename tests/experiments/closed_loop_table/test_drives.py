@@ -24,16 +24,16 @@ B, DC = (Planner(name, Path(f"/runs/{name}"), parametric()) for name in ("b", "d
 
 @pytest.fixture
 def driven(monkeypatch):
-    """Drives that only say what they were asked for; `driven.bad` holds worlds without a course."""
+    """Drives that only record their settings; `driven.bad` holds worlds without a course."""
     done = SimpleNamespace(drives=[], bad=set())
 
-    def drive_course(planner, asked, folder, *, world, scene):
-        if asked.world.seed in done.bad:
+    def drive_course(planner, settings, folder, *, world, scene):
+        if settings.world.seed in done.bad:
             raise OffpisteError("no course can be laid")
         assert not folder.exists(), "what an interrupted drive left"
         folder.mkdir(parents=True)
-        done.drives.append((planner.name, asked.world.preset, asked.world.seed, asked.runtime.latency))
-        result = {**dict.fromkeys(NEEDED, 0), **settings_of(planner, asked)}
+        done.drives.append((planner.name, settings.world.preset, settings.world.seed, settings.runtime.latency))
+        result = {**dict.fromkeys(NEEDED, 0), **settings_of(planner, settings)}
         (folder / "result.json").write_text(json.dumps(result))
         return SimpleNamespace(result=result)
 
@@ -67,28 +67,28 @@ def test_a_course_that_cannot_be_laid_stops_no_other(driven, tmp_path):
     ("other", "what"),
     [
         ({"rows": [Entry(Planner("b", Path("/runs/another"), parametric()))]}, "run"),
-        ({"asked": CourseDrive(course=CourseSettings(speed=3.0))}, "course"),
-        ({"asked": CourseDrive(course=CourseSettings(traction=0.1))}, "course"),
-        ({"asked": CourseDrive(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
-        ({"asked": CourseDrive(seconds=10.0)}, "limit_s"),
-        ({"asked": CourseDrive(fault_start=5.0)}, "fault_start"),
-        ({"asked": CourseDrive(sensors="full")}, "sensors"),
+        ({"settings": CourseDrive(course=CourseSettings(speed=3.0))}, "course"),
+        ({"settings": CourseDrive(course=CourseSettings(traction=0.1))}, "course"),
+        ({"settings": CourseDrive(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
+        ({"settings": CourseDrive(seconds=10.0)}, "limit_s"),
+        ({"settings": CourseDrive(fault_start=5.0)}, "fault_start"),
+        ({"settings": CourseDrive(sensors="full")}, "sensors"),
         ({"rows": [Entry(replace(B, weights="trained anew"))]}, "weights"),
     ],
 )
 def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
-    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path, "asked": CourseDrive()}
+    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path, "settings": CourseDrive()}
     drive_all(**given)
     with pytest.raises(RunError, match=f"another {what}"):
         drive_all(**given | other)
 
 
-def test_older_drives_go_on_without_what_they_do_not_tell(driven, tmp_path):
+def test_older_drives_count_without_settings_that_they_do_not_record(driven, tmp_path):
     given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path}
     drive_all(**given)
     path = tmp_path / "b-100ms" / "mojave-1" / "result.json"
     older = {k: v for k, v in json.loads(path.read_text()).items() if k not in NEWER}
-    del older["runtime"]["slow"], older["runtime"]["patience"]["plan"], older["course"]["traction"]
+    del older["runtime"]["slow"], older["runtime"]["timeouts"]["plan"], older["course"]["traction"]
     path.write_text(json.dumps(older))
     assert len(drive_all(**given)) == 1
     assert len(driven.drives) == 1

@@ -59,7 +59,7 @@ def test_the_table_counts_what_did_not_finish_with_the_limit():
     assert "-5.00 [" in lines[0]
 
 
-def test_how_they_drive_is_told_apart_from_how_often_they_stand():
+def test_driving_is_separated_from_how_often_they_stop():
     rows = [result("b-100ms", seed, 20.0) for seed in range(4)]
     rows += [result("dc-100ms", 0, 2000.0, finished=False), *(result("dc-100ms", seed, 10.0) for seed in (1, 2, 3))]
     (line,) = (line for line in table(rows, limit=40.0).splitlines() if line.startswith("| dc-100ms − b"))

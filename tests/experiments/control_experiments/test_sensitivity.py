@@ -20,28 +20,28 @@ def made(slope: float, noise: float, *, count: int = 400) -> Differences:
 
 
 def test_a_model_that_is_the_simulator() -> None:
-    told = sensitivity("dc", made(1.0, 0.0))
-    for value, wanted in ((told.slope, 1.0), (told.correlation, 1.0), (told.left_over, 0.0)):
+    measured = sensitivity("dc", made(1.0, 0.0))
+    for value, wanted in ((measured.slope, 1.0), (measured.correlation, 1.0), (measured.left_over, 0.0)):
         assert value.mean == pytest.approx(wanted, abs=1e-12)
         assert value.ci95 == pytest.approx((wanted, wanted), abs=1e-7)
-    assert told.simulated_rms_m == pytest.approx(np.sqrt(4.25), rel=0.1)
+    assert measured.simulated_rms_m == pytest.approx(np.sqrt(4.25), rel=0.1)
 
 
 def test_half_the_difference_with_noise() -> None:
     # Variances by hand: s 4.25, p = s / 2 + noise of 1 each way: correlation 2.125 / sqrt(4.25 x (1.0625 + 2)).
-    told = sensitivity("dc", made(0.5, 1.0, count=4000))
-    assert told.slope.ci95[0] < 0.5 < told.slope.ci95[1]
-    assert told.correlation.mean == pytest.approx(2.125 / np.sqrt(4.25 * 3.0625), abs=0.03)
-    assert told.correlation_ahead.mean == pytest.approx(2 / np.sqrt(4 * 2), abs=0.03)
-    assert told.left_over.mean == pytest.approx(np.sqrt((0.25 * 4.25 + 2) / 4.25), abs=0.03)
+    measured = sensitivity("dc", made(0.5, 1.0, count=4000))
+    assert measured.slope.ci95[0] < 0.5 < measured.slope.ci95[1]
+    assert measured.correlation.mean == pytest.approx(2.125 / np.sqrt(4.25 * 3.0625), abs=0.03)
+    assert measured.correlation_ahead.mean == pytest.approx(2 / np.sqrt(4 * 2), abs=0.03)
+    assert measured.left_over.mean == pytest.approx(np.sqrt((0.25 * 4.25 + 2) / 4.25), abs=0.03)
 
 
 def test_a_model_that_tells_nothing_apart() -> None:
-    told = sensitivity("b", made(0.0, 0.0))
-    assert (told.slope.mean, told.left_over.mean) == (0.0, 1.0)
-    assert np.isnan(told.correlation.mean)
-    assert "–" in sensitivity_table([told]).lines[0][5]
-    assert draw_sensitivity({"b": made(0.0, 0.0)}, [told]).axes
+    measured = sensitivity("b", made(0.0, 0.0))
+    assert (measured.slope.mean, measured.left_over.mean) == (0.0, 1.0)
+    assert np.isnan(measured.correlation.mean)
+    assert "–" in sensitivity_table([measured]).lines[0][5]
+    assert draw_sensitivity({"b": made(0.0, 0.0)}, [measured]).axes
 
 
 def test_ahead_and_left_of_a_heading() -> None:

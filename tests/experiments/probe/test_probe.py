@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 import torch
 
+from experiments.perturbed_sensors import Flaw
 from experiments.probe.__main__ import Probe
 from experiments.probe.cells import GROUND, SeenCells, load_cells, save_cells, see_cells, with_colour
-from experiments.probe.scores import INPUTS, NEARBY, drawn_blocks, fit_probe, judge, judged, pool, probe_rows
-from experiments.sensor_faults import Flaw
+from experiments.probe.scores import (
+    INPUTS,
+    NEARBY,
+    drawn_blocks,
+    fit_probe,
+    held_out_cells,
+    pool,
+    probe_rows,
+    score_probe,
+)
 from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import PerceptionError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES, read_truth
@@ -61,8 +70,8 @@ def rows() -> list[dict]:
 
 
 def test_the_ceiling_is_above_the_probe_and_the_probe_above_the_floor(rows: list[dict]) -> None:
-    asked = {"target": "friction", "trained": "hindsight", "feature_set": "hindsight", "cells": "valid"}
-    ceiling, visual, floor, world = (by(rows, input=n, **asked) for n in ("kind", "visual", "brightness", "world"))
+    row = {"target": "friction", "trained": "hindsight", "feature_set": "hindsight", "cells": "valid"}
+    ceiling, visual, floor, world = (by(rows, input=n, **row) for n in ("kind", "visual", "brightness", "world"))
     # Friction is its kind's and noise of 0.01; its variance over kinds is that of FRICTION, about.
     assert ceiling["r2"] == pytest.approx(1 - 0.01**2 / FRICTION.var(), abs=0.01)
     assert ceiling["r2"] > visual["r2"] > 0.3 > 0.05 > abs(floor["r2"])
@@ -95,7 +104,7 @@ def test_common_cells_are_the_same_for_every_set(rows: list[dict]) -> None:
     assert common[0]["n"] == pytest.approx(3000 * 0.8**5, rel=0.1)
 
 
-def test_cells_that_the_map_did_not_hold_are_neither_trained_on_nor_judged() -> None:
+def test_cells_that_the_map_did_not_hold_are_neither_trained_nor_tested_on() -> None:
     seen = made_up(0)
     pooled = pool([(0, seen)])
     spoilt = replace(seen, features=np.where(seen.valid[..., None], seen.features, 1e6))
@@ -103,7 +112,7 @@ def test_cells_that_the_map_did_not_hold_are_neither_trained_on_nor_judged() -> 
     np.testing.assert_array_equal(a.weights, b.weights)
     assert fit_probe(pool([(0, replace(seen, valid=np.zeros_like(seen.valid)))]), "friction", "visual", ("10",)) is None
     chosen = pooled.cells.valid[4]
-    assert judge(a, "friction", "visual", judged(pooled, "10", chosen)).n == chosen.sum()
+    assert score_probe(a, "friction", "visual", held_out_cells(pooled, "10", chosen)).n == chosen.sum()
 
 
 def test_averaging_along_the_way_takes_only_cells_near_in_time_and_valid() -> None:
@@ -175,7 +184,7 @@ def test_the_experiment_goes_on_from_what_is_there(tmp_path: Path) -> None:
     extractor = filterbank_looking()
     save_pca(tmp_path / "pca.safetensors", extractor.pca)
     small = {"degrees": (1.0,), "directions": 1, "late": (100.0,)}
-    experiment = Probe(out=tmp_path, worlds=("a",), seeds=(1,), judged=(2,), flaw_worlds=("a",), **small)
+    experiment = Probe(out=tmp_path, worlds=("a",), seeds=(1,), test_seeds=(2,), flaw_worlds=("a",), **small)
     (tmp_path / "drives").mkdir()
     cells = tmp_path / "cells" / extractor.identity
     flaws = [Flaw(), Flaw(degrees=1.0), Flaw(late=0.1)]
@@ -205,11 +214,11 @@ def test_cells_come_back_from_their_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "cells.npz"]
 
 
-def test_no_drive_both_trains_and_judges(tmp_path: Path) -> None:
-    with pytest.raises(PerceptionError, match="both trains and judges"):
-        Probe(out=tmp_path, seeds=(1, 2), judged=(2,)).run()
+def test_no_drive_is_in_training_and_test(tmp_path: Path) -> None:
+    with pytest.raises(PerceptionError, match="is in training and test"):
+        Probe(out=tmp_path, seeds=(1, 2), test_seeds=(2,)).run()
     extractor = filterbank_looking()
     fitted = fit(Moments.of(torch.randn(90, extractor.backbone.channels)), extractor.backbone, logs=["dunes-2"])
     save_pca(tmp_path / "pca.safetensors", fitted)
     with pytest.raises(PerceptionError, match="dunes-2"):
-        Probe(out=tmp_path, seeds=(1,), judged=(2,)).run()
+        Probe(out=tmp_path, seeds=(1,), test_seeds=(2,)).run()

@@ -30,11 +30,11 @@ def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Shared, so that what one control has judged serves the other."""
+    """One folder, so that the evaluations of one experiment serve the other."""
     return tmp_path_factory.mktemp("controls")
 
 
-def test_models_are_trained_once_and_judged_beside_b_and_dc(reproduction: Path, out: Path) -> None:
+def test_models_are_trained_once_and_evaluated_beside_b_and_dc(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
     page = models_control(of, out, ["dc-hold"])
     found = json.loads((page.parent / "control.json").read_text("utf-8"))
@@ -50,7 +50,7 @@ def test_models_are_trained_once_and_judged_beside_b_and_dc(reproduction: Path, 
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
 
 
-def test_shifted_features_are_judged_on_the_same_windows(reproduction: Path, out: Path) -> None:
+def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
     page = shift_control(of, out)
     gains = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
