@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import PerceptionError
-from offpiste.perception.masks import free_patches, mask_from_png, mask_from_polygons, outside_body, within_range
+from offpiste.perception.masks import free_patches, mask_from_png, mask_from_polygons
 from offpiste.perception.patch_grid import PatchGrid
 
 
@@ -53,13 +53,3 @@ def test_patches_with_a_little_of_the_body_may_stay():
     own[9, 10:20] = True  # a tenth of the second patch
     own[8:, 20:] = True  # a fifth of the third
     assert free_patches(own, grid).tolist() == [[True, True, False]]
-
-
-def test_points_on_the_vehicle():
-    points = np.array([[0.0, 0.0, 0.5], [2.1, 0.0, 0.5], [2.0, 1.0, 1.5], [np.nan, 9.0, 9.0]])
-    assert outside_body(points, (-1.0, -1.0, 0.0), (2.0, 1.0, 1.5)).tolist() == [False, True, False, False]
-
-
-def test_points_too_near_or_too_far():
-    points = np.array([[0.3, 0.4, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 61.0], [np.nan, 1.0, 1.0], [0.0, 1.0, 0.0]])
-    assert within_range(points, 1.0, 60.0).tolist() == [False, True, False, False, True]

@@ -1,4 +1,4 @@
-"""Which images to look at: those taken some metres after the last, and, for the PCA, those most unlike each other."""
+"""Keyframes: images some metres apart and, for the PCA, those most unlike each other."""
 
 import cv2
 import numpy as np
@@ -8,9 +8,9 @@ from offpiste.errors import PerceptionError
 
 
 def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> Int[np.ndarray, " m"]:
-    """Indices of frames, each at least `metres` from where the one before it in the choice was taken.
+    """Indices of keyframes, each at least `metres` from the one before.
 
-    The straight distance decides: noise in the pose of a parked vehicle adds up to a path, but to no distance.
+    The straight distance counts: noise in the pose of a parked vehicle adds up to a path, but not to a distance.
 
     Args:
         position: of the vehicle at each frame's stamp, in the order of time [m]; NaN where it is not known.
@@ -27,10 +27,10 @@ def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> In
 
 
 def image_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " 14"]:
-    """What tells ground and light of one RGB image from those of another, cheaply.
+    """Statistics of ground and light of an RGB image, cheaply.
 
-    Of its lower two thirds, where the ground is, at 64x32 pixels: mean and spread of lightness and of both colours
-    (CIE L*a*b*), each for the nearer and the further half, and the logarithm of how rough the lightness is.
+    They come from its lower two thirds, where the ground is, at 64x32 pixels: mean and spread of lightness and of both
+    colours (CIE L*a*b*), each for the nearer and the further half, and the logarithm of the roughness of the lightness.
     """
     ground = image[image.shape[0] // 3 :]
     small = cv2.resize(ground, (64, 32), interpolation=cv2.INTER_AREA)
@@ -43,7 +43,7 @@ def image_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " 1
 
 
 def most_diverse(statistics: Float[np.ndarray, "N k"], count: int, *, seed: int) -> Int[np.ndarray, " n"]:
-    """Rows that cover all of them: from a random one, always the one furthest from those chosen.
+    """Rows that represent all rows: from a random one, always the one furthest from those chosen.
 
     Farthest-point sampling (Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985), on columns
     scaled to equal spread.

@@ -1,21 +1,21 @@
-"""What sensors see of their own vehicle, and must not take for ground: pixels of cameras, points of LiDARs."""
+"""Masks of the vehicle itself in its cameras' images, which must not pass for ground."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from offpiste.errors import PerceptionError
 from offpiste.perception.patch_grid import PatchGrid
 
 MOST_OF_A_PATCH = 0.1
-"""A patch with a larger share of the vehicle's own body is not used."""
+"""Largest share of the vehicle itself in a patch that is used."""
 
 
 def mask_from_png(path: Path, width: int, height: int) -> Bool[np.ndarray, "height width"]:
-    """The vehicle's own body, painted in any colour but black in a picture of a camera's size [px].
+    """Mask of the vehicle itself from a picture of the camera's size [px]: any colour but black.
 
     Raises:
         PerceptionError: no such picture, or one of another size.
@@ -36,7 +36,7 @@ def mask_from_png(path: Path, width: int, height: int) -> Bool[np.ndarray, "heig
 def mask_from_polygons(
     polygons: Sequence[Sequence[tuple[float, float]]], width: int, height: int
 ) -> Bool[np.ndarray, "height width"]:
-    """The pixels inside polygons, whose corners (x, y) may lie outside the image [px].
+    """Mask of the pixels inside polygons, whose corners (x, y) may lie outside the image [px].
 
     Raises:
         PerceptionError: a polygon of fewer than three corners.
@@ -54,19 +54,5 @@ def mask_from_polygons(
 
 
 def free_patches(own: Bool[np.ndarray, "height width"], grid: PatchGrid) -> Bool[np.ndarray, "rows columns"]:
-    """Patches that show the world and not the vehicle itself."""
+    """Patches that show the world, not the vehicle itself."""
     return grid.share(own) <= MOST_OF_A_PATCH
-
-
-def outside_body(
-    points_body: Float[np.ndarray, "n 3"], low: tuple[float, float, float], high: tuple[float, float, float]
-) -> Bool[np.ndarray, " n"]:
-    """Points that do not lie in the box around the vehicle, in the body frame [m]; false for NaN."""
-    inside = ((points_body >= np.array(low)) & (points_body <= np.array(high))).all(axis=1)
-    return ~inside & np.isfinite(points_body).all(axis=1)
-
-
-def within_range(points_lidar: Float[np.ndarray, "n 3"], nearest: float, furthest: float) -> Bool[np.ndarray, " n"]:
-    """Points whose distance from the sensor lies between these [m]; false for NaN."""
-    distance = np.linalg.norm(points_lidar, axis=1)
-    return (distance >= nearest) & (distance <= furthest)

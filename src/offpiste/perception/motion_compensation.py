@@ -1,4 +1,4 @@
-"""Carry points from the moments at which they were measured to the world, and from there to any other moment."""
+"""Motion compensation: points from the moments of their measurement to the world, and rigid transforms."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,13 +7,13 @@ from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.poses import Poses
 
 MOMENT = 1e-4
-"""Points measured within this share a pose [s]: 2 mm at 20 m/s."""
+"""Time within which points share a pose [s]: 2 mm at 20 m/s."""
 
 
 def points_in_world(cloud: Cloud, lidar: Lidar, poses: Poses) -> Float[np.ndarray, "n 3"]:
-    """A scan's points in the world, each with the vehicle's pose at its own moment [m]; NaN where that is unknown.
+    """Points of a scan in the world, each by the vehicle's pose at its own moment [m]; NaN where that is unknown.
 
-    Exact for poses given, to `MOMENT`: a sweep is unbent and moved in one step.
+    Exact to `MOMENT` for exact poses.
     """
     ticks, which = np.unique(np.round(cloud.times / MOMENT), return_inverse=True)
     world_from_lidar = poses.at(ticks * MOMENT) @ lidar.body_from_lidar
@@ -28,7 +28,7 @@ def transformed(points: Float[np.ndarray, "n 3"], matrix: Float[np.ndarray, "4 4
 
 
 def inverse(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """Of a rigid transform."""
+    """Inverse of a rigid transform."""
     back = np.eye(4)
     back[:3, :3] = matrix[:3, :3].T
     back[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]

@@ -1,11 +1,11 @@
-"""Points that a camera cannot see because something nearer stands before them.
+"""Occlusion: points that a camera cannot see behind something nearer.
 
-A LiDAR sits elsewhere than the cameras and sees past what hides from them; its points are sparse, so what is hidden
-shows between those of what hides it. A z-buffer alone would let it through, and one of larger cells would take ground
-further up a slope for hidden by ground nearer in the same cell. So a point counts as hidden when points that are nearer
-by more than a tolerance lie around it on all sides: within a small window, no gap between their directions, counted in
+A LiDAR is mounted elsewhere than the cameras and sees behind what occludes their view. Its points are sparse, so
+occluded points appear between those of the occluder: a z-buffer alone would let them through, and one of larger cells
+would drop ground further up a slope behind nearer ground in the same cell. A point counts as occluded when points that
+are nearer by more than a tolerance surround it: within a small window, no gap between their directions, counted in
 eighths of a turn, is wider than `FREE` of these. Nearer points of one flat surface all lie on one side, so a plane
-never hides itself, however steeply it is seen. The idea is that of Pintus et al., "Real-time rendering of massive
+never occludes itself, however steeply it is seen. The idea is that of Pintus et al., "Real-time rendering of massive
 unstructured raw point clouds using screen-space operators", VAST 2011.
 """
 
@@ -18,7 +18,7 @@ from offpiste.compilation import OCCLUSION
 
 SECTORS: Final = 8
 FREE: Final = 2
-"""Widest gap between nearer points, in sectors, through which a point is not yet seen."""
+"""Widest gap between nearer points, in sectors, that still occludes a point."""
 
 
 def occluded_points(
@@ -31,15 +31,15 @@ def occluded_points(
     relative: float = 0.06,
     absolute: float = 0.3,
 ) -> Bool[np.ndarray, " n"]:
-    """Which points are hidden by others.
+    """Points that others occlude.
 
     Args:
         pixels: x, y of points inside the image [px].
         depth: distances along the optical axis, positive [m].
         size: width and height of the image [px].
-        reach: half of the window in which nearer points hide a point [px]: about the distance between a LiDAR's rings.
+        reach: half of the window in which nearer points occlude a point [px]: about the spacing of a LiDAR's rings.
         cell: of the z-buffer, which keeps the nearest point of each [px].
-        relative, absolute: a point hides others that are further by more than relative * depth + absolute [m].
+        relative, absolute: a point occludes others that are further by more than relative * depth + absolute [m].
     """
     if not len(pixels):
         return np.zeros(0, dtype=bool)
@@ -53,7 +53,7 @@ def occluded_points(
 
 
 def _sectors(window: int) -> UInt8[np.ndarray, "k k"]:
-    """The eighth of a turn, around east, north-east, ..., that each cell of the window lies in."""
+    """Eighth of a turn, around east, north-east, ..., of each cell of the window."""
     y, x = np.mgrid[-window : window + 1, -window : window + 1]
     return (np.round(np.arctan2(y, x) / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS).astype(np.uint8)
 
@@ -62,11 +62,11 @@ def _surrounded_loop(  # type: ignore[no-untyped-def]
     nearest, row, column, depth, window, sectors, relative, absolute
 ) -> Any:
     height, width = nearest.shape
-    hidden = np.zeros(len(depth), np.bool_)
+    occluded = np.zeros(len(depth), np.bool_)
     for i in range(len(depth)):
         limit = depth[i] - (relative * depth[i] + absolute)
         if nearest[row[i], column[i]] < limit:
-            hidden[i] = True
+            occluded[i] = True
             continue
         taken = 0
         for dy in range(-window, window + 1):
@@ -82,8 +82,8 @@ def _surrounded_loop(  # type: ignore[no-untyped-def]
         for k in range(2 * SECTORS):
             gap = 0 if taken >> (k % SECTORS) & 1 else gap + 1
             widest = max(widest, gap)
-        hidden[i] = widest <= FREE
-    return hidden
+        occluded[i] = widest <= FREE
+    return occluded
 
 
 _surrounded = OCCLUSION.entry(_surrounded_loop)

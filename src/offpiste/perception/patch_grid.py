@@ -1,4 +1,4 @@
-"""Where the patches of a feature image lie in its image.
+"""Grid of the patches of an image.
 
 Pixel coordinates are OpenCV's and ROS's: the middle of the first pixel is (0, 0).
 """
@@ -13,9 +13,9 @@ from offpiste.errors import PerceptionError
 
 @dataclass(frozen=True)
 class PatchGrid:
-    """Square patches, side by side, in the middle of an image; what is left over at its edges is cropped.
+    """Square patches side by side in the middle of an image, whose edges are cropped.
 
-    960x594 at patch 14 gives 68x42 patches of the crop 952x588 that starts at pixel (4, 3) (DESIGN.md, decision 10).
+    960x594 at patch 14 gives 68x42 patches of the crop 952x588 that starts at pixel (4, 3).
 
     Attributes:
         width, height: of the image [px].
@@ -35,17 +35,17 @@ class PatchGrid:
 
     @property
     def rows(self) -> int:
-        """Of patches."""
+        """Number of rows of patches."""
         return self.height // self.size
 
     @property
     def columns(self) -> int:
-        """Of patches."""
+        """Number of columns of patches."""
         return self.width // self.size
 
     @property
     def offset(self) -> tuple[int, int]:
-        """The first pixel of the crop, x and y [px]; the crop's principal point is the image's minus this."""
+        """First pixel of the crop, x and y [px]; the crop's principal point is the image's minus this."""
         return (self.width - self.columns * self.size) // 2, (self.height - self.rows * self.size) // 2
 
     @property
@@ -54,23 +54,12 @@ class PatchGrid:
         x, y = self.offset
         return slice(y, y + self.rows * self.size), slice(x, x + self.columns * self.size)
 
-    def camera_matrix(self, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """K of the feature image, whose pixels are the patches: middle of the first patch at (0, 0).
-
-        Args:
-            matrix: K of the image.
-        """
-        x, y = self.offset
-        shift = np.array([[1.0, 0.0, 0.5 - x], [0.0, 1.0, 0.5 - y], [0.0, 0.0, 1.0]])
-        middle = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
-        return middle @ np.diag([1 / self.size, 1 / self.size, 1.0]) @ shift @ matrix
-
     def cells(
         self, pixels: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Row and column of the patch that each place of the image (x, y) lies in, and whether it lies in one.
+        """Row and column of the patch at each place (x, y) of the image [px], and whether there is one.
 
-        Rows and columns of places outside (or NaN) are 0.
+        Rows and columns of places outside, or NaN, are 0.
         """
         place = np.floor((pixels + 0.5 - np.array(self.offset)) / self.size)
         inside = (place >= 0).all(axis=1) & (place[:, 0] < self.columns) & (place[:, 1] < self.rows)
@@ -78,13 +67,13 @@ class PatchGrid:
         return row, column, inside
 
     def hit(self, pixels: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "rows columns"]:
-        """Patches in which at least one of these places of the image lies, e.g. those of ground points."""
+        """Patches with at least one of these places of the image, e.g. of ground points."""
         row, column, inside = self.cells(pixels)
         hit = np.zeros((self.rows, self.columns), dtype=bool)
         hit[row[inside], column[inside]] = True
         return hit
 
     def share(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "rows columns"]:
-        """Share of each patch's pixels that the image's mask marks."""
+        """Share of the pixels of each patch that a mask of the image marks."""
         cropped = mask[self.crop].reshape(self.rows, self.size, self.columns, self.size)
         return cropped.mean(axis=(1, 3))

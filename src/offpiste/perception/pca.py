@@ -1,6 +1,6 @@
-"""Principal components of patch features on ground, exactly, from a stream of images of any length.
+"""PCA of patch features on ground: exact from a stream of images of any length; its file.
 
-A PCA on disk: safetensors, with everything that is not a tensor as JSON in the file's own header.
+The file is safetensors; everything that is not a tensor is JSON in the file's header.
 """
 
 import hashlib
@@ -22,15 +22,15 @@ from offpiste.files import write_whole
 from offpiste.perception.backbones import Backbone
 
 COMPONENTS = 40
-"""As in the paper."""
+"""Number of components, as in the paper."""
 
 IMAGES = 175
-"""How many images a basis is fitted on unless they are listed; the paper's number."""
+"""Number of images that a PCA is fitted on unless they are listed, as in the paper."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Count, mean and scatter (sum of outer products of deviations) of the vectors seen so far, in float64."""
+    """Count, mean and scatter (sum of outer products of deviations) of vectors, in float64."""
 
     count: int
     mean: Float[np.ndarray, " C"]
@@ -38,12 +38,12 @@ class Moments:
 
     @classmethod
     def none(cls, channels: int) -> "Moments":
-        """Of no vector yet."""
+        """Moments of no vectors."""
         return cls(0, np.zeros(channels), np.zeros((channels, channels)))
 
     @classmethod
     def of(cls, vectors: Float[np.ndarray | Tensor, "n C"]) -> "Moments":
-        """Of these vectors.
+        """Moments of these vectors.
 
         Raises:
             PerceptionError: not all of them are finite.
@@ -58,7 +58,7 @@ class Moments:
         return cls(len(rows), mean, deviation.T @ deviation)
 
     def __add__(self, other: "Moments") -> "Moments":
-        """Of both sets of vectors (Chan, Golub, LeVeque, "Updating Formulae ...", 1979)."""
+        """Moments of both sets of vectors (Chan, Golub, LeVeque, "Updating Formulae ...", 1979)."""
         count = self.count + other.count
         if not count:
             return self
@@ -69,7 +69,7 @@ class Moments:
     def add(
         self, features: Float[Tensor, "B rows columns C"], ground: Bool[np.ndarray | Tensor, "B rows columns"]
     ) -> "Moments":
-        """With the patches of feature images that are ground.
+        """Moments with those patches of feature images added that are ground.
 
         Args:
             ground: patches hit by ground points (`PatchGrid.hit`).
@@ -79,7 +79,7 @@ class Moments:
 
 @dataclass(frozen=True)
 class PrincipalComponents:
-    """A linear map from a backbone's features to their components, largest variance first.
+    """Linear map from a backbone's features to their principal components, largest variance first.
 
     Attributes:
         mean: of the features.
@@ -88,7 +88,7 @@ class PrincipalComponents:
         total_variance: of the features.
         backbone: name of the backbone that made the features.
         fingerprint: of that backbone (`Backbone.fingerprint`).
-        fitted_on: what it was fitted on: number of images and patches, drives, split, seed ...
+        fitted_on: number of images and patches, drives, split, seed ...
     """
 
     mean: Float[np.ndarray, " C"]
@@ -101,19 +101,19 @@ class PrincipalComponents:
 
     @property
     def components(self) -> int:
-        """How many there are, n."""
+        """Number of components, n."""
         return self.basis.shape[1]
 
     @property
     def identity(self) -> str:
-        """Hash of the map; what is stored with features that went through it."""
+        """Hash of the map, stored with the features that it made."""
         digest = hashlib.sha256(self.fingerprint.encode())
         for part in (self.mean, self.basis):
             digest.update(np.ascontiguousarray(part, dtype="<f4").tobytes())
         return digest.hexdigest()[:16]
 
     def cut(self, components: int) -> "PrincipalComponents":
-        """With the first components only.
+        """The map to the first components only.
 
         Raises:
             PerceptionError: it does not have as many.
@@ -139,10 +139,10 @@ class PrincipalComponents:
         return (features - mean) @ basis
 
     def check(self, backbone: Backbone, *, where: str | Path = "") -> None:
-        """See to it that this is the backbone it was fitted with.
+        """Refuse a backbone other than the one it was fitted with.
 
         Args:
-            where: the PCA comes from, for the message.
+            where: file of the PCA, for the message.
 
         Raises:
             PerceptionError: it is another one, or other weights.
@@ -157,10 +157,10 @@ class PrincipalComponents:
 
 
 def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, **fitted_on: Any) -> PrincipalComponents:
-    """The basis of these moments.
+    """PCA of these moments.
 
     There are fewer components than asked for where the patches span fewer directions (few patches, few or constant
-    channels): a direction without variance says nothing.
+    channels): a direction without variance carries no information.
 
     Raises:
         PerceptionError: fewer than two patches, or patches that are all alike.
@@ -195,7 +195,7 @@ _SCHEMA = 1
 
 
 def save_pca(path: Path, pca: PrincipalComponents) -> None:
-    """Write it whole or not at all."""
+    """Write a PCA, whole or not at all."""
     about = {
         "schema": _SCHEMA,
         "total_variance": pca.total_variance,
@@ -208,7 +208,7 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
 
 
 def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponents:
-    """Read what `save_pca` wrote, and see to it that it belongs to the backbone, where one is given.
+    """Read what `save_pca` wrote, and check the backbone, where one is given.
 
     Raises:
         PerceptionError: no such file, not a PCA, or one of another backbone or other weights.

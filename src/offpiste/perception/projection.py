@@ -1,8 +1,8 @@
-"""Which patch of which camera's feature image each LiDAR point is seen in.
+"""Projection of LiDAR points into the patches of camera images.
 
-Points come in the world frame, each carried there with the vehicle's pose at its own moment
-(`offpiste.perception.motion_compensation`); every image has the pose of its own stamp. So the motion between scan and
-image, and within the scan, is compensated, as far as poses are right and the world stands still.
+Points are given in the world frame, each by the vehicle's pose at its own moment
+(`offpiste.perception.motion_compensation`); every image has the pose of its own stamp. The motion between scan and
+image, and within the scan, is compensated as far as poses are right and the world is static.
 """
 
 from collections.abc import Sequence
@@ -13,14 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.errors import PerceptionError
-from offpiste.logs.poses import Poses
 from offpiste.perception.camera import PinholeCamera
 from offpiste.perception.motion_compensation import inverse, transformed
 from offpiste.perception.occlusion import occluded_points
 from offpiste.rig.camera import CameraModel
 
 NEAREST = 0.2
-"""Points nearer to the plane of a pinhole than this are not projected [m]."""
+"""Least distance of projected points from the plane of the pinhole [m]."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,8 @@ class CameraView:
     """A camera at the moment of one of its images.
 
     Attributes:
-        time: when the image was taken [s].
-        world_from_camera: then.
+        time: of the image [s].
+        world_from_camera: at that time.
     """
 
     camera: PinholeCamera
@@ -39,7 +38,7 @@ class CameraView:
 
 @dataclass(frozen=True)
 class ProjectionSettings:
-    """How points find their pixel.
+    """Settings of the projection.
 
     Attributes:
         rule: for points that several images show: "centre" takes the image whose optical axis passes nearest, in
@@ -47,7 +46,7 @@ class ProjectionSettings:
             those taken together the first.
         reach: half of the angle within which nearer points hide a point [deg]; the spacing of a LiDAR's rings, about.
         relative, absolute: how much nearer they have to be: relative * depth + absolute [m].
-        hide: drop hidden points at all.
+        hide: drop occluded points at all.
     """
 
     rule: Literal["centre", "newest"] = "centre"
@@ -67,10 +66,10 @@ class ProjectionSettings:
 
 @dataclass(frozen=True)
 class Projection:
-    """Where n points are seen.
+    """Image, pixel and patch of each of n points.
 
     Attributes:
-        view: which of the views shows the point; -1 where none does.
+        view: index of the view that shows the point; -1 where none does.
         pixel: x, y in that rectified image [px]; NaN where none.
         row, column: of the patch that the pixel lies in; 0 where none.
         distance: of the point from that camera [m]; NaN where none.
@@ -84,14 +83,14 @@ class Projection:
 
     @property
     def seen(self) -> Bool[np.ndarray, " n"]:
-        """Points that any view shows."""
+        """Points that some view shows."""
         return self.view >= 0
 
     def gather(self, features: Sequence[Float[np.ndarray, "_ _ f"]]) -> Float[np.ndarray, "n f"]:
-        """The features of the patch that each point is seen in; NaN where none.
+        """Features of the patch of each point; NaN where no view shows it.
 
         Args:
-            features: one feature image a view [rows, columns, f].
+            features: one feature image for each view [rows, columns, f].
         """
         found = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
         for index, image in enumerate(features):
@@ -100,23 +99,15 @@ class Projection:
         return found
 
 
-def camera_view_at(camera: PinholeCamera, time: float, poses: Poses) -> CameraView | None:
-    """A camera at a moment [s]; None where the vehicle's pose is not known then."""
-    world_from_body = poses.at(np.array([time]))[0]
-    if np.isnan(world_from_body).any():
-        return None
-    return CameraView(camera, time, world_from_body @ camera.body_from_camera)
-
-
 def project(
     points_world: Float[np.ndarray, "n 3"],
     views: Sequence[CameraView],
     settings: ProjectionSettings | None = None,
 ) -> Projection:
-    """Find each point in the images.
+    """Project points into the images of several views.
 
-    A point is not seen behind a camera, outside of its patches, on patches of the vehicle itself, behind something
-    nearer (`occluded_points`), or where it is not finite.
+    A view does not show points behind the camera, outside of its patches, on patches of the vehicle itself, behind
+    something nearer (`occluded_points`), or points that are not finite.
     """
     settings = settings or ProjectionSettings()
     n = len(points_world)
@@ -127,7 +118,7 @@ def project(
         found, at = project_to_pinhole(points, model)
         if settings.hide:
             focal_length = float(model.matrix[0, 0])
-            hidden = occluded_points(
+            occluded = occluded_points(
                 at,
                 points[found, 2],
                 model.size,
@@ -135,7 +126,7 @@ def project(
                 relative=settings.relative,
                 absolute=settings.absolute,
             )
-            found, at = found[~hidden], at[~hidden]
+            found, at = found[~occluded], at[~occluded]
         r, c, inside = this.camera.grid.cells(at)
         inside &= this.camera.free[r, c]
         found, at, r, c = found[inside], at[inside], r[inside], c[inside]
