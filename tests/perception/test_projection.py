@@ -130,7 +130,7 @@ def test_a_wall_hides_what_is_behind_it_though_its_points_are_sparse():
     assert not found.seen[len(wall) :][inside].any()
     assert found.seen[len(wall) :][outside].all()
     assert project(behind, [view()]).seen.all()
-    assert project(np.concatenate((wall, behind)), [view()], ProjectionSettings(hide=False)).seen.all()
+    assert project(np.concatenate((wall, behind)), [view()], ProjectionSettings(occlusion=False)).seen.all()
 
 
 def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():

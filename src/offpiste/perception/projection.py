@@ -44,16 +44,16 @@ class ProjectionSettings:
         rule: for points that several images show: "centre" takes the image whose optical axis passes nearest, in
             angle, where a lens is sharpest and rectification stretches least; "newest" the one taken last, and of
             those taken together the first.
-        reach: half of the angle within which nearer points hide a point [deg]; the spacing of a LiDAR's rings, about.
+        reach: half of the angle within which nearer points occlude a point [deg]: about the spacing of a LiDAR's rings.
         relative, absolute: how much nearer they have to be: relative * depth + absolute [m].
-        hide: drop occluded points at all.
+        occlusion: whether occluded points are dropped.
     """
 
     rule: Literal["centre", "newest"] = "centre"
     reach: float = 1.0
     relative: float = 0.06
     absolute: float = 0.3
-    hide: bool = True
+    occlusion: bool = True
 
     def __post_init__(self) -> None:
         if not (0 < self.reach < 20 and 0 <= self.relative < 1 and self.absolute >= 0):
@@ -116,7 +116,7 @@ def project(
     for index, this in enumerate(views):
         points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
         found, at = project_to_pinhole(points, model)
-        if settings.hide:
+        if settings.occlusion:
             focal_length = float(model.matrix[0, 0])
             occluded = occluded_points(
                 at,
