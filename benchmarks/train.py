@@ -40,7 +40,7 @@ Mark = Callable[[str], None]
 
 Rollout = Callable[[ModelState, Batch], Trajectory]
 
-PAPER = {"windows": 2_000_000, "judged": 250_000, "epochs": 30}
+PAPER = {"windows": 2_000_000, "evaluated": 250_000, "epochs": 30}
 """Section "Training" of the paper."""
 
 PARTS = ("gather", "encode", "rollout", "loss", "backward", "optimiser")
@@ -166,13 +166,13 @@ class Trainer:
         self.optimiser.step()
         mark("optimiser")
 
-    def judge(self, mark: Mark) -> None:
-        """What judging a batch of windows takes."""
+    def evaluate(self, mark: Mark) -> None:
+        """Time of evaluating a batch of windows."""
         with torch.no_grad():
             index = self.rng.choice(len(self.windows), self.batch, replace=len(self.windows) < self.batch)
             batch = encoded(self.model, self.windows.gather(index))
             by_kernel(self.model)(self.model.start(batch.history, batch.state, batch.actuators), batch)
-        mark("judge")
+        mark("evaluate")
 
 
 def encoded_by_row(model: Hybrid, batch: Batch) -> Batch:
@@ -254,7 +254,7 @@ def step_table(trainer: Trainer, repeats: int) -> str:
         {
             "step": lambda mark: trainer.step(mark, encoded, kernel),
             "plain": lambda mark: trainer.step(mark, encoded_by_row, eager),
-            "judge": trainer.judge,
+            "evaluate": trainer.evaluate,
         },
         repeats,
     )
@@ -268,9 +268,9 @@ def step_table(trainer: Trainer, repeats: int) -> str:
     for reading, all_of in zip(("here", "plain"), rows["all"], strict=True):
         hours = f"{steps * all_of.wall / 3.6e6:.1f} h (processor {steps * all_of.processor / 3.6e6:.1f} h)"
         lines.append(f"paper size, {reading}: {hours} for {PAPER['epochs']} epochs of 2M windows")
-    judge, batches = found["judge"]["judge"], PAPER["judged"] / trainer.batch
-    minutes = f"{batches * judge.wall / 6e4:.1f} min (processor {batches * judge.processor / 6e4:.1f} min)"
-    lines.append(f"judging 250k windows once: {minutes}")
+    evaluate, batches = found["evaluate"]["evaluate"], PAPER["evaluated"] / trainer.batch
+    minutes = f"{batches * evaluate.wall / 6e4:.1f} min (processor {batches * evaluate.processor / 6e4:.1f} min)"
+    lines.append(f"evaluating 250k windows once: {minutes}")
     return "\n".join(lines)
 
 

@@ -34,7 +34,7 @@ def noise(rng: np.random.Generator) -> Rows:
     state[:, 3:] += rng.normal(0, 0.1, (ROWS, 3))
     normal = rng.normal(0, 0.1, (len(FEATURE_SETS), ROWS, 4, 3)).astype(np.float32)
     normal[..., 2] = 1
-    # Wheels go on to new cells and come back to none.
+    # Wheels reach new cells all the time and return to none.
     index = (np.arange(ROWS)[:, None] * (CELLS - 8) // ROWS + np.array([6, 4, 2, 0])).astype(np.int32)
     shape = (len(FEATURE_SETS), CELLS)
     far = np.full(shape, 20, np.float32)

@@ -137,7 +137,7 @@ def test_a_step_of_the_interface_is_the_rollouts_first(name):
 
 
 @pytest.mark.parametrize("size", [0, 1, 4, 12])
-def test_packing_a_carry_and_unpacking_it_changes_nothing(size):
+def test_packing_a_model_state_and_unpacking_it_changes_nothing(size):
     model_state = ModelState(torch.rand(5, 6), torch.rand(5, 4), torch.rand(5, size), torch.rand(5, size))
     packed = model_state.pack()
     assert packed.shape == (5, 10 + 2 * size)

@@ -61,7 +61,7 @@ def euler(c, vx, vy, yaw_rate, *, brake=0.0, steer=0.0, throttle=0.0, engine=0.0
 
 
 def paper(x, u, eta, c):
-    """Eqs. 1-4 from the paper's text with the decisions 1-6 of DESIGN.md, written for one vehicle with NumPy."""
+    """Eqs. 1-4 from the paper's text with the changes of docs/method.md, written for one vehicle with NumPy."""
     phi, vx, vy, r = x
     throttle, brake, delta, rpm = u
     below = max(c.min_slip_speed, abs(vx))

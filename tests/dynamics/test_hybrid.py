@@ -162,7 +162,7 @@ def exciting_drives(drives: int, steps: int) -> tuple[Tensor, Tensor, Terrain]:
 
 
 def identifiable(c: Constants) -> dict[str, float]:
-    """What a drive can tell: the constants alone cannot be told apart, these can."""
+    """Quantities that a drive determines; the constants alone cannot be identified."""
 
     def drive(throttle: float, speed: float) -> float:
         x = speed / 10

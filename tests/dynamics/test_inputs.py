@@ -1,4 +1,4 @@
-"""What physics and networks read from a carry, and the reduced forms for what a log lacks."""
+"""What physics and networks read from a model state, and the reduced forms for channels that a log lacks."""
 
 import math
 from dataclasses import replace

@@ -33,7 +33,7 @@ class Circle:
         self.gyro = np.tile([0.0, 0.0, RATE], (len(turned), 1))
 
     def state(self) -> np.ndarray:
-        """The truth, by the definitions of DESIGN.md."""
+        """The truth, by the definitions of docs/method.md."""
         forward = self.rotation.apply([1.0, 0.0, 0.0])
         yaw = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
         vx = self.velocity_world[:, 0] * np.cos(yaw) + self.velocity_world[:, 1] * np.sin(yaw)

@@ -20,7 +20,7 @@ SPLIT = Split("all", "drives", drives=(("hill", "test"), ("valley", "test")))
 
 
 def slope(s: np.ndarray) -> np.ndarray:
-    """The slope after s metres: steeper all the way, so that the slope tells the place."""
+    """The slope after s metres: steeper all the way, so that the slope identifies the place."""
     return 0.001 * s
 
 
@@ -71,7 +71,7 @@ def test_lagging_behind_reads_the_ground_where_it_is(uphill: Windows) -> None:
         where = start + SPEED * DT * (t + 1) - behind
         found = slopes(source.at(t, state).normal)
         np.testing.assert_allclose(found, slope(np.array([where])), atol=1e-5)
-    assert slopes(batch.terrain.normal[:, 249]) - found > 0.019  # the record would have told of the lag
+    assert slopes(batch.terrain.normal[:, 249]) - found > 0.019  # the record would have given the lag away
 
 
 def test_a_place_beside_the_path_reads_the_nearest_point(uphill: Windows) -> None:

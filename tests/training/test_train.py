@@ -202,7 +202,7 @@ def test_a_damaged_run_ends_in_one_line(dataset: Dataset, run: Path, tmp_path: P
     assert "\n" not in str(error.value)
 
 
-def test_a_run_is_not_judged_on_what_it_was_trained_on(dataset: Dataset, run: Path) -> None:
+def test_a_run_is_not_evaluated_on_what_it_was_trained_on(dataset: Dataset, run: Path) -> None:
     loaded = load_run(run)
     refuse_seen(loaded, dataset, "test")
     with pytest.raises(RunError, match=r"was trained on .* of the test part of drive 'drive0'"):

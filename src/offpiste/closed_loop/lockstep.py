@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.closed_loop.faults import Fault
-from offpiste.conventions import DT
+from offpiste.conventions import ACTUATORS, DT
 from offpiste.geometry import yaw_rate_from_body_rates
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
@@ -152,7 +152,13 @@ def time_of(time: float) -> float:
 def reading_of(sample: VehicleSample) -> VehicleReading:
     """What the vehicle says of itself."""
     rate = yaw_rate_from_body_rates(sample.orientation[None], sample.angular_velocity[None])[0]
-    actuators = np.array((sample.brake_pressure, sample.steer_angle, sample.steer_rate, sample.engine_speed / 1000))
+    measured = {
+        "brake": sample.brake_pressure,
+        "steer": sample.steer_angle,
+        "steer_rate": sample.steer_rate,
+        "engine_rpm": sample.engine_speed / 1000,
+    }
+    actuators = np.array([measured.get(name, np.nan) for name in ACTUATORS])
     return VehicleReading(
         time_of(sample.time), sample.position, sample.orientation, sample.velocity, float(rate), actuators
     )

@@ -1,4 +1,4 @@
-"""When wheels pass over which ground cells (DESIGN.md, "Conventions", feature sets)."""
+"""When wheels pass over which ground cells (docs/method.md, "Conventions", feature sets)."""
 
 from dataclasses import dataclass
 

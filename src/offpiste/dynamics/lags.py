@@ -99,7 +99,7 @@ LAGS: Final[dict[str, Lag]] = {
         },
     ),
 }
-"""By the names that `offpiste.channels.Actuator.lag` gives."""
+"""Delay models by the names that `offpiste.channels.Actuator.lag` gives; an extension may add its own."""
 
 
 class Lagging(NamedTuple):

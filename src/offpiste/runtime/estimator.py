@@ -33,7 +33,7 @@ class VehicleReading:
     orientation: Float[np.ndarray, " 4"]
     velocity: Float[np.ndarray, " 3"]
     yaw_rate: float
-    actuators: Float[np.ndarray, " 4"]
+    actuators: Float[np.ndarray, " A"]
 
     @property
     def finite(self) -> bool:
@@ -52,7 +52,7 @@ class TrackRows:
     """
 
     state: Float[np.ndarray, "H 6"]
-    actuators: Float[np.ndarray, "H 4"]
+    actuators: Float[np.ndarray, "H A"]
     control: Float[np.ndarray, "H 3"]
 
 
