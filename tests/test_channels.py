@@ -14,7 +14,7 @@ from offpiste.channels import (
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.inputs import DriveTrain
 from offpiste.dynamics.lags import LAGS, lagging
-from offpiste.rig.rig import known_channels, unit_factor
+from offpiste.rig.channels import known_channels, unit_factor
 
 
 def test_names_are_unique_and_refer_to_each_other() -> None:
