@@ -35,7 +35,7 @@ class Channel:
         return values
 
     def hold(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
-        """The last value stamped at or before each time: what a command was; NaN as in `linear`."""
+        """Last value stamped at or before each time, e.g. of a command; NaN as in `linear`."""
         index = np.searchsorted(self.time, at, side="right") - 1
         values = self.values[np.maximum(index, 0)].copy()
         values[~self._covered(at, max_gap)] = np.nan
@@ -48,7 +48,7 @@ class Channel:
 
 
 def read_channel(log: Log, rig: Rig, name: str, source: ChannelSource) -> tuple[Channel, list[str]]:
-    """One channel, cleaned and converted, and what was dropped, in words.
+    """One channel, cleaned and converted, and the samples dropped, in words.
 
     Raises:
         LogError: the log lacks the topic or field, or its clock is broken.
@@ -99,7 +99,7 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
 
 
 def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Raw numbers of a log -> the channel's unit and sign, as `ChannelSource` says."""
+    """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them."""
     values = raw
     if source.wrap is not None:
         values = np.where(values > source.wrap.above, values - source.wrap.period, values)
@@ -108,9 +108,9 @@ def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> 
 
 
 def _increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Rows to keep so that stamps increase: those later than all before, or earlier than all after, if that keeps more.
+    """Rows to keep so that stamps increase: those later than all before, or earlier than all after if that keeps more.
 
-    One stamp far ahead of its time would by the first rule cost every row after it, by the second only itself.
+    A single stamp far in the future would drop every row after it by the first rule, only itself by the second.
     """
     if not len(time):
         return np.zeros(0, dtype=bool)

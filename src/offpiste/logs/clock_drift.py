@@ -86,7 +86,7 @@ def pose_speed(channels: dict[str, Channel]) -> Channel:
 def estimate_lag(
     reference: Channel, recorded: Channel, *, max_lag: float, step: float = 0.05, stiffness: float = 2.0
 ) -> ClockLag:
-    """The lag of `recorded` behind `reference`, piecewise constant, by dynamic programming.
+    """Lag of `recorded` behind `reference`, piecewise constant, by dynamic programming.
 
     Minimises the sum over bins of |recorded(t + lag) - reference(t)| + stiffness |change of lag|, so that the lag
     jumps only where the speeds demand it. It is a dynamic time warping (Sakoe and Chiba 1978) with an L1 prior.

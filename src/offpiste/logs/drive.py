@@ -14,12 +14,12 @@ from offpiste.rig.rig import Rig
 
 @dataclass(frozen=True)
 class Drive:
-    """What one recording says of one vehicle.
+    """Channels of one vehicle in one recording.
 
     Attributes:
         name: of the log, without its folder and ending.
         channels: by name; channels that the rig declares absent are not in it.
-        notes: what was dropped or repaired on reading, in words.
+        notes: samples dropped or repaired on reading, in words.
     """
 
     name: str
@@ -29,7 +29,7 @@ class Drive:
 
 
 def read_drive(path: str | Path, rig: Rig) -> Drive:
-    """Read the channels that a rig names from a log.
+    """Read the channels of a rig from a log.
 
     Raises:
         LogError: the log cannot be read, or lacks a topic or field that the rig names.
@@ -40,20 +40,20 @@ def read_drive(path: str | Path, rig: Rig) -> Drive:
 
 
 def drive_from_log(log: Log, rig: Rig) -> Drive:
-    """The same for a log that is open already (see `read_drive`)."""
+    """Read the channels of a rig from a log that is open (see `read_drive`)."""
     channels: dict[str, Channel] = {}
     notes: list[str] = list(log.warnings)
     for name, source in rig.channels.items():
-        channels[name], said = read_channel(log, rig, name, source)
-        notes += said
+        channels[name], added = read_channel(log, rig, name, source)
+        notes += added
     if rig.alignment is not None:
-        channels, said = align_clock(log, rig, rig.alignment, channels)
-        notes += said
+        channels, added = align_clock(log, rig, rig.alignment, channels)
+        notes += added
     return Drive(drive_name(log.path), rig, channels, tuple(notes))
 
 
 def drive_name(path: str | Path) -> str:
-    """What a log is called: its file name without the ending, or its folder's name."""
+    """Name of a drive: the log's file name without the ending, or its folder's name."""
     path = Path(path).resolve()
     return path.name if path.is_dir() else path.stem
 

@@ -1,4 +1,4 @@
-"""Ground truth of a simulated log: what no real log has, read by oracles only."""
+"""Ground truth of a simulated log, which only oracle experiments read."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,11 +30,11 @@ WHEEL = np.dtype(
 
 @dataclass(frozen=True)
 class Truth:
-    """What the simulator knew; wheels are front-left, front-right, rear-left, rear-right.
+    """Ground truth of a drive; wheels are front-left, front-right, rear-left, rear-right.
 
     Attributes:
         time: header stamps [s].
-        contact: where the wheels touch the ground, in the world frame [m].
+        contact: points where the wheels touch the ground, in the world frame [m].
         properties: of the ground there (`GROUND_PROPERTIES`).
         kind: of the ground there.
         load: normal load [N].
@@ -54,7 +54,7 @@ class Truth:
 
 
 def read_truth(path: str | Path) -> Truth:
-    """The ground truth of a simulated drive.
+    """Ground truth of a simulated drive.
 
     Raises:
         LogError: the log has none, or cannot be read.
@@ -77,7 +77,7 @@ def read_truth(path: str | Path) -> Truth:
 
 
 def read_truth_map(path: str | Path) -> MapLayers:
-    """The true map of a simulated drive.
+    """True map of a simulated drive.
 
     Raises:
         LogError: the log has none, or cannot be read.

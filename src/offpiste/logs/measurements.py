@@ -40,10 +40,10 @@ class Lidar:
 
 @dataclass(frozen=True)
 class Image:
-    """An image.
+    """An image at the moment it was taken.
 
     Attributes:
-        time: when it was taken: the stamp, the rig's delay removed [s].
+        time: its stamp, the rig's delay removed [s].
         camera: name in `SensorLog.cameras`.
         pixels: RGB.
     """
@@ -55,13 +55,13 @@ class Image:
 
 @dataclass(frozen=True)
 class Cloud:
-    """A scan; its points are finite, within range and not on the vehicle itself.
+    """A scan: points that are finite, within range and not on the vehicle itself.
 
     Attributes:
         time: the stamp, the rig's delay removed [s].
         lidar: name in `SensorLog.lidars`.
         points: each in the LiDAR's frame at its own moment [m].
-        offset: of each point's moment from `time` [s]; None where points carry none.
+        offset: of each point's moment from `time` [s]; None where points have no times.
         intensity: as recorded, NaN where there is none.
     """
 
@@ -73,15 +73,15 @@ class Cloud:
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
-        """When each point was measured [s]."""
+        """Moment of each point [s]."""
         return self.time + (np.zeros(len(self.points)) if self.offset is None else self.offset)
 
 
 def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
-    """The usable points of a cloud as recorded.
+    """Usable points of a recorded cloud.
 
     Raises:
-        LogError: its points lack x, y, z, or the time that the rig names.
+        LogError: its points lack x, y, z or the time that the rig names.
     """
     names = raw.points.dtype.names or ()
     source = lidar.source
@@ -102,7 +102,7 @@ def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
 
 
 def usable_points(points_lidar: Float[np.ndarray, "n 3"], lidar: Lidar) -> Bool[np.ndarray, " n"]:
-    """Finite, within range (drivers write 0, 0, 0 where no echo came back), and not on the vehicle itself."""
+    """Points that are finite, within range (drivers write 0, 0, 0 for no echo) and not on the vehicle itself."""
     source = lidar.source
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.linalg.norm(points_lidar, axis=1)

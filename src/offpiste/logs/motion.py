@@ -1,4 +1,4 @@
-"""Planar motion on a time grid: smoothed without delay for targets, and as known at the time for starts."""
+"""Planar motion on a time grid: smoothed without delay for targets, causal for starts."""
 
 from dataclasses import dataclass
 
@@ -16,12 +16,12 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
 _MOVING = 0.2
-"""Below this speed [m/s] the vehicle stands, and noise is not counted as path."""
+"""Speed below which the vehicle is at a standstill [m/s]: noise does not count as path."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Planar states at N moments (`offpiste.conventions.STATE`); NaN where the log does not tell.
+    """Planar states at N moments (`offpiste.conventions.STATE`); NaN where unknown.
 
     Attributes:
         state: targets; where velocities come from the pose, smoothed with zero phase.
@@ -35,8 +35,8 @@ class Motion:
 def estimate_motion(drive: Drive, at: Float[np.ndarray, " N"]) -> Motion:
     """Planar states of a drive at the moments `at` [s].
 
-    The log's own velocities are used where the rig says which frame they are in; otherwise local
-    polynomials through the pose give position, heading and their rates together.
+    The log's own velocities are used where the rig gives their frame; otherwise local polynomials through the pose give
+    position, heading and their rates together.
     """
     return Motion(_smoothed(drive, at), _causal(drive, at))
 
@@ -55,15 +55,15 @@ def heading(drive: Drive) -> Channel:
 def driven_slope(
     position: Float[np.ndarray, "N 3"], speed: Float[np.ndarray, " N"], *, dt: float, length: float
 ) -> Float[np.ndarray, " N"]:
-    """Slope of the driven path, dz/ds, the stand-in for the ground's where a log has no map.
+    """Slope of the driven path, dz/ds, in place of the ground's where a log has no map.
 
-    Fitted over metres of path, not over seconds: smoothing over time would let braking dips of the body through.
+    It is fitted over metres of path, not over seconds: smoothing over time would let braking dips of the body through.
 
     Args:
         position: smoothed positions, z up [m]; rows with NaN give NaN, and nothing is fitted across them.
-        speed: horizontal speed, negative in reverse, which goes back along the path [m/s].
+        speed: horizontal speed, negative in reverse [m/s].
         dt: time step of the rows [s].
-        length: metres of path behind one estimate.
+        length: path behind one estimate [m].
     """
     known = np.isfinite(position).all(axis=1) & np.isfinite(speed)
     slope = np.full(len(position), np.nan)
@@ -78,7 +78,7 @@ def driven_slope(
 def _slope_along(
     distance: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
 ) -> Float[np.ndarray, " N"]:
-    """Slope of one unbroken stretch of path; flat where it is too short to tell."""
+    """Slope of one unbroken stretch of path; 0 where it is too short."""
     spacing = 0.1
     distance = distance - distance.min()
     # One elevation a 0.1 m of path: a vehicle at rest must not outweigh the path before and after it.
@@ -149,12 +149,12 @@ def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N
 
 
 def _at_stamps(channel: Channel, of: Channel, *, causal: bool) -> Float[np.ndarray, "n k"]:
-    """A channel at another's stamps; `causal` holds the last sample, since the next one was not known yet."""
+    """A channel at another's stamps; `causal` holds the last sample, as the next one was not known yet."""
     return (channel.hold if causal else channel.linear)(of.time, max_gap=np.inf)
 
 
 def _own_velocity(drive: Drive, *, causal: bool) -> Channel | None:
-    """Horizontal world velocity of the log at its native stamps [m/s], if the rig says its frame."""
+    """Horizontal world velocity of the log at its native stamps [m/s], if the rig gives its frame."""
     channel = drive.channels.get("linear_velocity")
     if channel is None:
         return None

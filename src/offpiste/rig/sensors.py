@@ -1,4 +1,4 @@
-"""The part of a rig that says where its cameras and LiDARs sit, and which topics carry what they see."""
+"""Cameras and LiDARs of a rig: mountings, calibrations, and the topics of their images and point clouds."""
 
 from pathlib import Path
 from typing import Final, Literal
@@ -16,15 +16,15 @@ Polygon = tuple[tuple[float, float], ...]
 """Corners x, y [px]."""
 
 TIME_FIELDS: Final = ("t", "time", "timestamp", "time_stamp", "offset_time")
-"""What drivers call the time of a point."""
+"""Names that drivers give to the time of a point."""
 
 
 class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the log says how its sensors are mounted.
+    """Body frame, and topics with the transforms of a log.
 
     Attributes:
-        body: the frame whose pose the channels `position` and `orientation` are: x forward, y left, z up.
-        topics: of tf2_msgs/TFMessage; where transforms repeat, the first counts.
+        body: the frame whose pose `position` and `orientation` give: x forward, y left, z up.
+        topics: of tf2_msgs/TFMessage; the first transform of each pair of frames counts.
     """
 
     body: str = "base_link"
@@ -32,7 +32,7 @@ class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a sensor sits: `body_from_sensor`.
+    """Mounting of a sensor: `body_from_sensor`.
 
     Attributes:
         position: in the body frame [m].
@@ -53,7 +53,7 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What CameraInfo says, where a log has none.
+    """Calibration of a camera whose log has no CameraInfo.
 
     Attributes:
         width, height: of the image [px].
@@ -128,10 +128,10 @@ class LidarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSource]) -> None:
-    """Find what types alone cannot.
+    """Refuse contradicting or impossible keys, which types alone cannot.
 
     Raises:
-        RigError: contradicting or impossible keys.
+        RigError: which key, and how to fix it.
     """
     if both := set(cameras) & set(lidars):
         raise RigError(f"'{min(both)}' is both a camera and a LiDAR", how="rename one of the two")
@@ -142,7 +142,7 @@ def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSourc
 
 
 def beside(cameras: dict[str, CameraSource], folder: Path) -> dict[str, CameraSource]:
-    """The same cameras with the paths of their masks as seen from anywhere, not from the rig's folder."""
+    """Cameras with the paths of their masks made absolute, which a rig file gives from its own folder."""
     return {name: replace(c, mask=str(folder / c.mask)) if c.mask else c for name, c in cameras.items()}
 
 

@@ -174,7 +174,7 @@ def test_other_profiles_of_mcap(tmp_path: Path) -> None:
     log = BagLog(mcap_file(tmp_path / "a.mcap", twists(3), profile=""))
     assert (speeds(log), log.warnings) == ([0.0, 1.0, 2.0], ())
     log = BagLog(mcap_file(tmp_path / "b.mcap", twists(3), encoding="json", profile="", schema="jsonschema"))
-    assert log.topics["/odom"].type == f"{TWIST} is encoded as json, which is not read"
+    assert log.topics["/odom"].type == f"{TWIST} is encoded as json, which is not supported"
 
 
 # Definitions

@@ -24,10 +24,10 @@ _OXTS: Final = (
     "velmode", "orimode",
 )
 # fmt: on
-"""Columns of an OXTS row (the data set's dataformat.txt)."""
+"""Columns of an OXTS row (dataformat.txt of the data set)."""
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _EARTH_RADIUS: Final = 6378137.0
-"""Of the devkit's sphere [m]."""
+"""Radius of the devkit's sphere [m]."""
 
 
 POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("time", "<f4")])
@@ -65,7 +65,7 @@ class KittiLog(Log):
         return self._topics
 
     def files(self, topic: str) -> dict[int, Path]:
-        """Files of a folder by their frame, in order.
+        """Files of a folder by number, in order.
 
         Raises:
             LogError: a file's name is no frame's number.
@@ -171,10 +171,10 @@ class KittiLog(Log):
 
 
 def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
-    """Position and orientation (xyzw) of the OXTS unit: x east, y north, z up, from the first row's place [m].
+    """Position [m] and orientation (xyzw) of the OXTS unit: x east, y north, z up, from the first row's position.
 
-    Mercator's projection and Euler angles as in the devkit's convertOxtsToPose.m; axes stay level here, where the
-    devkit turns everything into the first pose.
+    Mercator's projection and Euler angles as in the devkit's convertOxtsToPose.m; axes stay level here, whereas
+    the devkit expresses all poses in the first one.
     """
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = np.cos(np.deg2rad(latitude[0])) * _EARTH_RADIUS
@@ -196,7 +196,7 @@ def _row(path: Path) -> Float[np.ndarray, " 30"]:
 
 
 def time_in_sweep(xy: Float[np.ndarray, "n 2"], begin: float, end: float) -> Float[np.ndarray, " n"]:
-    """When each point was measured, from its direction alone [s].
+    """Moment of each point in a turn, from its direction alone [s].
 
     The Velodyne turns clockwise, seen from above, from the back to the back, and triggers the cameras when it faces
     ahead (Geiger et al., IJRR 2013; KISS-ICP takes the same direction, and the tests measure it); begin and end are
@@ -207,7 +207,7 @@ def time_in_sweep(xy: Float[np.ndarray, "n 2"], begin: float, end: float) -> Flo
 
 
 def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
-    """The numbers of a calibration file by key.
+    """Numbers of a calibration file by key.
 
     Raises:
         LogError: no such file.

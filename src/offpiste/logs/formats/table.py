@@ -17,7 +17,7 @@ from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.clock import Clock
 
 _SECONDS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Units of time in one second."""
+"""Units of time per second."""
 
 _TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time")
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -27,8 +27,8 @@ _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
-    Of a CSV the separator (comma, semicolon, tab, bar) is found out. Empty cells are NaN; a cell that is no number in a
-    column of numbers is an error once that column is read. Text is no field, but ISO 8601 dates can be stamps.
+    The separator of a CSV (comma, semicolon, tab, bar) is guessed. Empty cells are NaN; a cell that is no number in a
+    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps.
 
     Args:
         path: `.csv` or `.parquet`.
@@ -66,7 +66,7 @@ class TableLog(Log):
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """The table itself."""
+        """One topic: the table itself."""
         kind = "CSV table" if self._is_csv else "Parquet table"
         return {"": Topic("", kind, self._table.num_rows, self._columns)}
 
@@ -83,7 +83,7 @@ class TableLog(Log):
         return ", ".join(self._table.column_names[:40])
 
     def _is_numeric(self, name: str) -> bool:
-        """Whether most of the first cells are numbers: one bad cell does not make a column of text."""
+        """Whether most of the first cells are numbers: one bad cell does not make it a column of text."""
         if not self._is_csv:
             return True  # others were not read
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
@@ -190,7 +190,7 @@ def _read_parquet(path: Path) -> pa.Table:
 
 
 def _read_csv(path: Path, notes: list[str]) -> pa.Table:
-    """All columns as text: what a column is, and where a cell is wrong, is told from the text."""
+    """All columns as text: what a column is, and which cell is wrong, is decided from the text."""
     header, first_row = _first_lines(path)
     delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
     comma = delimiter == ";" and re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", first_row) is not None

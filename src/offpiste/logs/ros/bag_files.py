@@ -12,7 +12,7 @@ from offpiste.logs.ros.mcap_recovery import StreamedMcap
 _Indexed = rosbag1.Reader | rosbag2.Reader
 Reader = _Indexed | StreamedMcap
 MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
-"""How files begin, by their endings."""
+"""First bytes of files, by their endings."""
 _REPAIRS = {
     ".bag": "repair it with `rosbag reindex FILE`, or record or copy it again",
     ".mcap": "repair it with `mcap recover FILE -o REPAIRED.mcap`, or record or copy it again",
@@ -27,10 +27,10 @@ def storage_files(folder: Path) -> list[Path]:
 
 
 def open_readers(path: Path, notes: list[str]) -> list[Reader]:
-    """Readers of a bag, opened, in the order of its files.
+    """Opened readers of a bag, in the order of its files.
 
     Args:
-        notes: what a person should know is added.
+        notes: warnings are added to it.
 
     Raises:
         LogError: the bag is empty, damaged, or something else than its ending says.
@@ -98,7 +98,7 @@ def _repair(path: Path) -> str:
 
 @contextmanager
 def reported(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever rosbags raises into one line: it lets the errors of struct, lz4, zstd, bz2 and SQLite through."""
+    """Turn errors into one line: rosbags lets those of struct, lz4, zstd, bz2 and SQLite through."""
     try:
         yield
     except LogError:

@@ -18,25 +18,25 @@ from offpiste.errors import LogError
 _OCTETS = {"byte", "char", "uint8"}
 _NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"}
 MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
-"""From a connection and the path of its bag to what decodes its messages."""
+"""Makes the decoder of a connection's messages, given the path of its bag for errors."""
 
 _MAX_ENTRIES = 36
-"""A 6 x 6 covariance is still listed entry by entry; what is longer is bulk data."""
+"""Longest array that is listed entry by entry: a 6 x 6 covariance; longer ones are bulk data."""
 
 
 def stamp_of(received: int, message: object, stamps: str) -> float:
-    """A message's time [s] by the clock that is asked for."""
+    """Time of a message [s] by its header or by its arrival."""
     return ((stamps == "header" and _header_stamp(message)) or received) / 10**9  # exact, unlike 1e9
 
 
 def _header_stamp(message: Any) -> int:
-    """A message's own stamp [ns], 0 where it has none."""
+    """Stamp in a message's header [ns]; 0 where it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
 
 
 def field_getter(field: str) -> Callable[[object], float]:
-    """Reads a field of `fields_of` from a decoded message; NaN where a sequence has fewer entries."""
+    """Function that reads a field of `fields_of` from a decoded message; NaN where a sequence has fewer entries."""
     path, _, index = field.removesuffix("]").partition("[")
     get = attrgetter(path)
     if not index:
@@ -46,7 +46,7 @@ def field_getter(field: str) -> Callable[[object], float]:
 
 
 def fields_of(store: Typestore, msgtype: str, first: Callable[[], object], prefix: str = "") -> Iterator[str]:
-    """Paths of a type's numbers; `first` gives the topic's first message, where there is one."""
+    """Paths of the numbers in a message type; `first` gives the topic's first message, if any."""
     entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
     for name, (kind, detail) in entries:
         path = prefix + name
@@ -75,7 +75,7 @@ def _encoding(connection: Connection) -> str:
 
 
 def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Decodes messages.
+    """Decoder of whole messages.
 
     Raises:
         LogError: as `typestore_of`.
@@ -86,7 +86,7 @@ def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], obje
 
 
 def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Decodes as much of a message as its stamp needs: where it begins with a header, its first bytes."""
+    """Decoder of no more than the header, where messages begin with one."""
     store = typestore_of(connection, path)
     fields = store.get_msgdef(connection.msgtype).fields
     if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
@@ -103,14 +103,14 @@ def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object
 
 
 def typestore_of(connection: Connection, path: Path) -> Typestore:
-    """What can decode a connection's messages.
+    """Definitions that decode a connection's messages.
 
     Raises:
-        LogError: no definition, one that cannot be parsed, or an encoding that is not ROS.
+        LogError: no definition, one that cannot be parsed, or an encoding other than ROS.
     """
     encoding = _encoding(connection)
     if encoding not in ("ros1", "cdr"):
-        what = f"{connection.msgtype} is encoded as {encoding}, which is not read"
+        what = f"{connection.msgtype} is encoded as {encoding}, which is not supported"
         raise LogError(what, where=path, how="record it with `ros2 bag record`")
     try:
         return _typestore(connection.msgtype, connection.msgdef, encoding == "ros1")

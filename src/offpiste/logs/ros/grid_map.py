@@ -1,4 +1,4 @@
-"""Layers of a map <-> grid_map_msgs/GridMap (Fankhauser and Hutter, "A Universal Grid Map Library", 2016).
+"""grid_map_msgs/GridMap from and to layers of a map (Fankhauser and Hutter, "A Universal Grid Map Library", 2016).
 
 Ours: node [j, i] at (origin x + i resolution, origin y + j resolution). grid_map's: index (0, 0) lies in the corner of
 the largest x and y, rows run along -x, columns along -y, and matrices are stored column by column; a circular buffer
@@ -21,7 +21,7 @@ class MapLayers:
     """Layers of one size by name.
 
     Attributes:
-        origin: x, y of node [0, 0] in the message's frame [m].
+        origin: x, y of node [0, 0] in the frame of the message [m].
         resolution: distance of the nodes [m].
     """
 
@@ -38,7 +38,7 @@ def grid_map_from_layers(
     stamp_ns: int,
     frame: str = "map",
 ) -> Any:
-    """The message; values become float32."""
+    """A grid_map_msgs/GridMap of layers; values become float32."""
     ny, nx = next(iter(layers.values())).shape
     middle = (origin[0] + (nx - 1) / 2 * resolution, origin[1] + (ny - 1) / 2 * resolution, 0.0)
     pose = make(
@@ -59,7 +59,7 @@ def grid_map_from_layers(
 
 
 def layers_from_grid_map(message: Any) -> MapLayers:
-    """The layers of a map whose axes are its frame's.
+    """Layers of a grid map whose axes are those of its frame.
 
     Raises:
         LogError: the map is turned, or a layer's layout is not grid_map's.
@@ -78,7 +78,7 @@ def layers_from_grid_map(message: Any) -> MapLayers:
 
 
 def _matrix(layer: Float[np.ndarray, "ny nx"]) -> Any:
-    """Column by column, each along -x, columns along -y: that is our rows, both axes turned round."""
+    """A layer column by column, each along -x, columns along -y: our rows with both axes reversed."""
     ny, nx = layer.shape
     columns = make("std_msgs/MultiArrayDimension", label="column_index", size=ny, stride=ny * nx)
     rows = make("std_msgs/MultiArrayDimension", label="row_index", size=nx, stride=nx)

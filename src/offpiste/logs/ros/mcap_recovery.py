@@ -1,4 +1,4 @@
-"""Messages of an MCAP file that lost its end, or that rosbags refuses: read from its start, without the index."""
+"""Recovery of MCAP files without their end, or that rosbags refuses: read from the start, without the index."""
 
 import struct
 import zlib
@@ -25,15 +25,15 @@ _FORMATS = {
     "omgidl": MessageDefinitionFormat.IDL,
 }
 _DAMAGE = (McapError, struct.error, ValueError, OverflowError, RuntimeError, zstandard.ZstdError)
-"""What mcap, lz4 and zstandard raise on bytes that are not what they should be."""
+"""Errors of mcap, lz4 and zstandard on damaged bytes."""
 
 
 class StreamedMcap:
-    """The part of rosbags' reader that `BagLog` needs; messages come in the order of the file.
+    """A reader like rosbags', as far as `BagLog` needs it; messages come in the order of the file.
 
     Attributes:
         connections: one a channel, with the number of its whole messages.
-        warnings: what is missing, in words.
+        warnings: missing parts, in words.
 
     Raises:
         LogError: the file holds no whole record of a channel.
@@ -121,7 +121,7 @@ class StreamedMcap:
 
 
 def _unpack(chunk: Chunk, *, whole: bool) -> bytes:
-    """What a chunk holds; of one that is cut short, as much as can be decompressed."""
+    """Decompressed content of a chunk; as much as possible of one that is cut short."""
     data: bytes = chunk.data
     if chunk.compression == "zstd":
         data = zstandard.ZstdDecompressor().decompressobj().decompress(data)

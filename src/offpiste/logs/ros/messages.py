@@ -27,7 +27,7 @@ uint16 inner_start_index
 
 @functools.cache
 def message_types() -> Typestore:
-    """Every message type that offpiste writes; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
+    """All message types that offpiste writes; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"))
     store.register(get_types_from_msg(_GRID_MAP, "grid_map_msgs/msg/GridMap"))
@@ -63,5 +63,5 @@ def quaternion(xyzw: Any) -> Any:
 
 
 def floats(values: Any) -> Any:
-    """An array as a message's float64 sequence takes it."""
+    """An array for a float64 sequence of a message."""
     return np.atleast_1d(np.asarray(values, dtype=np.float64))

@@ -13,7 +13,7 @@ _CODES = {name: code for code, name in _TYPES.items()}
 
 
 def points_from_message(message: Any) -> np.ndarray:
-    """The points of a PointCloud2 as records [height * width], row by row, each field in its own type.
+    """Points of a PointCloud2 as records [height * width], row by row, each field in its own type.
 
     Fields may come in any order, with gaps between them, and in either byte order; points that are not finite are
     kept. Fields without a name, and repeated ones, are padding and left out.

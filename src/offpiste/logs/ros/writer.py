@@ -11,9 +11,9 @@ from offpiste.errors import LogError
 from offpiste.logs.ros.messages import message_types
 
 _CHUNK_TIME = 10**9
-"""A chunk is closed, and reaches the operating system, once it spans this [ns]: what a killed recorder loses."""
+"""Longest time that a chunk spans before it reaches the operating system [ns]: what a killed recorder loses."""
 _CHUNK_SIZE = 4 << 20
-"""The same for its size [bytes]: what the writer keeps in memory, twice."""
+"""Largest size of a chunk before that [bytes]; the writer keeps up to two in memory."""
 
 
 class _Entry(NamedTuple):
@@ -73,7 +73,7 @@ class McapWriter:
             self._hand_over()
 
     def close(self) -> None:
-        """Write what is left, the index and the end; done when the `with` block ends."""
+        """Write the rest, the index and the end; called when the `with` block ends."""
         if self._file.closed:
             return
         try:
