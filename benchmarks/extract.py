@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows

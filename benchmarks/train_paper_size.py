@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT, FEATURE_SETS
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import add_drive, create, drive_names

@@ -19,12 +19,12 @@ from rich.table import Table
 from experiments.command import run
 from experiments.perturbed_sensors import stretch
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, differences, feature_range, valid_rates, within_reach
-from offpiste.dataset.passes import Passes, find_passes
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.visual_features import with_visual_features
+from offpiste.dataset.wheel_passes import Passes, find_passes
 from offpiste.files import write_text
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map

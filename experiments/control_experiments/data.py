@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.ground_truth import FeatureSource
-from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.ground_truth_features import FeatureSource
+from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_starts import MIN_HINDSIGHT
@@ -57,7 +57,7 @@ def driven_dataset(
     """Simulate what is missing of some drives and extract them into `folder/dataset.zarr`.
 
     Args:
-        pca: visual features; else `features` of `dataset.ground_truth`.
+        pca: visual features; else `features` of `dataset.ground_truth_features`.
         snapshot_seconds, min_hindsight: of `dataset.make.make_dataset`.
     """
     logs = [folder / "logs" / f"{drive.name}.mcap" for drive in drives]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import PARTS, Split

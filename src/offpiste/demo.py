@@ -17,8 +17,9 @@ from offpiste.closed_loop.drive_course import CourseDrive, described, drive_cour
 from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.fit_pca import fit_pca, write_image_list
-from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.fit_pca import fit_pca
+from offpiste.dataset.image_list import write_image_list
+from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.box_plots import grouped_box_plot

@@ -29,7 +29,7 @@ def test_a_part_that_stays_empty_is_warned_of(tmp_path: Path, monkeypatch: pytes
 
 
 def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> None:
-    from offpiste.dataset.validation import MADE_BY, refuse_unlike
+    from offpiste.dataset.store_validation import MADE_BY, refuse_unlike
 
     found = dict.fromkeys(MADE_BY, 1) | {
         "split": "blocks:0.7,0.1,0.2",

@@ -5,8 +5,8 @@ import pytest
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset import feature_coverage
-from offpiste.dataset.cells import Cells
-from offpiste.dataset.passes import find_passes
+from offpiste.dataset.cells_under_wheels import Cells
+from offpiste.dataset.wheel_passes import find_passes
 
 SETS = len(FEATURE_SETS)
 NEAR, FAR = FEATURE_SETS.index("0"), FEATURE_SETS.index("10")

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.splits import GAP, PARTS, _place_labels, empty_parts, parse_split, window_starts, write_drives
+from offpiste.dataset.splits import GAP, PARTS, _place_labels, empty_parts, parse_split, write_drives
+from offpiste.dataset.window_starts import window_starts
 from offpiste.errors import DatasetError
 
 REACH = HISTORY_STEPS + HORIZON_STEPS

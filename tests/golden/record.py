@@ -35,7 +35,7 @@ from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.windows import Batch, UnderWheels, Windows
+from offpiste.dataset.windows import Batch, FeaturesUnderWheels, Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.errors import OffpisteError
@@ -182,7 +182,7 @@ def batch_of(vehicle: Vehicle) -> Batch:
         terrain=at.source.terrain,
         target=target,
         target_actuators=torch.zeros(WINDOWS, STEPS, 4, dtype=torch.float64),
-        ground=UnderWheels(
+        ground=FeaturesUnderWheels(
             torch.as_tensor(features),
             torch.as_tensor(valid),
             torch.as_tensor(draw.integers(0, cells + 1, (WINDOWS, 10, 4))),

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from factories import MemoryLog, small_rig
-from offpiste.dataset.passes import find_passes
 from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.splits import window_starts
+from offpiste.dataset.wheel_passes import find_passes
+from offpiste.dataset.window_starts import window_starts
 from offpiste.errors import RigError
 from offpiste.logs import read_drive
 from offpiste.logs.channel import Channel

@@ -12,10 +12,10 @@ import pytest
 from factories import circle_rows, small_rig
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset import store
-from offpiste.dataset.cells import Cells
-from offpiste.dataset.passes import find_passes
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import parse_split
+from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.visualization.coverage import covered, passes_of
 from offpiste.visualization.view_dataset import DRIVES_A_PAGE, pages

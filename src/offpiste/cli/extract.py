@@ -43,7 +43,7 @@ class Extract:
     def run(self) -> int:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
-        from offpiste.dataset.snapshots import SnapshotSettings
+        from offpiste.dataset.map_snapshots import SnapshotSettings
         from offpiste.mapping.sensor_mapper import MapperSettings
         from offpiste.rig.rig import load_rig
 

@@ -37,7 +37,8 @@ class FitPca:
 
     def run(self) -> int:
         """Choose images, fit, write."""
-        from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
+        from offpiste.dataset.fit_pca import fit_pca
+        from offpiste.dataset.image_list import read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
         from offpiste.perception.backbones import open_backbone
         from offpiste.perception.pca import save_pca

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Bool
 
 from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED
-from offpiste.dataset.ground_truth import LAYERS, FeatureSource, truth_map, with_ground_truth
+from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
+from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.rows import Rows
-from offpiste.dataset.snapshots import Due, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, buffers, create, drive_names, open_dataset
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
@@ -64,10 +64,11 @@ def extract_drive(job: Job, report: Report) -> str:
         extractor = load_feature_extractor(job.pca, job.device)
         notes += _seen_by_pca(extractor, rows, job)
         replay = job.replay or MapperSettings()
-        with buffers(job.out, job.name) as folder:
+        with temporary_folder(job.out, job.name) as folder:
             writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, extractor.channels)
             settings = job.snapshots or SnapshotSettings()
-            keeper = SnapshotKeeper(writer, Due(_starts(rows, job, settings.parts), settings), settings.margin)
+            schedule = SnapshotSchedule(_starts(rows, job, settings.parts), settings)
+            keeper = SnapshotKeeper(writer, schedule, settings.margin)
             rows = with_visual_features(rows, sensors, job.rig, extractor, replay, snapshots=keeper, report=report)
             writer.close()
             stored = add_drive(
@@ -151,7 +152,7 @@ def make_dataset(
     """Extract drives into a dataset; drives that are in it already are left as they are.
 
     Args:
-        features: what a simulator says of the ground under the wheels (`dataset.ground_truth.LAYERS`).
+        features: what a simulator says of the ground under the wheels (`dataset.ground_truth_features.LAYERS`).
         pca: instead, visual features: a file of `fit-pca`, which names its backbone.
         device: that the backbone runs on.
         min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).

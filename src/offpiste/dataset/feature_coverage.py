@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.cells import Cells
-from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
-from offpiste.dataset.passes import Passes
+from offpiste.dataset.cells_under_wheels import Cells
+from offpiste.dataset.feature_set_recorder import DISTANCES, TOLERANCE
+from offpiste.dataset.wheel_passes import Passes
 
 PAPER_RATES: Final = (1.0, 0.87, 0.92, 0.92, 0.84, 0.65, 0.42, 0.21)
 """Rates of valid data by feature set in the paper, which calls them occlusion percentages."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.conventions import DT
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.columns import COLUMNS
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.errors import DatasetError
@@ -117,17 +117,6 @@ def empty_parts(split: Split) -> tuple[str, ...]:
     if split.kind == "drives":
         return tuple(part for part in PARTS if part not in {given for _, given in split.drives})
     return ()
-
-
-def window_starts(
-    usable: Bool[np.ndarray, " N"], *, history: int = HISTORY_STEPS, horizon: int = HORIZON_STEPS
-) -> Int[np.ndarray, " n"]:
-    """Rows t at which rows t - history ... t + horizon are all usable."""
-    run = np.concatenate(([0], np.cumsum(usable)))
-    length = history + horizon + 1
-    if len(usable) < length:
-        return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(run[length:] - run[:-length] == length) + history
 
 
 def _with_gaps(label: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:

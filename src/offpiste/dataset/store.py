@@ -15,12 +15,12 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.columns import COLUMNS
+from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
 from offpiste.dataset.rows import OWN_COLUMNS, Rows, rows_from_arrays
-from offpiste.dataset.snapshots import Snapshots, open_snapshots
 from offpiste.dataset.splits import Split, parse_split
-from offpiste.dataset.validation import refuse_invalid, refuse_unlike
+from offpiste.dataset.store_validation import refuse_invalid, refuse_unlike
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
@@ -160,7 +160,7 @@ def add_drive(
 
 
 @contextmanager
-def buffers(path: Path, name: str) -> Iterator[Path]:
+def temporary_folder(path: Path, name: str) -> Iterator[Path]:
     """A folder beside the drives of a dataset for what one of them needs while it is made; removed afterwards."""
     folder = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=path))
     try:

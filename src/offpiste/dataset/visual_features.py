@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from offpiste.conventions import DT
-from offpiste.dataset.cells import Cells
-from offpiste.dataset.feature_sets import CellFeatureSets, FeatureSetRecorder
-from offpiste.dataset.passes import find_passes
+from offpiste.dataset.cells_under_wheels import Cells
+from offpiste.dataset.feature_set_recorder import FeatureSetRecorder, MapCellValues
+from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotWriter, crop
 from offpiste.dataset.rows import Rows
-from offpiste.dataset.snapshots import Due, SnapshotWriter, crop
+from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.replay import Moment, pinhole_cameras, replay
 from offpiste.mapping.sensor_mapper import MapperSettings
@@ -33,7 +33,7 @@ class SnapshotKeeper:
     """
 
     writer: SnapshotWriter
-    due: Due
+    due: SnapshotSchedule
     margin: float
 
     def look(self, moment: Moment, rows: Rows) -> None:
@@ -90,18 +90,18 @@ def with_visual_features(
     return replace(rows, normal=normal.astype(np.float32), cells=cells)
 
 
-def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], CellFeatureSets]:
+def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], MapCellValues]:
     first = np.floor(layers.origin / layers.resolution).astype(np.int64)  # the origin is a centre: cell i starts at i
     ny, nx = layers.elevation.shape
 
-    def read(cells: np.ndarray) -> CellFeatureSets:
+    def read(cells: np.ndarray) -> MapCellValues:
         at = cells - first
         inside = np.asarray(((at >= 0) & (at < [nx, ny])).all(axis=1))
         column, row = np.where(inside[:, None], at, 0).T
         valid, ground = inside & layers.valid[row, column], inside & layers.known[row, column]
         normal = layers.normal[row, column].astype(np.float32)
         known = inside & np.isfinite(normal).all(axis=1)
-        return CellFeatureSets(
+        return MapCellValues(
             features=np.where(valid[:, None], layers.features[row, column], np.nan).astype(np.float32),
             valid=valid,
             distance=np.where(valid, layers.distance[row, column], np.nan).astype(np.float32),

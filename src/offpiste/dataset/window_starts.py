@@ -6,13 +6,23 @@ Where windows start: complete, in one part, fast enough, and on ground that was 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.conventions import FEATURE_SETS, HORIZON_STEPS, MIN_EVALUATION_SPEED
-from offpiste.dataset.cells import Cells
+from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.rows import Rows
-from offpiste.dataset.splits import window_starts
 
 MIN_HINDSIGHT = 0.5
 """Share of the ground under the wheels along a window that must have features in hindsight; 0 keeps every window."""
+
+
+def window_starts(
+    usable: Bool[np.ndarray, " N"], *, history: int = HISTORY_STEPS, horizon: int = HORIZON_STEPS
+) -> Int[np.ndarray, " n"]:
+    """Rows t at which rows t - history ... t + horizon are all usable."""
+    run = np.concatenate(([0], np.cumsum(usable)))
+    length = history + horizon + 1
+    if len(usable) < length:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(run[length:] - run[:-length] == length) + history
 
 
 def seen_in_hindsight(cells: Cells) -> Float[np.ndarray, " N"]:

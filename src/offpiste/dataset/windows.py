@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
-from offpiste.dataset.cells import CellTable, Normals, UnderWheels
+from offpiste.dataset.cells_under_wheels import CellTable, FeaturesUnderWheels
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
+from offpiste.dataset.normals_under_wheels import NormalsUnderWheels
 from offpiste.dataset.rows import OWN_COLUMNS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
@@ -46,7 +47,7 @@ class Batch:
     terrain: Terrain
     target: Float[Tensor, "B T 6"]
     target_actuators: Float[Tensor, "B T A"]
-    ground: UnderWheels | None = None
+    ground: FeaturesUnderWheels | None = None
     extra: Mapping[str, Mapping[Segment, Tensor]] = field(default_factory=dict)
 
 
@@ -110,7 +111,7 @@ class Windows:
         if start != "causal":
             self._columns["state_causal"] = self._columns["state"]
         self._state, self._start = self._columns["state"], self._columns["state_causal"]
-        self._normals = Normals([r.normal for r in rows], self.device)
+        self._normals = NormalsUnderWheels([r.normal for r in rows], self.device)
         self._valid = self._joined([r.valid for r in rows])
         cells = [r.cells for r in rows if r.cells is not None]
         self._cells = CellTable(cells, self.device) if dataset.features else None

@@ -11,7 +11,7 @@ from pathlib import Path
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
-from offpiste.dataset.snapshots import SnapshotSettings
+from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset, drive_names, open_dataset
 from offpiste.dataset.windows import Windows

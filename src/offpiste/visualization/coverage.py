@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset import feature_coverage
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, PAPER_RATES
-from offpiste.dataset.passes import Passes, find_passes
 from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.wheel_passes import Passes, find_passes
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.report.text_table import TextTable, number

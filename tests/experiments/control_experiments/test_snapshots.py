@@ -9,7 +9,7 @@ import torch
 
 from experiments.control_experiments.snapshots import own_drives, read_as_stored, read_on_snapshot
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.snapshots import SnapshotWriter, crop, open_snapshots
+from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap

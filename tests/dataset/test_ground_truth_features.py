@@ -8,7 +8,7 @@ import torch
 
 from factories import circle_rows, small_rig
 from offpiste.dataset import store
-from offpiste.dataset.ground_truth import with_ground_truth
+from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid

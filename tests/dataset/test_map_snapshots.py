@@ -10,8 +10,15 @@ import torch
 
 from factories import circle_rows, small_rig
 from offpiste.dataset import store
-from offpiste.dataset.ground_truth import with_ground_truth
-from offpiste.dataset.snapshots import CHUNK, Due, SnapshotSettings, SnapshotWriter, crop, open_snapshots
+from offpiste.dataset.ground_truth_features import with_ground_truth
+from offpiste.dataset.map_snapshots import (
+    CHUNK,
+    SnapshotSchedule,
+    SnapshotSettings,
+    SnapshotWriter,
+    crop,
+    open_snapshots,
+)
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.dataset.windows import Windows
@@ -105,10 +112,10 @@ def test_snapshots_keep_their_distance_and_their_number():
     starts[100:900] = True
     other = np.zeros(1000, bool)
     other[905:990] = True
-    due = Due([starts, other], SnapshotSettings(seconds=0.5))
+    due = SnapshotSchedule([starts, other], SnapshotSettings(seconds=0.5))
     rows = [row for row in range(0, 1000, 5) if due.at(row)]
     assert rows == [*range(100, 900, 25), *range(905, 990, 25)]
-    few = Due([starts], SnapshotSettings(seconds=0.1, most=10))
+    few = SnapshotSchedule([starts], SnapshotSettings(seconds=0.1, most=10))
     assert [row for row in range(1000) if few.at(row)] == list(range(100, 900, 80))
     assert not few.at(-3)
     assert not few.at(5000)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.feature_sets import TOLERANCE, CellFeatureSets, FeatureSetRecorder
-from offpiste.dataset.passes import PAUSE, find_passes
+from offpiste.dataset.feature_set_recorder import TOLERANCE, FeatureSetRecorder, MapCellValues
+from offpiste.dataset.wheel_passes import PAUSE, find_passes
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
 RESOLUTION, REACH = 0.5, 48.0
@@ -29,13 +29,13 @@ class ChangingMap:
         self.seed = seed
 
     def at(self, step: int):
-        def read(cells: np.ndarray) -> CellFeatureSets:
+        def read(cells: np.ndarray) -> MapCellValues:
             column, row = cells.T
             mixed = (column * 7919 + row * 104729 + step * 31 + self.seed) % 97
             valid = mixed % 3 > 0
             value = np.where(valid, mixed.astype(float), np.nan)
             up = np.tile([0.0, 0.6, 0.8], (len(cells), 1))
-            return CellFeatureSets(value[:, None], valid, mixed / 2.0, mixed / 4.0, up)
+            return MapCellValues(value[:, None], valid, mixed / 2.0, mixed / 4.0, up)
 
         return read
 

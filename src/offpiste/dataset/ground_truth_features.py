@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from offpiste.dataset.cells import Cells
+from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.rows import Rows
 from offpiste.errors import LogError
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map

@@ -74,7 +74,7 @@ class CellList:
         return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
 
 
-class Due:
+class SnapshotSchedule:
     """Tells at which rows a snapshot is wanted, as a drive goes by.
 
     Args:

@@ -6,8 +6,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.dataset.cells import ArrayPieces, Cells, CellTable, Normals
+from offpiste.dataset.array_reader import ArrayReader
+from offpiste.dataset.cells_under_wheels import Cells, CellTable
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
+from offpiste.dataset.normals_under_wheels import NormalsUnderWheels
 from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2
@@ -69,7 +71,7 @@ def on_disk(array: np.ndarray, path) -> np.memmap:
 
 def test_pieces_on_disk_are_those_in_memory(tmp_path):
     array = np.random.default_rng(0).normal(size=(3, 11, 2, 5)).astype(np.float32)
-    mapped = ArrayPieces(on_disk(array, tmp_path / "a"))
+    mapped = ArrayReader(on_disk(array, tmp_path / "a"))
     for lead, first, count in ((0, 0, 11), (2, 3, 8), (1, 5, 0), (2, 10, 1)):
         out = np.empty((count, 2, 5), np.float32)
         mapped.read(lead, first, out)
@@ -78,7 +80,7 @@ def test_pieces_on_disk_are_those_in_memory(tmp_path):
 
 def test_a_file_that_is_cut_short_is_told(tmp_path):
     array = np.ones((2, 4), np.float32)
-    slabs = ArrayPieces(on_disk(array, tmp_path / "a"))
+    slabs = ArrayReader(on_disk(array, tmp_path / "a"))
     with (tmp_path / "a").open("r+b") as file:
         file.truncate(20)
     with pytest.raises(EOFError, match="cut short"):
@@ -90,7 +92,7 @@ def test_normals_of_a_window_are_of_its_set(tmp_path, disk):
     rng = np.random.default_rng(1)
     arrays = [rng.normal(size=(SETS, rows, 4, 3)).astype(np.float32) for rows in (30, 20)]
     given_ = [on_disk(a, tmp_path / str(n)) for n, a in enumerate(arrays)] if disk else arrays
-    normals, start = Normals(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
+    normals, start = NormalsUnderWheels(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
     whole = np.concatenate(arrays, axis=1)
     for feature_set_choice in (
         FeatureSetChoice(rng.integers(0, SETS, (4, 1))),
