@@ -112,11 +112,11 @@ def reading(log: Path, rig: Rig, pca: Path) -> None:
             windows.gather(index)
             times.append(time.perf_counter() - began)
         print(f"windows with features: {1024 / np.median(times):,.0f} a second")
-        snapped = windows.judged(5)[:32]
+        snapped = windows.evaluation_indices(5)[:32]
         began = time.perf_counter()
         windows.maps.of(snapped)
         size = sum(f.stat().st_size for f in (Path(folder) / "d.zarr").rglob("snapshots/**/*") if f.is_file())
-        count = len(windows.judged(5))
+        count = len(windows.evaluation_indices(5))
         print(
             f"snapshots: {len(snapped) / (time.perf_counter() - began):.0f} a second, {size / count / 1e6:.1f} MB each"
         )

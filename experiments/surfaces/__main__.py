@@ -71,7 +71,7 @@ class Trial:
         dataset = self.data() if labels is None else relabelled(self.data(), labels)
         windows = Windows(dataset, "test")
         weights = torch.tensor(run.weights.in_order())
-        index = windows.judged(EVALUATION_STRIDE)
+        index = windows.evaluation_indices(EVALUATION_STRIDE)
         return prediction_errors(run.dynamics, windows, index, lookup="recorded", scale=run.scale, weights=weights)
 
 

@@ -127,7 +127,7 @@ def made(path: Path) -> store.Dataset:
     for number in range(2):
         rows = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), tilted(), small_rig()).rows
         part = SPLIT.label("", rows.state[:, :2] + rows.origin)
-        with store.buffers(path, "snapshots") as folder:
+        with store.temporary_folder(path, "snapshots") as folder:
             writer = SnapshotWriter(folder / "s", 0.25, 2)
             for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
                 state = rows.state_causal[row].astype(np.float64)
@@ -142,12 +142,12 @@ def test_predictions_read_snapshots_as_they_read_the_whole_map(tmp_path):
     dataset = made(tmp_path / "d.zarr")
     assert not list((tmp_path / "d.zarr").glob(".*"))
     windows = Windows(dataset, "test")
-    index = windows.judged(5)
+    index = windows.evaluation_indices(5)
     assert 4 < len(index) < len(windows.every(5))
     assert np.array_equal(index, np.flatnonzero(windows.maps.snapped))
     whole = [dataclasses.replace(drive, snapshots=None) for drive in dataset.drives]
     plain = Windows(dataclasses.replace(dataset, drives=tuple(whole)), "test")
-    assert np.array_equal(plain.judged(5), plain.every(5))
+    assert np.array_equal(plain.evaluation_indices(5), plain.every(5))
     generator = torch.Generator().manual_seed(0)
     # As far as 5 s reach at these speeds, and further: there a snapshot knows nothing.
     state = torch.randn(len(index), 6, generator=generator) * torch.tensor([8.0, 8.0, 2.0, 1.0, 1.0, 1.0])
@@ -169,7 +169,7 @@ def test_parts_without_snapshots_are_judged_on_all_windows(tmp_path):
     dataset = made(tmp_path / "d.zarr")
     windows = Windows(dataset, "validation")
     assert not windows.maps.snapped.any()
-    assert np.array_equal(windows.judged(5), windows.every(5))
+    assert np.array_equal(windows.evaluation_indices(5), windows.every(5))
 
 
 def test_a_dataset_says_that_its_snapshots_are_damaged(tmp_path):

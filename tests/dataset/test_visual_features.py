@@ -147,7 +147,7 @@ def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Data
 
 def test_predicted_places_are_looked_up_in_snapshots(dataset: Dataset) -> None:
     windows = Windows(dataset, "test")
-    index = windows.judged(5)
+    index = windows.evaluation_indices(5)
     maps, number = windows.maps.of(index)
     found = MapTerrain(
         maps, torch.as_tensor(number), windows.places(index), windows.wheels, lambda f, valid: valid[:, None].float()

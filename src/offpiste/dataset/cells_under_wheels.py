@@ -32,10 +32,10 @@ class Cells:
 
 @dataclass(frozen=True)
 class FeaturesUnderWheels:
-    """Features of the ground cells that a batch of windows touches, each once.
+    """Features of the ground cells that a batch of windows touches, each cell once.
 
     Attributes:
-        features: of the cells; the last one is the cell that is not there.
+        features: of the cells; the last one stands for wheels on no cell, all NaN.
         valid: whether a cell has features.
         past: number of the cell under each wheel at rows t-10 ... t-1.
         ahead: the same at rows t ... t+T-1.
@@ -48,7 +48,7 @@ class FeaturesUnderWheels:
 
 
 class CellTable:
-    """The cells of all drives; their features are read when windows ask for them.
+    """Cells of all drives; their features are read when windows need them.
 
     Args:
         cells: of the drives, in the order of their rows.
@@ -62,7 +62,7 @@ class CellTable:
             [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, self._first[:-1], strict=True)]
         )
         self._valid = np.concatenate([c.valid for c in cells], axis=1)
-        self._slabs = [ArrayReader(c.features) for c in cells]
+        self._readers = [ArrayReader(c.features) for c in cells]
         self._channels, self._device = cells[0].features.shape[2], device
 
     @property
@@ -73,7 +73,7 @@ class CellTable:
     def under(
         self, rows: Int[np.ndarray, "B R"], feature_set_choice: FeatureSetChoice, history: int = 0
     ) -> FeaturesUnderWheels:
-        """What lies under the wheels at rows.
+        """Features of the cells under the wheels at rows.
 
         Args:
             rows: of each window, rising.
@@ -109,7 +109,7 @@ class CellTable:
     def _read(self, features: np.ndarray, valid: np.ndarray, chosen: int, low: int, flags_only: bool) -> None:
         drive = int(np.searchsorted(self._first, low, side="right")) - 1
         read = 0 if flags_only else chosen
-        self._slabs[drive].read(read, low - int(self._first[drive]), features)
+        self._readers[drive].read(read, low - int(self._first[drive]), features)
         valid[:] = self._valid[read, low : low + len(valid)]
         if flags_only:
             valid &= self._valid[chosen, low : low + len(valid)]

@@ -1,6 +1,6 @@
-"""One drive from its log into a dataset: read, bring to 50 Hz, look at the ground, write whole or not at all.
+"""Logs in, dataset out: the split is made once, every drive is extracted by itself, several at a time.
 
-Logs in, dataset out: split once, every drive extracted by itself, several at a time.
+A drive is read, brought to 50 Hz, given its ground, and written whole or not at all.
 """
 
 import logging
@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Job:
-    """What a process needs to know to extract one drive (`dataset.make.make_dataset`)."""
+    """What a process needs to extract one drive (`make_dataset`)."""
 
     log: Path
     name: str
@@ -50,7 +50,7 @@ class Job:
 
 
 def extract_drive(job: Job, report: Report) -> str:
-    """Extract a drive; says what it has become.
+    """Extract a drive; returns its description.
 
     Raises:
         LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
@@ -82,7 +82,7 @@ def extract_drive(job: Job, report: Report) -> str:
 
 
 def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str, ...]:
-    """A warning if the PCA was fitted on what shall validate or test."""
+    """A warning if the PCA was fitted on rows that are for validation or test here."""
     about = extractor.pca.fitted_on
     if job.name not in about.get("logs", ()) or about.get("split") == job.split.text:
         return ()
@@ -98,7 +98,7 @@ def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str
 
 
 def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray, " N"]]:
-    """For each of some parts, the rows at which windows start."""
+    """Rows at which windows start, for each of some parts."""
     part = job.split.label(job.name, rows.state[:, :2] + rows.origin)
     found = []
     for number in (PARTS.index(name) for name in parts):
@@ -152,10 +152,10 @@ def make_dataset(
     """Extract drives into a dataset; drives that are in it already are left as they are.
 
     Args:
-        features: what a simulator says of the ground under the wheels (`dataset.ground_truth_features.LAYERS`).
+        features: true properties of simulated ground (`dataset.ground_truth_features.LAYERS`).
         pca: instead, visual features: a file of `fit-pca`, which names its backbone.
         device: that the backbone runs on.
-        min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).
+        min_hindsight: least share of the ground seen in hindsight along a window (`window_starts.enough_hindsight`).
         snapshots, replay: of visual features.
         processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
 
@@ -173,7 +173,7 @@ def make_dataset(
     if empty := empty_parts(parts):
         logger.warning(f"the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
     if pca is not None and features != "none":
-        raise DatasetError(f"both a PCA and '{features}' features are asked for", how="leave out one of them")
+        raise DatasetError(f"both a PCA and '{features}' features are given", how="leave out one of them")
     if not 0 <= min_hindsight <= 1:
         raise DatasetError(f"min-hindsight is {min_hindsight:g}", how="give a share from 0 to 1")
     extractor = load_feature_extractor(pca, device) if pca is not None else None
@@ -196,7 +196,7 @@ def make_dataset(
 
 def _useless(empty: Sequence[str]) -> str:
     return "models cannot be " + " or ".join(
-        [*(["trained"] if {"train", "validation"} & set(empty) else []), *(["judged"] if "test" in empty else [])]
+        [*(["trained"] if {"train", "validation"} & set(empty) else []), *(["evaluated"] if "test" in empty else [])]
     )
 
 
@@ -205,7 +205,7 @@ def _refuse_failed(failed: Sequence[OffpisteError], out: Path) -> None:
         raise failed[0]
     if failed:
         raise DatasetError(
-            f"{len(failed)} logs could not be extracted, as said above; the others were",
+            f"{len(failed)} logs could not be extracted (see above); the others were",
             where=out,
-            how="mend or leave out those logs and run it again: it goes on where it stopped",
+            how="fix or leave out those logs and run it again: it resumes where it stopped",
         )

@@ -1,7 +1,7 @@
 """What the visual features of a dataset cover: valid rates, distances and differences by feature set.
 
 The paper's numbers on them are in its section "Learning Distance-Independent Compression". A cell counts once a pass.
-Functions take the cells of one or several drives, which are told apart by nothing.
+Functions take the cells of one or several drives and pool them.
 """
 
 from collections.abc import Iterator, Sequence

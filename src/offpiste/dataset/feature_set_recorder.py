@@ -10,15 +10,15 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.wheel_passes import Passes
 
 TOLERANCE = 5.0
-"""A view of a set is taken within this of its distance [m]."""
+"""Largest difference between a feature set's distance and the vehicle's when it is recorded [m]."""
 
 DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
-"""Of the feature sets but hindsight [m]."""
+"""Distances of the feature sets besides hindsight [m]."""
 
 
 @dataclass(frozen=True)
 class MapCellValues:
-    """What a map holds of some cells at one moment.
+    """Values of some cells of a map at one moment.
 
     Attributes:
         features: NaN where not `valid`.
@@ -40,7 +40,7 @@ Read = Callable[[Int[np.ndarray, "K 2"]], MapCellValues]
 
 
 class FeatureSetRecorder:
-    """Watches a growing map and keeps, for every pass, what each feature set asks for.
+    """Keeps, for every pass, the values of a growing map that each feature set asks for.
 
     The set of distance d holds the map's value at the update when the horizontal distance from the pose point to the
     cell's centre, negative after first contact, was nearest to d, if within `TOLERANCE`: whether that was valid or not.
@@ -67,7 +67,7 @@ class FeatureSetRecorder:
         self.normal[..., 2] = 1
 
     def update(self, time: float, xy: Float[np.ndarray, " 2"], read: Read) -> None:
-        """The map has changed.
+        """Take in the map after a scan.
 
         Args:
             time: [s].
@@ -87,23 +87,23 @@ class FeatureSetRecorder:
         signed = np.where(time > p.contact[active], -away, away)
         miss = np.abs(signed - DISTANCES[:, None])
         better = (miss <= TOLERANCE) & (miss < self._nearest[1:, active])
-        feature_set_choice = read(p.cell[active])
+        values = read(p.cell[active])
         for number in range(1, len(FEATURE_SETS)):
             chosen = better[number - 1]
             self._nearest[number, active[chosen]] = miss[number - 1, chosen]
-            self._keep(number, active, feature_set_choice, chosen)
-        self._keep(0, active, feature_set_choice, feature_set_choice.valid)
+            self._keep(number, active, values, chosen)
+        self._keep(0, active, values, values.valid)
 
     def _keep(
         self,
         number: int,
         active: Int[np.ndarray, " K"],
-        feature_set_choice: MapCellValues,
+        values: MapCellValues,
         chosen: Bool[np.ndarray, " K"],
     ) -> None:
         where = active[chosen]
-        self.features[number, where] = feature_set_choice.features[chosen]
-        self.valid[number, where] = feature_set_choice.valid[chosen]
-        self.distance[number, where] = feature_set_choice.distance[chosen]
-        self.elevation[number, where] = feature_set_choice.elevation[chosen]
-        self.normal[number, where] = feature_set_choice.normal[chosen]
+        self.features[number, where] = values.features[chosen]
+        self.valid[number, where] = values.valid[chosen]
+        self.distance[number, where] = values.distance[chosen]
+        self.elevation[number, where] = values.elevation[chosen]
+        self.normal[number, where] = values.normal[chosen]

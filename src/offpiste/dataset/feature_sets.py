@@ -29,17 +29,17 @@ def same_feature_set(count: int, number: int) -> FeatureSetChoice:
 
 
 def set_number(name: str, stored: int) -> int:
-    """Number of a feature set in a dataset that stores so many.
+    """Number of a feature set in a dataset that stores `stored` of them.
 
     Raises:
-        DatasetError: no such set, or the dataset has views from one distance only.
+        DatasetError: no such set, or the dataset has one feature set only.
     """
     if name not in FEATURE_SETS:
         raise DatasetError(f"no feature set '{name}'", how=f"sets are {', '.join(FEATURE_SETS)}")
     number = FEATURE_SETS.index(name)
     if number >= stored:
         raise DatasetError(
-            f"holds no views by distance, so no set '{name}'", how="extract visual features (`extract --pca`)"
+            f"has no feature sets by distance, so no set '{name}'", how="extract visual features (`extract --pca`)"
         )
     return number
 

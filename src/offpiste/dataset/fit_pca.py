@@ -31,11 +31,11 @@ logger = logging.getLogger(__name__)
 
 
 SPACING = 2.0
-"""Candidates lie so far apart [m]."""
+"""Distance between candidate images of a camera [m]."""
 
 
 NEAR = 0.01
-"""A listed image is the one whose stamp is this near [s]."""
+"""Largest difference between the listed time and the stamp of an image [s]."""
 
 
 class FittedPca(NamedTuple):
@@ -46,7 +46,7 @@ class FittedPca(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """An image that the PCA may look at."""
+    """An image that the PCA may be fitted on."""
 
     log: int
     camera: str
@@ -74,7 +74,7 @@ def fit_pca(
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
     found: list[Candidate] = []
-    with jobs_bar(len(logs), "looking for images") as show:
+    with jobs_bar(len(logs), "finding images") as show:
         for number, log in enumerate(logs):
             # Listed images need not lie apart.
             spacing = SPACING if isinstance(images, int) else 0.0
@@ -105,7 +105,7 @@ def _listed(image: ListedImage, found: Sequence[Candidate], names: Sequence[str]
             return number
     raise PerceptionError(
         f"image '{image.drive} {image.camera} {image.time:.6f}' is not in the training part of these logs",
-        how="remove it from the list; nothing else may be looked at",
+        how="remove it from the list; only the training part may be used",
     )
 
 

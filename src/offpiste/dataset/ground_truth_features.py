@@ -1,4 +1,4 @@
-"""A simulator's true ground properties in the place of visual features: what no camera can exceed."""
+"""A simulator's true ground properties in the place of visual features: an upper bound for any camera."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.rig.rig import Rig
 
 REACH = 75.0
-"""Metres around the driven path that a prediction of 5 s may read."""
+"""Reach of a prediction of 5 s around the driven path [m]."""
 
 
 FeatureSource = Literal["none", "ground-truth", "ground-kind"]
@@ -59,7 +59,7 @@ def truth_map(log: str | Path, names: Sequence[str]) -> TerrainMap:
 def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     """Put the true normals and features under the wheels of a drive.
 
-    The wheels' places are those of a vehicle that stands level, as predictions have them.
+    Wheels are where they are on a level vehicle, as in predictions.
     """
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     known = np.isfinite(xy).all(axis=1)

@@ -1,4 +1,4 @@
-"""The map as it was when a window starts, for the windows that validate and test: what a planner would have read.
+"""The map as it was when a window starts, for windows of validation and test: what a planner would have read.
 
 A snapshot is cropped to what five seconds can reach and holds only cells of which something is known.
 """
@@ -17,20 +17,20 @@ from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.mapping.terrain_map import TerrainMap
 
 CELL_ARRAYS = ("place", "elevation", "rise", "features")
-"""Of a `CellList`, on disk one after the other."""
+"""Arrays of a `CellList`; on disk those of all snapshots lie one after the other."""
 
 CHUNK = 8192
-"""Cells in a chunk of the store: a snapshot has some ten thousand."""
+"""Cells in a chunk of the store; a snapshot has some ten thousand."""
 
 
 @dataclass(frozen=True)
 class SnapshotSettings:
-    """Which windows get one, and how far it reaches.
+    """Which windows get a snapshot, and how far it reaches.
 
     Attributes:
-        seconds: at most one in so long [s].
+        seconds: least time between two snapshots of a part [s].
         parts: whose windows get one; training needs none.
-        most: of one part of one drive; a longer part has them further apart.
+        most: snapshots of one part of one drive; a longer part has them further apart.
         margin: the map is kept within this and half the way of five seconds at the window's first speed, around the
             place half that way straight ahead [m].
     """
@@ -62,7 +62,7 @@ class CellList:
     features: Float16[np.ndarray, "C F"]
 
     def terrain_map(self, resolution: float) -> TerrainMap:
-        """The map that they are of."""
+        """The map again, NaN in all other cells."""
         ny, nx = self.shape
 
         def spread(values: np.ndarray) -> np.ndarray:
@@ -75,10 +75,10 @@ class CellList:
 
 
 class SnapshotSchedule:
-    """Tells at which rows a snapshot is wanted, as a drive goes by.
+    """Decides at which rows a snapshot is taken, as a drive is replayed.
 
     Args:
-        starts: for each part that is judged, the rows at which its windows start.
+        starts: for each part that is evaluated, the rows at which its windows start.
     """
 
     def __init__(self, starts: Sequence[Bool[np.ndarray, " N"]], settings: SnapshotSettings) -> None:
@@ -176,7 +176,7 @@ class SnapshotWriter:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Snapshots of one drive, read when they are asked for.
+    """Snapshots of one drive, read when windows need them.
 
     Attributes:
         resolution: of the maps [m].

@@ -43,6 +43,6 @@ def _across_jumps(drive: Drive, time: Float[np.ndarray, " N"]) -> Bool[np.ndarra
     """Rows whose motion would be estimated from samples on both sides of a jump."""
     across, window = np.zeros(len(time), bool), max(drive.rig.motion.window, 2 * DT)
     for before, after in find_jumps(drive.channels["position"], drive.channels.get("orientation")):
-        # Targets look half a window to either side, causal states a whole one back.
+        # Targets use half a window to either side, causal states a whole one back.
         across |= (time > before - window / 2) & (time < after + window)
     return across

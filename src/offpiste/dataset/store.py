@@ -52,8 +52,8 @@ class Dataset:
 
     Attributes:
         features: names of the terrain features under each wheel; empty for a dataset without.
-        min_hindsight: windows with less of their ground seen in hindsight are left out (`dataset.hindsight`).
-        pca: what tells the PCA that made visual features from others (`PrincipalComponents.identity`).
+        min_hindsight: least share of the ground seen in hindsight along a window (`window_starts.enough_hindsight`).
+        pca: identity of the PCA that made visual features (`PrincipalComponents.identity`).
     """
 
     path: Path
@@ -78,7 +78,7 @@ def create(
     pca: str | None = None,
     min_hindsight: float = 0.0,
 ) -> None:
-    """Begin a dataset, or go on with one that was made alike; what a killed run left half done is removed.
+    """Begin a dataset, or resume one that was begun alike; what a killed run left half done is removed.
 
     Raises:
         DatasetError: there is something else at `path`, or it was made otherwise.
@@ -110,7 +110,7 @@ def create(
 
 
 def drive_names(path: Path) -> list[str]:
-    """Drives that a dataset holds whole."""
+    """Names of the drives that a dataset holds whole."""
     return sorted(f.name for f in path.iterdir() if (f / "zarr.json").exists() and not f.name.startswith("."))
 
 
@@ -126,7 +126,7 @@ def add_drive(
     """Write one drive into a dataset, whole or not at all.
 
     Args:
-        terrain: what its features were read from; kept where predictions are judged on it.
+        terrain: what its features were read from; kept where predictions are evaluated on it.
         snapshots: a folder of a `SnapshotWriter`, which is moved into the dataset.
 
     Raises:
@@ -134,11 +134,11 @@ def add_drive(
     """
     if (path / name).exists():
         raise DatasetError(
-            f"already holds a drive '{name}'", where=path, how="rename the log: drives are told apart by their names"
+            f"already holds a drive '{name}'", where=path, how="rename the log: drives are identified by their names"
         )
     part = split.label(name, rows.state[:, :2] + rows.origin)
 
-    judged = terrain is not None and bool(np.any(part > 0))
+    evaluated = terrain is not None and bool(np.any(part > 0))
 
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
@@ -146,7 +146,7 @@ def add_drive(
         _write_arrays(group, {**rows.arrays(), "part": part})
         if rows.cells is not None:
             _write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
-        if terrain is not None and judged:
+        if terrain is not None and evaluated:
             about = {"origin": terrain.origin.tolist(), "resolution": terrain.resolution}
             arrays = {"elevation": terrain.elevation, "features": terrain.features}
             _write_arrays(group.create_group("map", attributes=about), arrays)
@@ -154,14 +154,14 @@ def add_drive(
             snapshots.replace(partial / SNAPSHOTS)
 
     _write_whole(path / name, write)
-    load_map = (lambda: _read_map(path, name)) if judged else None
+    load_map = (lambda: _read_map(path, name)) if evaluated else None
     kept = open_snapshots(path / name / SNAPSHOTS) if snapshots is not None else None
     return StoredDrive(name, rows, part, notes, load_map, kept)
 
 
 @contextmanager
 def temporary_folder(path: Path, name: str) -> Iterator[Path]:
-    """A folder beside the drives of a dataset for what one of them needs while it is made; removed afterwards."""
+    """Folder beside the drives of a dataset for files that one of them needs while it is made; removed afterwards."""
     folder = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=path))
     try:
         yield folder
@@ -187,7 +187,7 @@ def open_dataset(path: str | Path) -> Dataset:
     """Read a dataset.
 
     Raises:
-        DatasetError: none there, of another version, without drives, or a drive that is cut short or unsound.
+        DatasetError: none there, of another version, without drives, or a drive that is cut short or invalid.
     """
     path = Path(path)
     attributes = _attributes(path)
@@ -198,7 +198,7 @@ def open_dataset(path: str | Path) -> Dataset:
     names = drive_names(path)
     if not names:
         raise DatasetError(
-            "holds no drive", where=path, how="run `offpiste extract` again; it goes on where it stopped"
+            "holds no drive", where=path, how="run `offpiste extract` again; it resumes where it stopped"
         )
     rig = msgspec.convert(attributes["rig"], type=Rig)
     split = stored_split(attributes["split"], attributes["split_drives"])

@@ -1,4 +1,4 @@
-"""A dataset keeps what it promises: it goes on as it was begun, and rows that are said to be complete are."""
+"""Validation of a dataset's files: it is resumed only as it was begun, and rows marked complete are complete."""
 
 from pathlib import Path
 from typing import Any
@@ -14,22 +14,22 @@ MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hin
 """What all drives of a dataset must share."""
 
 
-def refuse_unlike(path: Path, found: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Raise if a dataset was made otherwise than is asked for.
+def refuse_unlike(path: Path, stored: dict[str, Any], wanted: dict[str, Any]) -> None:
+    """Raise if a dataset was begun with other settings.
 
     Args:
         path: of the dataset.
-        found, asked: its attributes, as JSON has them.
+        stored, wanted: its attributes, as JSON has them.
 
     Raises:
         DatasetError: names the first attribute that differs, with both values where they are short.
     """
     for key in MADE_BY:
-        there, here = found.get(key), asked[key]
+        there, here = stored.get(key), wanted[key]
         if key == "split" and all(str(text).startswith("drives:") for text in (there, here)):
             continue  # the parts count, not the file that names them
         if there != here:
-            both = "" if key in ("rig", "split_drives") else f": it has {_short(there)}, asked for is {_short(here)}"
+            both = "" if key in ("rig", "split_drives") else f": it has {_short(there)}, wanted is {_short(here)}"
             raise DatasetError(
                 f"already holds a dataset with another {key}{both}",
                 where=path,
@@ -38,7 +38,7 @@ def refuse_unlike(path: Path, found: dict[str, Any], asked: dict[str, Any]) -> N
 
 
 def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: bool) -> None:
-    """Raise if a drive would put what is not finite into a model, or has no cells where the dataset names features.
+    """Raise if complete rows of a drive are not finite, or if it has no cells where the dataset names features.
 
     Args:
         path: of the dataset.
@@ -53,7 +53,7 @@ def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: 
             continue
         broken = np.flatnonzero(rows.valid & ~column.complete(rows.column(key), rig))
         if len(broken):
-            what = f"'{key}' is not finite in {len(broken)} rows that are marked complete, from row {broken[0]} on"
+            what = f"'{key}' is not finite in {len(broken)} rows that are marked complete, the first is row {broken[0]}"
             raise DatasetError(f"drive '{name}': {what}", where=path, how=how)
     if needs_cells and rows.cells is None:
         raise DatasetError(f"drive '{name}' has none of the features that the dataset names", where=path, how=how)

@@ -1,4 +1,4 @@
-"""Visual features for the rows of a drive: what the map held of every cell under the wheels, by distance."""
+"""Visual features for the rows of a drive: what the map held of every cell under the wheels, by feature set."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
 UP = np.array([0, 0, 1], np.float32)
-"""The normal where none is known."""
+"""Surface normal where none is known."""
 
 
 @dataclass(frozen=True)
@@ -28,18 +28,18 @@ class SnapshotKeeper:
     """Keeps the map as it was when windows start.
 
     Attributes:
-        writer, due: where to, and when.
+        writer, schedule: where to, and when.
         margin: of `SnapshotSettings` [m].
     """
 
     writer: SnapshotWriter
-    due: SnapshotSchedule
+    schedule: SnapshotSchedule
     margin: float
 
-    def look(self, moment: Moment, rows: Rows) -> None:
+    def update(self, moment: Moment, rows: Rows) -> None:
         """Keep the map of this moment if a window starts in the row that follows it."""
         row = int(np.ceil((moment.time - rows.time[0]) / DT - 1e-6))
-        if self.due.at(row):
+        if self.schedule.at(row):
             state = rows.state_causal[row].astype(np.float64)
             state[:2] += rows.origin
             self.writer.add(row, crop(moment.layers.terrain_map(), state, self.margin))
@@ -55,11 +55,11 @@ def with_visual_features(
     snapshots: SnapshotKeeper | None = None,
     report: Callable[[float], None] = lambda share: None,
 ) -> Rows:
-    """Play a drive's sensors back and keep what its cells looked like (paper, "Dataset Extraction").
+    """Replay a drive's sensors and record the features of its cells (paper, "Dataset Extraction").
 
     Args:
         snapshots: keeps the map where windows start that validate and test.
-        report: is told the share of the drive that was played.
+        report: is given the share of the drive that was played.
 
     Raises:
         LogError: the log's sensors are damaged or of no use.
@@ -69,23 +69,21 @@ def with_visual_features(
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=grid.size, jumps=log.poses.jumps)
-    feature_sets_recorder = FeatureSetRecorder(
-        passes, resolution=grid.size, reach=grid.reach, features=extractor.channels
-    )
+    recorder = FeatureSetRecorder(passes, resolution=grid.size, reach=grid.reach, features=extractor.channels)
     cameras = pinhole_cameras(log, extractor.patch)
     for moment in replay(log, cameras, extractor.extract, extractor.channels, settings):
-        feature_sets_recorder.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
+        recorder.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
         if snapshots is not None:
-            snapshots.look(moment, rows)
+            snapshots.update(moment, rows)
         report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
     under = passes.index
-    normal = np.where((under >= 0)[None, :, :, None], feature_sets_recorder.normal[:, under], UP)
+    normal = np.where((under >= 0)[None, :, :, None], recorder.normal[:, under], UP)
     cells = Cells(
         under,
-        feature_sets_recorder.features,
-        feature_sets_recorder.valid,
-        feature_sets_recorder.distance,
-        feature_sets_recorder.elevation,
+        recorder.features,
+        recorder.valid,
+        recorder.distance,
+        recorder.elevation,
     )
     return replace(rows, normal=normal.astype(np.float32), cells=cells)
 

@@ -1,4 +1,4 @@
-"""When wheels pass over which ground cells (docs/method.md, "Conventions", feature sets)."""
+"""When wheels pass over which ground cells; feature sets are kept for each pass (docs/method.md)."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int, Int32
 
 PAUSE = 10.0
-"""A wheel that enters a cell after more than this time without one begins a new pass [s]."""
+"""Pause without a wheel on a cell after which the next contact begins a new pass [s]."""
 
 
 @dataclass(frozen=True)
 class Passes:
-    """Passes of a vehicle over cells, numbered by their beginning.
+    """Passes of a vehicle over cells, in the order of their beginning.
 
     Attributes:
         cell: column and row of the cell on the world-aligned grid, which covers from (column, row) to (column + 1,
@@ -38,14 +38,14 @@ def find_passes(
     resolution: float,
     jumps: Float[np.ndarray, "j 2"] | None = None,
 ) -> Passes:
-    """Passes of a drive.
+    """Find the passes of a drive.
 
     Args:
         time: of the rows, rising [s].
         xy: of the pose point, in the world frame; NaN where unknown [m].
         wheels: places of the wheels [m].
         resolution: size of a cell [m].
-        jumps: of the poses, the moments before and after [s]: no pass goes on across one, nor is watched across it.
+        jumps: of the poses, the moments before and after [s]: no pass continues across one.
     """
     jumps = np.zeros((0, 2)) if jumps is None else jumps
     known = np.isfinite(wheels).all(axis=(1, 2)) & np.isfinite(xy).all(axis=1)
@@ -96,7 +96,7 @@ def _farthest(
     stop = np.searchsorted(time, before, side="right")
     found = np.empty(len(centre))
     for p in range(len(centre)):
-        # Nobody looks at the whole drive: only a return to a place needs more than the start of it.
+        # On the first pass that is the start of the drive: only a return to a place needs the search.
         if not np.isfinite(after[p]):
             found[p] = time[0]
             continue

@@ -1,4 +1,4 @@
-"""The maps that predictions are judged on: one of a whole drive, or a snapshot for each window."""
+"""The maps that predictions are evaluated on: one of a whole drive, or a snapshot for each window."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -56,7 +56,7 @@ class WindowMaps:
         return bool(self.snapped.any()) or any(drive.load_map is not None for drive in self._drives)
 
     def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack, Int[np.ndarray, " B"]]:
-        """Maps, and which of them each of some windows reads; -1 where it has none."""
+        """Maps of some windows, and the number of the map that each reads; -1 where it has none."""
         if self.snapped.any():
             return self._snapshots(index)
         if self._whole is None:

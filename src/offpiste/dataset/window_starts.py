@@ -1,7 +1,4 @@
-"""Windows of which too little of the ground was ever seen (paper: all of the hindsight data are valid).
-
-Where windows start: complete, in one part, fast enough, and on ground that was seen.
-"""
+"""Where windows start: complete, in one part, fast enough, and on ground that was seen."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,7 +8,7 @@ from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.rows import Rows
 
 MIN_HINDSIGHT = 0.5
-"""Share of the ground under the wheels along a window that must have features in hindsight; 0 keeps every window."""
+"""Least share of the ground under the wheels along a window with features in hindsight (paper: all); 0 keeps all."""
 
 
 def window_starts(
@@ -61,7 +58,7 @@ def evaluation_starts(
 
     Args:
         mine: rows that belong to the part.
-        min_hindsight: of `dataset.hindsight`.
+        min_hindsight: least share of the ground that was seen in hindsight (`enough_hindsight`).
         min_speed: of the causal estimate at t [m/s].
         horizon: predicted steps.
     """

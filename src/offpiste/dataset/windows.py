@@ -81,7 +81,7 @@ class Windows:
         start: "causal" starts from the estimate that was known at the time, "smoothed" from the target's.
         min_speed: of the causal estimate at the start [m/s].
         horizon: predicted steps.
-        feature_set: that features and normals are of, where a batch asks for no other; of `conventions.FEATURE_SETS`.
+        feature_set: of `conventions.FEATURE_SETS`; features and normals are read from it where a batch names no other.
         device: where batches are made.
 
     Raises:
@@ -159,13 +159,13 @@ class Windows:
         return np.flatnonzero(row % stride == phase % stride)
 
     def reading(self, feature_set: str) -> "Windows":
-        """The same windows, of another feature set."""
+        """The same windows with another feature set."""
         other = copy(self)
         other._set = set_number(feature_set, self.sets)
         return other
 
-    def judged(self, stride: int) -> Int[np.ndarray, " n"]:
-        """Indices of the windows that models are judged on: those with a snapshot of the map, where there are any."""
+    def evaluation_indices(self, stride: int) -> Int[np.ndarray, " n"]:
+        """Indices of the windows that models are evaluated on: those with a snapshot of the map, if there are any."""
         return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.every(stride)
 
     def row_in_drive(self, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
@@ -176,7 +176,7 @@ class Windows:
         """A batch of windows by their indices.
 
         Args:
-            views: which feature sets they read.
+            feature_set_choice: which feature sets they read; by default the one of these windows.
         """
         feature_set_choice = feature_set_choice or same_feature_set(len(index), self._set)
         segments = self._segments(index)

@@ -103,7 +103,13 @@ def evaluate_models(
             case,
             model,
             windows,
-            compute(model.dynamics, windows, windows.judged(stride), lookup=case.lookup, description=_described(case)),
+            compute(
+                model.dynamics,
+                windows,
+                windows.evaluation_indices(stride),
+                lookup=case.lookup,
+                description=_described(case),
+            ),
         )
         for case, model, windows in _every_reading(models, dataset, part, starts, readings, device)
     ]

@@ -196,7 +196,7 @@ def fit_planes(first, last, blocks, radius, size, buffers):  # type: ignore[no-u
     Args:
         radius: of the windows [cells].
         size: of a cell [m].
-        scratch: reads x, y, height; writes rise_x, rise_y, centre, residual (`flatten_kernels.Buffers`).
+        buffers: reads x, y, height; writes rise_x, rise_y, centre, residual (`voxels_to_layers.Buffers`).
     """
     n, window = buffers.height.shape[0], 2 * radius + 1
     for block in range(first, last):

@@ -1,0 +1,47 @@
+"""Extraction: warnings before any log is read, and which windows of a drive get a snapshot of the map."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factories import circle_rows, small_rig
+from offpiste.dataset import extract
+from offpiste.dataset.extract import Job, _starts, make_dataset
+from offpiste.dataset.splits import GAP, PARTS, parse_split
+from offpiste.errors import DatasetError
+
+ROWS = 6000
+
+
+@pytest.mark.parametrize(
+    ("split", "warnings"),
+    [
+        ("blocks:0.7,0.1,0.2", []),
+        (
+            "blocks:1,0,0",
+            ["the split blocks:1,0,0 leaves nothing for validation and test: models cannot be trained or evaluated"],
+        ),
+        ("blocks:0.8,0.2,0", ["the split blocks:0.8,0.2,0 leaves nothing for test: models cannot be evaluated"]),
+    ],
+)
+def test_a_part_that_stays_empty_is_warned_of(split, warnings, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(extract, "run_all", lambda *arguments: [])
+    with caplog.at_level(logging.INFO, "offpiste"), pytest.raises(DatasetError, match="holds no drive"):
+        make_dataset(["one.csv"], small_rig(), tmp_path / "d.zarr", split=split)
+    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [("WARNING", w) for w in warnings]
+
+
+@pytest.mark.parametrize("parts", [("validation", "test"), ("train", "validation"), ("test",)])
+def test_windows_of_the_parts_that_are_asked_for(parts: tuple[str, ...]) -> None:
+    split = parse_split("blocks:0.5,0.25,0.25")
+    job = Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), split)
+    found = _starts(circle_rows(ROWS, seed=0, speed=5), job, parts)
+    # Blocks end at 3000, 4500 and 6000; the first rows of all but the first block are the gap.
+    edges = dict(zip(PARTS, ((0, 3000), (3000 + GAP, 4500), (4500 + GAP, ROWS)), strict=True))
+    for starts, name in zip(found, parts, strict=True):
+        first, last = edges[name]
+        assert len(starts) == ROWS
+        assert np.flatnonzero(starts)[[0, -1]].tolist() == pytest.approx([first + 10, last - 251], abs=5)
+        assert starts.sum() > 100
