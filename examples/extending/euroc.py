@@ -81,8 +81,8 @@ class EurocLog(Log):
         width, height = found["resolution"]
         fx, fy, cx, cy = found["intrinsics"]
         matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        distortion, model = tuple(found["distortion_coefficients"]), MODELS[found["distortion_model"]]
-        return CameraModel(width, height, matrix, () if rectified else distortion, model), np.eye(4)
+        distortion, model = tuple(found["distortion_coefficients"]), found["distortion_model"]
+        return CameraModel(width, height, matrix, () if rectified else distortion, MODELS.get(model, model)), np.eye(4)
 
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
         """Images of the PNG files that the table names."""

@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 
 from extending.outside import EXTENSIONS, offpiste
+from factories import RIG as SMALL_RIG
 from offpiste.dataset.store import open_dataset
 from offpiste.rig.rig import parse_rig
 
 START = 1_400_000_000_000_000_000
 """First stamp [ns]."""
 SPEED = 2.0
-RIG = """
-name = "euroc"
-absent = ["throttle", "brake", "steer", "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
-[vehicle]
-mass = 800.0
-max_steer = 0.4
-pose_point = "the rear axle"
-wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
+HEAD = SMALL_RIG.split("[channels")[0].replace("absent = [", 'absent = ["throttle", "brake", "steer", ')
+RIG = f"""{HEAD}
 [channels.position]
 topic = "state_groundtruth_estimate0"
 fields = ["p_RS_R_x", "p_RS_R_y", "p_RS_R_z"]

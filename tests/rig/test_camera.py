@@ -1,0 +1,39 @@
+"""The camera model: projection and its inverse for all distortion models; bad calibrations."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from camera_models import MODELS
+from offpiste.errors import PerceptionError
+from offpiste.rig.camera import CameraModel
+
+
+@pytest.fixture(params=MODELS)
+def model(request: pytest.FixtureRequest) -> CameraModel:
+    return MODELS[request.param]
+
+
+def test_unprojecting_undoes_projecting(model: CameraModel):
+    rays = np.random.default_rng(0).uniform(-0.7, 0.7, size=(200, 2))
+    pixels = model.project(np.column_stack((rays, np.ones(200))))
+    inside = ((pixels > 0) & (pixels < [639, 479])).all(axis=1)
+    assert inside.sum() > 100
+    assert np.allclose(model.unproject(pixels[inside]), rays[inside], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"distortion_model": "double_sphere"}, r"^camera: unknown distortion model 'double_sphere'; known"),
+        ({"distortion_model": ""}, "unknown distortion model ''"),
+        ({"distortion": (0.1, 0.2)}, "2 distortion coefficients, plumb_bob has 0 or 4 or 5"),
+        ({"matrix": np.zeros((3, 3))}, "uncalibrated: its focal length is 0"),
+        ({"matrix": np.full((3, 3), np.nan)}, "calibration is not finite"),
+        ({"width": 0}, "an image of 0x480 pixels"),
+    ],
+)
+def test_bad_calibrations_are_named(change: dict, message: str):
+    with pytest.raises(PerceptionError, match=message):
+        dataclasses.replace(MODELS["plumb_bob"], **change).validate("camera")
