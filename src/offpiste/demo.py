@@ -1,12 +1,8 @@
-"""What the demo ends with: `b` against `dc` by the distance that ground was seen from, as a table and a picture.
-
-The whole path on the proving ground: simulate, inspect, look, extract, train, judge, and drive a course.
-"""
+"""The whole path on simulated drives: simulate, inspect, extract, train, evaluate `b` against `dc`, drive a course."""
 
 import json
 import logging
 import shutil
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -50,39 +46,39 @@ logger = logging.getLogger(__name__)
 BASELINE, MODEL = "b", "dc"
 MAP = "map, predicted places"
 
-Read = dict[str, dict[str, Errors]]
-"""Errors by where the ground is read, and by model."""
+ErrorsByReading = dict[str, dict[str, Errors]]
+"""Errors by where the terrain is read, and by model."""
 
 
 def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> None:
-    """Say and draw how far `b` and `dc` are off after 5 s; the picture goes to `folder/distance.png`."""
-    read = by_reading(evaluation)
-    table, picture = compared(read), folder / "distance.png"
-    boxes = {place: {name: errors.distance() for name, errors in models.items()} for place, models in read.items()}
+    """Log and draw the errors of `b` and `dc` after 5 s; the figure goes to `folder/distance.png`."""
+    errors = errors_by_reading(evaluation)
+    table, picture = comparison_table(errors), folder / "distance.png"
+    boxes = {place: {name: e.distance() for name, e in models.items()} for place, models in errors.items()}
     title = f"Demo: {BASELINE} and {MODEL}, trained on {_seconds(dataset, 'train'):.0f} s"
     write_png(picture, grouped_box_plot(boxes, title=title, axis="features seen from [m]"))
-    logger.info(table.rich())
+    logger.info(table.text())
     logger.info(table.about)
-    logger.info(conclusion(gain_of(read[MAP]) if MAP in read else gain_of(next(iter(read.values()))), dataset))
-    reference = next(errors for case, errors in evaluation.errors.items() if case.label == REFERENCE)
+    logger.info(conclusion(gain_of(errors[MAP]) if MAP in errors else gain_of(next(iter(errors.values()))), dataset))
+    reference = next(e for case, e in evaluation.errors.items() if case.label == REFERENCE)
     logger.info(
         f"For scale: '{REFERENCE}', a bicycle at constant speed, is off by {reference.distance().mean():.2f} m."
     )
     logger.info(
-        "More driving: `offpiste reproduce fig4 --size laptop` (two hours); measured results stand in docs/results.md."
+        "More driving: `offpiste reproduce fig4 --size laptop` (two hours); measured results are in docs/results.md."
     )
     logger.info(f"picture: {picture}")
     logger.info(f"report: {folder / 'report.html'}")
 
 
-def by_reading(evaluation: Evaluation) -> Read:
-    """Errors of both models on the same windows, by the view that the ground is read from, and on the map."""
-    found: Read = {}
+def errors_by_reading(evaluation: Evaluation) -> ErrorsByReading:
+    """Errors of both models on the same windows, by feature set at recorded places, and on the map."""
+    by_reading: ErrorsByReading = {}
     for place, reading in {**{name: ("recorded", name) for name in FEATURE_SETS}, MAP: ("map", None)}.items():
         models = {c.label: e for c, e in evaluation.errors.items() if (c.lookup, c.feature_set) == reading}
         if {BASELINE, MODEL} <= models.keys():
-            found[place] = {name: models[name] for name in (BASELINE, MODEL)}
-    return found
+            by_reading[place] = {name: models[name] for name in (BASELINE, MODEL)}
+    return by_reading
 
 
 def gain_of(models: dict[str, Errors]) -> PairedDifference:
@@ -91,11 +87,11 @@ def gain_of(models: dict[str, Errors]) -> PairedDifference:
     return relative(mine.distance(), other.distance(), Sampling().on(mine))
 
 
-def compared(read: Read) -> TextTable:
-    """Mean distance errors after 5 s."""
+def comparison_table(errors: ErrorsByReading) -> TextTable:
+    """Mean distance errors after 5 s of both models, a line per place where the terrain is read."""
     lines = []
-    for place, models in read.items():
-        means = [summary(errors.distance(), Sampling().on(errors)) for errors in models.values()]
+    for place, models in errors.items():
+        means = [summary(e.distance(), Sampling().on(e)) for e in models.values()]
         gain = gain_of(models)
         low, high = gain.ci95
         lines.append(
@@ -105,25 +101,26 @@ def compared(read: Read) -> TextTable:
                 f"{100 * gain.mean:+.1f} % {interval((100 * low, 100 * high), 1)}",
             )
         )
-    windows = len(next(iter(read.values()))[MODEL].row)
+    windows = len(next(iter(errors.values()))[MODEL].row)
     about = (
         f"Intervals: 95 %, over blocks of 10 s; none with fewer than {MIN_BLOCKS} blocks. Both models read the slope as"
-        " seen from there.\nAll lines but the last read the ground under the wheels' recorded future places, which"
-        " tells a model how far the\nvehicle went. The last one reads the map where predictions go, as a planner does:"
+        " seen from there.\nAll lines but the last read the terrain under the wheels' recorded future places, which"
+        " gives away how far the\nvehicle went. The last one reads the map where predictions go, as a planner does:"
         " it decides."
     )
     title = f"Mean distance error after 5 s [m] on {windows} windows of the test drives"
-    return TextTable(title, ("ground", *read[next(iter(read))], f"{MODEL} against {BASELINE}"), tuple(lines), about)
+    return TextTable(
+        title, ("terrain", *next(iter(errors.values())), f"{MODEL} against {BASELINE}"), tuple(lines), about
+    )
 
 
 def conclusion(gain: PairedDifference, dataset: Dataset) -> str:
-    """What may be said of `dc` against `b`, and what may not."""
-    driven = (
-        f"{_seconds(dataset, 'train'):.0f} s of driving to learn from and {_seconds(dataset, 'test'):.0f} s to judge"
-    )
+    """Sentence on `dc` against `b` that claims no more than the interval allows."""
+    train, test = _seconds(dataset, "train"), _seconds(dataset, "test")
+    driven = f"{train:.0f} s of driving to learn from and {test:.0f} s to evaluate on"
     low, high = gain.ci95
     if not np.isfinite([low, high]).all():
-        return f"Nothing can be said of dc against b here: {driven} are too little for an interval."
+        return f"No conclusion on dc against b here: {driven} are too few for an interval."
     if high < 0:
         return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed may say otherwise."
     if low > 0:
@@ -140,28 +137,27 @@ WORLD = "mojave"
 BACKBONE = "filterbank"
 
 PCA_DRIVES = 2
-"""So many drives that train are enough for the PCA."""
+"""Number of training drives that the PCA is fitted on."""
 
 STEPS = 8
-
-Tell = Callable[[object], None]
+"""Number of steps, as shown in the log."""
 
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """How much is simulated and trained: so little that it ends within ten minutes on two cores.
+    """Settings of the demo: so little is simulated and trained that it takes ten minutes on two cores.
 
     Attributes:
-        seconds: of each drive.
+        seconds: length of each drive [s].
         epochs: passes over the training windows.
         seed: of everything.
-        size, resolution: of the worlds [m].
-        images: that the PCA is fitted on.
-        batch: windows a step; small, so that there are some steps.
-        snapshot_seconds: a window is judged at most once in so long [s].
-        parts: of the drives, each in a world of its own.
-        course_seconds: until the driven course ends, wherever the vehicle is.
-        course_speed: wanted along it [m/s].
+        size, resolution: extent and cell size of the worlds [m].
+        images: number of images that the PCA is fitted on.
+        batch: windows per step; small, so that there are some steps.
+        snapshot_seconds: least time between windows that are evaluated [s].
+        parts: parts of the split, one per drive; each drive has a world of its own.
+        course_seconds: time after which the driven course ends, wherever the vehicle is [s].
+        course_speed: wanted speed along the course [m/s].
     """
 
     seconds: float = 60.0
@@ -178,13 +174,13 @@ class DemoSettings:
 
 
 def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
-    """Make everything in `out`; what is there already from an earlier demo with the same settings is used again.
+    """Run the demo in `out`; results of an earlier demo with the same settings are used again.
 
     Args:
-        processes: drives that are simulated or extracted at a time; 0: one a core.
+        processes: drives that are simulated or extracted at a time; 0: one per core.
 
     Raises:
-        OffpisteError: as the stages do; e.g. `out` holds a demo of other settings.
+        OffpisteError: a stage failed, or `out` holds a demo with other settings.
     """
     claim_folder(out, {"demo": asdict(settings)})
     rig, processes = load_rig("proving_ground"), processes or usable_cores()
@@ -202,32 +198,32 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
     report, named = out / "report", " ".join(map(str, runs))
     logger.info(f"6/{STEPS}  offpiste evaluate {named} --dataset {dataset.path} --feature-set all --out {report}")
     evaluation = evaluate_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
-    logger.info(f"7/{STEPS}  what the ground ahead is worth: dc reads its features, b does not")
+    logger.info(f"7/{STEPS}  dc, which reads features of the terrain ahead, against b, which does not")
     report_result(evaluation, dataset, report)
     _drive(runs[-1], out, settings)
 
 
 def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
-    """The drives; no two have the same seed."""
-    found = []
+    """Drives to simulate; no two have the same seed."""
+    recordings = []
     for seed in range(settings.seed, settings.seed + len(settings.parts)):
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
         drive = DriveSettings(world, settings.seconds, seed, sensors="light")
-        found.append(Recording(drive, out / "logs" / f"{WORLD}-{seed}.mcap"))
-    return found
+        recordings.append(Recording(drive, out / "logs" / f"{WORLD}-{seed}.mcap"))
+    return recordings
 
 
 def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int) -> Dataset:
-    """The dataset; the PCA looks at drives that train only."""
+    """Fit the PCA on training drives and extract the dataset."""
     parts, pca, path = out / "parts.txt", out / "pca.safetensors", out / "dataset.zarr"
     split = write_drives(parts, ((log.stem, part) for log, part in zip(logs, settings.parts, strict=True)))
-    looked_at = [log for log, part in zip(logs, settings.parts, strict=True) if part == "train"][:PCA_DRIVES]
-    names = " ".join(map(str, looked_at))
+    pca_logs = [log for log, part in zip(logs, settings.parts, strict=True) if part == "train"][:PCA_DRIVES]
+    names = " ".join(map(str, pca_logs))
     logger.info(
         f"3/{STEPS}  offpiste fit-pca {names} --rig proving_ground --backbone {BACKBONE} --split {split} --out {pca}"
     )
     if not pca.exists():
-        fitted = fit_pca(looked_at, rig, parse_split(split), open_backbone(BACKBONE), images=settings.images)
+        fitted = fit_pca(pca_logs, rig, parse_split(split), open_backbone(BACKBONE), images=settings.images)
         write_image_list(pca.with_suffix(".images.txt"), fitted.images)
         save_pca(pca, fitted.pca)
     logger.info(
@@ -238,7 +234,7 @@ def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, pr
 
 
 def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) -> Path:
-    """The folder of a run. What is the same for all models is fitted with the first."""
+    """Train a model and return its folder; stages that all models share are fitted with the first."""
     folder = out / "runs" / f"{model}-{settings.seed}"
     logger.info(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
     reuse_stages(folder.parent, folder, settings.seed)
@@ -256,7 +252,7 @@ def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) ->
 
 
 def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
-    """A course in a world that no drive has been in, planned with the model."""
+    """Drive a course in a new world, planned with the model."""
     folder, pca = out / "course", out / "pca.safetensors"
     seed = settings.seed + len(settings.parts)
     logger.info(
@@ -267,7 +263,7 @@ def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
         shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
         course = CourseSettings(speed=settings.course_speed)
-        asked = CourseDrive(world, settings.course_seconds, course=course)
-        drive_course(load_planner(run, pca), asked, folder)
+        drive = CourseDrive(world, settings.course_seconds, course=course)
+        drive_course(load_planner(run, pca), drive, folder)
     logger.info(described(json.loads((folder / "result.json").read_text("utf-8"))))
     logger.info(f"picture: {folder / 'drive.png'}")
