@@ -1,4 +1,4 @@
-"""What a dataset or a run may be unfit for: each ends in one line that says what, where and how, and exit code 1."""
+"""What may be wrong with a dataset or a run: each ends in one line that says what, where and how, and exit code 1."""
 
 import shutil
 from collections.abc import Callable
@@ -41,7 +41,7 @@ def copied(good: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def said(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def error_of(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Runs a command that must fail; gives its one line."""
 
     def run(*words: object) -> str:
@@ -71,79 +71,81 @@ def part_of(values: np.ndarray, value: float) -> np.ndarray:
     return values
 
 
-def test_features_that_are_all_missing(copied: Path, good: Path, tmp_path: Path, said: Callable[..., str]) -> None:
+def test_features_that_are_all_missing(copied: Path, good: Path, tmp_path: Path, error_of: Callable[..., str]) -> None:
     change(copied, "cells/valid", np.zeros_like)
     for model in ("cf", "dc"):
-        line = said("train", copied, "--model", model, "--out", tmp_path / model, *QUICK)
+        line = error_of("train", copied, "--model", model, "--out", tmp_path / model, *QUICK)
         assert "all terrain features are missing" in line
         assert str(copied) in line
-    line = said("evaluate", good.parent / "cf", "--dataset", copied, "--out", tmp_path / "report")
+    line = error_of("evaluate", good.parent / "cf", "--dataset", copied, "--out", tmp_path / "report")
     assert "'cf' reads terrain features" in line
     assert not (tmp_path / "report").exists()
 
 
-def test_one_drive(tmp_path: Path, good: Path, said: Callable[..., str]) -> None:
+def test_one_drive(tmp_path: Path, good: Path, error_of: Callable[..., str]) -> None:
     alone = seen_dataset(tmp_path / "one.zarr", ("train",)).path
-    assert "the validation part has no window of 5 s, and no row" in said(
+    assert "the validation part has no window of 5 s, and no row" in error_of(
         "train", alone, "--out", tmp_path / "run", *QUICK
     )
-    line = said("evaluate", good.parent / "b", "--dataset", alone)
+    line = error_of("evaluate", good.parent / "b", "--dataset", alone)
     assert "the test part has no window of 5 s, and no row" in line
     assert "1 drive" in line
 
 
-def test_fewer_windows_than_a_batch(good: Path, tmp_path: Path, said: Callable[..., str]) -> None:
-    line = said("train", good, "--out", tmp_path / "run", "--batch", 5000)
+def test_fewer_windows_than_a_batch(good: Path, tmp_path: Path, error_of: Callable[..., str]) -> None:
+    line = error_of("train", good, "--out", tmp_path / "run", "--batch", 5000)
     assert "fewer than a batch of 5000" in line
     assert not (tmp_path / "run").exists(), "a folder that cannot be filled is not begun"
 
 
 @pytest.mark.parametrize("key", ["state", "state_causal", "control"])
-def test_rows_that_are_not_finite(copied: Path, good: Path, tmp_path: Path, said: Callable[..., str], key: str) -> None:
+def test_rows_that_are_not_finite(
+    copied: Path, good: Path, tmp_path: Path, error_of: Callable[..., str], key: str
+) -> None:
     change(copied, key, lambda values: part_of(values, np.nan))
     for command in (("train", copied, "--out", tmp_path / "run", *QUICK), ("evaluate", good.parent / "b", "--dataset")):
-        line = said(*command, *([copied] if command[0] == "evaluate" else []))
+        line = error_of(*command, *([copied] if command[0] == "evaluate" else []))
         assert f"drive 'circle-0': '{key}' is not finite in 30 rows that are marked complete, the first is" in line
         assert "row 100" in line
 
 
 @pytest.mark.parametrize(("key", "named"), [("normal", "surface normals"), ("cells/features", "terrain features")])
 def test_ground_that_is_not_finite(
-    copied: Path, tmp_path: Path, said: Callable[..., str], key: str, named: str
+    copied: Path, tmp_path: Path, error_of: Callable[..., str], key: str, named: str
 ) -> None:
     change(copied, key, lambda values: np.full_like(values, np.nan))
-    line = said("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
+    line = error_of("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
     assert f"{named} of the dataset are not finite" in line
     assert "extract it again" in line
 
 
 @pytest.mark.parametrize("key", ["cells/features", "state", "part"])
 @pytest.mark.parametrize("left", [50, 0, None])
-def test_a_store_cut_short(copied: Path, good: Path, said: Callable[..., str], key: str, left: int | None) -> None:
+def test_a_store_cut_short(copied: Path, good: Path, error_of: Callable[..., str], key: str, left: int | None) -> None:
     if left is None:
         shutil.rmtree(copied / "circle-3" / key)
     else:
         chunk = next(c for c in (copied / "circle-3" / key / "c").rglob("*") if c.is_file())
         chunk.write_bytes(chunk.read_bytes()[:left])
-    line = said("evaluate", good.parent / "b", "--dataset", copied)
+    line = error_of("evaluate", good.parent / "b", "--dataset", copied)
     assert "drive 'circle-3' cannot be read" in line
     assert f"delete {copied / 'circle-3'} and run `offpiste extract` again" in line
 
 
-def test_a_drive_without_its_cells(copied: Path, good: Path, said: Callable[..., str]) -> None:
+def test_a_drive_without_its_cells(copied: Path, good: Path, error_of: Callable[..., str]) -> None:
     shutil.rmtree(copied / "circle-3" / "cells")
-    assert "none of the features" in said("evaluate", good.parent / "b", "--dataset", copied)
+    assert "none of the features" in error_of("evaluate", good.parent / "b", "--dataset", copied)
 
 
-def test_a_run_judged_on_what_it_was_trained_on(copied: Path, good: Path, said: Callable[..., str]) -> None:
+def test_a_run_evaluated_on_what_it_was_trained_on(copied: Path, good: Path, error_of: Callable[..., str]) -> None:
     change(copied, "part", lambda values: np.full_like(values, 2))
-    assert "was trained on 18 s of the test part of drive 'circle-0'" in said(
+    assert "was trained on 18 s of the test part of drive 'circle-0'" in error_of(
         "evaluate", good.parent / "b", "--dataset", copied
     )
 
 
 @pytest.fixture(scope="module")
-def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def featureless(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset without features, whose logs have neither brake nor engine."""
     path, split = tmp_path_factory.mktemp("blind") / "blind.zarr", parse_split("blocks:0.5,0.25,0.25")
     create(path, small_rig(), split)
@@ -152,17 +154,21 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("model", ["df", "cf", "dc", "hold"])
-def test_a_model_of_features_without_any(blind: Path, tmp_path: Path, said: Callable[..., str], model: str) -> None:
-    assert "reads terrain features and the dataset has none" in said(
-        "train", blind, "--model", model, "--out", tmp_path / "run", *QUICK
+def test_a_model_that_reads_features_and_a_dataset_without_any(
+    featureless: Path, tmp_path: Path, error_of: Callable[..., str], model: str
+) -> None:
+    assert "reads terrain features and the dataset has none" in error_of(
+        "train", featureless, "--model", model, "--out", tmp_path / "run", *QUICK
     )
 
 
-def test_a_dataset_without_what_a_run_reads(good: Path, blind: Path, said: Callable[..., str]) -> None:
-    assert "reads 5 terrain features; the dataset has 0" in said("evaluate", good.parent / "cf", "--dataset", blind)
+def test_a_dataset_without_what_a_run_reads(good: Path, featureless: Path, error_of: Callable[..., str]) -> None:
+    assert "reads 5 terrain features; the dataset has 0" in error_of(
+        "evaluate", good.parent / "cf", "--dataset", featureless
+    )
 
 
-def test_absent_channels(good: Path, tmp_path: Path, said: Callable[..., str]) -> None:
+def test_absent_channels(good: Path, tmp_path: Path, error_of: Callable[..., str]) -> None:
     path, split = tmp_path / "fewer.zarr", parse_split("blocks:0.5,0.25,0.25")
     rig = small_rig()
     dataset = open_dataset(good)
@@ -173,16 +179,16 @@ def test_absent_channels(good: Path, tmp_path: Path, said: Callable[..., str]) -
         name: source for name, source in attributes["rig"]["channels"].items() if name != "throttle"
     }}  # fmt: skip
     assert "throttle" in vehicle_of(dataset).control
-    line = said("evaluate", good.parent / "b", "--dataset", path)
+    line = error_of("evaluate", good.parent / "b", "--dataset", path)
     assert "was trained with control throttle, " in line
     assert "evaluate it on a dataset whose rig has the same channels" in line
 
 
-def test_another_pca(copied: Path, good: Path, said: Callable[..., str], tmp_path: Path) -> None:
+def test_another_pca(copied: Path, good: Path, error_of: Callable[..., str], tmp_path: Path) -> None:
     run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
     (run / "model.json").write_text((run / "model.json").read_text().replace('"pca": null', '"pca": "one"'))
     zarr.open_group(copied, mode="r+").attrs["pca"] = "other"
-    line = said("evaluate", run, "--dataset", copied)
+    line = error_of("evaluate", run, "--dataset", copied)
     assert "reads features of the PCA one; the dataset's are of other" in line
 
 
@@ -202,9 +208,9 @@ def test_another_pca(copied: Path, good: Path, said: Callable[..., str], tmp_pat
     ],
 )
 def test_settings_out_of_range(
-    good: Path, tmp_path: Path, said: Callable[..., str], words: tuple[str, str], why: str
+    good: Path, tmp_path: Path, error_of: Callable[..., str], words: tuple[str, str], why: str
 ) -> None:
-    assert why in said("train", good, "--model", "cf", "--out", tmp_path / "run", *words)
+    assert why in error_of("train", good, "--model", "cf", "--out", tmp_path / "run", *words)
 
 
 def test_settings_that_are_possible() -> None:
@@ -250,7 +256,7 @@ def broken_run(run: Path, how: str) -> None:
         ("not finite", "are not finite"),
     ],
 )
-def test_a_broken_run(good: Path, tmp_path: Path, said: Callable[..., str], how: str, why: str) -> None:
+def test_a_broken_run(good: Path, tmp_path: Path, error_of: Callable[..., str], how: str, why: str) -> None:
     run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
     broken_run(run, how)
-    assert why in said("evaluate", run, "--dataset", good)
+    assert why in error_of("evaluate", run, "--dataset", good)

@@ -48,8 +48,8 @@ def test_the_draft_can_be_read_through(tmp_path: Path) -> None:
     # A mast of 2 m, and the LiDAR half a metre above it.
     sensors = open_sensors(log, rig)
     assert sensors.lidars["top"].body_from_lidar[:3, 3] == pytest.approx([1, 0, 2.5])
-    (said,) = missing(text)
-    assert said.startswith("time of the points of top: they have 't'")
+    (line,) = missing(text)
+    assert line.startswith("time of the points of top: they have 't'")
 
 
 def test_what_the_log_does_not_say_is_missing(tmp_path: Path) -> None:
@@ -57,10 +57,10 @@ def test_what_the_log_does_not_say_is_missing(tmp_path: Path) -> None:
     rig = sensor_rig(text)
     assert not rig.cameras, "a camera without calibration waits in comments"
     assert "# [cameras.front]" in text
-    said = missing(text)
-    assert any(line.startswith("transforms: no TF") for line in said)
-    assert any(line.startswith("calibration of front: no CameraInfo") for line in said)
-    assert any(line.startswith("mounting of top: no fixed transform joins 'lidar' to 'base_link'") for line in said)
+    lines = missing(text)
+    assert any(line.startswith("transforms: no TF") for line in lines)
+    assert any(line.startswith("calibration of front: no CameraInfo") for line in lines)
+    assert any(line.startswith("mounting of top: no fixed transform joins 'lidar' to 'base_link'") for line in lines)
 
 
 def test_two_cameras_have_their_own_calibration_and_name(tmp_path: Path) -> None:
@@ -80,9 +80,9 @@ def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.Capture
     log = recorded(tmp_path / "log.mcap", info=True)
     with pytest.raises(SystemExit):
         main(["inspect", str(log), "--write-rig", str(tmp_path / "my.toml")])
-    said = capsys.readouterr().err
-    assert f"wrote {tmp_path / 'my.toml'}\n" in said
-    assert "  missing: calibration of front" in said
-    assert "  missing: steering: no field looks like it" in said
-    assert "No topic is named like a command." in said
+    printed = capsys.readouterr().err
+    assert f"wrote {tmp_path / 'my.toml'}\n" in printed
+    assert "  missing: calibration of front" in printed
+    assert "  missing: steering: no field looks like it" in printed
+    assert "No topic is named like a command." in printed
     parse_rig((tmp_path / "my.toml").read_text(), where="my.toml")

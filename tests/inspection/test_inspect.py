@@ -239,7 +239,7 @@ def test_a_fault_is_named_with_the_line_that_fixes_it(
         ((ANGLE, ANGLE + '\nunit = "deg"'), "steer_angle", 'channels.steer_angle.unit = "rad"'),
     ],
 )
-def test_a_wrong_rig_is_told_the_right_line(change: tuple[str, str], where: str, remedy: str) -> None:
+def test_a_wrong_rig_gets_the_right_line(change: tuple[str, str], where: str, remedy: str) -> None:
     finding = the_only(complaints(CLEAN, change), where)
     value = finding.remedy.split(";")[0]
     key, _, number = value.partition(" = ")
@@ -267,7 +267,7 @@ def test_a_pose_jump_says_when_and_how_far() -> None:
     assert "at 50.00 s" in finding.evidence or "at 49.98 s" in finding.evidence
 
 
-def test_a_drifting_clock_is_told_by_the_wheels() -> None:
+def test_a_drifting_clock_shows_in_the_speed_of_the_wheels() -> None:
     def late(time: np.ndarray) -> np.ndarray:
         return time + np.interp(time - time[0], [0, 15, 25, 40, 60], [0, 0, 1.0, 1.0, 0.2])
 

@@ -36,21 +36,21 @@ def test_noise_of_the_poses_does_not_pass_for_motion():
     as_planted(found, TURN, 0.08, degrees=0.35, seconds=0.01)
 
 
-def test_straight_at_even_speed_tells_no_delay_and_says_so():
+def test_straight_at_constant_speed_leaves_the_delay_unknown():
     found = check_lidar(world.lidar(), world.scans(late=0.08, straight=True), world.poses(straight=True))
     assert found is not None
     assert found.sigma[3] > 0.05
     assert np.abs(np.rad2deg(found.parameters[1:3])).max() < 0.2
 
 
-def test_a_camera_is_judged_with_its_lidar_set_right():
+def test_a_camera_is_checked_with_its_lidar_corrected():
     turn = np.deg2rad([0.0, 3.0, 0.0])
     wrong, scans, images = world.lidar(turn), world.scans(), world.images()
     right = check_camera(world.camera(), images, wrong, scans, world.poses(), np.append(-turn, 0.0))
     as_planted(right, degrees=0.25, seconds=0.008)
 
 
-def test_a_lidar_that_stamps_late_is_set_right_too():
+def test_a_lidar_that_stamps_late_is_corrected_too():
     late = world.scans(late=0.1)
     right = check_camera(world.camera(), world.images(), world.lidar(), late, world.poses(), np.array([0, 0, 0, 0.1]))
     as_planted(right, degrees=0.25, seconds=0.008)

@@ -35,7 +35,7 @@ def test_a_fifth_of_outliers_does_not_move_it():
     np.testing.assert_allclose(found.parameters, TRUE, atol=5e-4)
 
 
-def test_what_nothing_tells_about_stays_as_unknown_as_before():
+def test_what_the_data_do_not_show_stays_as_uncertain_as_the_prior():
     found = fit_misfit(lambda p: pairs(p, blind=(0, 3)))
     np.testing.assert_allclose(found.parameters[[0, 3]], 0, atol=1e-9)
     np.testing.assert_allclose(found.sigma[[0, 3]], PRIOR[[0, 3]], rtol=1e-6)
@@ -58,7 +58,7 @@ def test_errors_that_pairs_share_count_once_a_pair():
     assert (many.sigma > 0.7 * few.sigma).all()
 
 
-def test_too_few_pairs_tell_nothing():
+def test_too_few_pairs_give_no_misfit():
     assert fit_misfit(lambda p: pairs(p, count=LEAST_PAIRS - 1)) is None
     assert fit_misfit(lambda _: [Pair(np.zeros(0), np.zeros((0, 4)))] * 50) is None
 

@@ -21,13 +21,13 @@ def checked(parameters=(0, 0, 0, 0), sigma=(0.1, 0.1, 0.1, 1.0), *, sensor=LIDAR
     return CheckedSensor(sensor, Misfit(np.array(parameters) * DEGREES, np.array(sigma) * DEGREES, 30, scale))
 
 
-def said(*those):
+def reported(*those):
     return [(f.severity, f.where, f.what) for f in check_mountings(those)]
 
 
 def test_what_is_right_is_not_mentioned():
-    assert said(checked(), checked(sensor=CAMERA)) == []
-    assert said(checked((0.4, -0.3, 0.0, 9.0))) == []  # as good drives show
+    assert reported(checked(), checked(sensor=CAMERA)) == []
+    assert reported(checked((0.4, -0.3, 0.0, 9.0))) == []  # as good drives show
 
 
 @pytest.mark.parametrize(
@@ -41,14 +41,14 @@ def test_what_is_right_is_not_mentioned():
     ],
 )
 def test_a_turn_must_be_large_and_sure(parameters, sigma, found):
-    assert any("looks" in what for _, _, what in said(checked(parameters, sigma))) == found
+    assert any("looks" in what for _, _, what in reported(checked(parameters, sigma))) == found
 
 
 def test_lateness_must_be_large_and_sure():
-    assert said(checked((0, 0, 0, 30))) == [("warning", "top", "is stamped 30 ms too late, against the poses")]
-    assert said(checked((0, 0, 0, -30))) == [("warning", "top", "is stamped 30 ms too early, against the poses")]
-    assert said(checked((0, 0, 0, 30), (0.1, 0.1, 0.1, 7))) == []
-    assert said(checked((0, 0, 0, 300), (0.1, 0.1, 0.1, 25))) == [("note", "top", "was checked in part")]
+    assert reported(checked((0, 0, 0, 30))) == [("warning", "top", "is stamped 30 ms too late, against the poses")]
+    assert reported(checked((0, 0, 0, -30))) == [("warning", "top", "is stamped 30 ms too early, against the poses")]
+    assert reported(checked((0, 0, 0, 30), (0.1, 0.1, 0.1, 7))) == []
+    assert reported(checked((0, 0, 0, 300), (0.1, 0.1, 0.1, 25))) == [("note", "top", "was checked in part")]
 
 
 def test_remedies_are_rig_lines():
@@ -64,7 +64,7 @@ def test_points_without_their_times_are_no_reason_for_a_delay():
     assert late.remedy.startswith('lidars.top.time_field = "t", with its time_unit;')
 
 
-def test_if_all_sensors_say_the_same_it_may_be_the_pose():
+def test_if_all_sensors_agree_the_pose_may_be_off():
     late = (0, 0, 0, 50)
     both = check_mountings([checked(late), checked(late, sensor=CAMERA)])
     assert all("the pose's stamps may be" in f.remedy for f in both)
@@ -75,11 +75,11 @@ def test_if_all_sensors_say_the_same_it_may_be_the_pose():
     assert not any("the pose's" in f.remedy for f in check_mountings([checked(late)]))
 
 
-def test_what_could_not_be_told_is_a_note():
-    assert said(CheckedSensor(CAMERA, None)) == [("note", "front", "could not be checked against the poses")]
+def test_what_could_not_be_checked_is_a_note():
+    assert reported(CheckedSensor(CAMERA, None)) == [("note", "front", "could not be checked against the poses")]
     (note,) = check_mountings([checked(sigma=(3.0, 0.1, 0.1, 90))])
     assert note.evidence == "not known: roll (± 3.0 degrees), delay (± 90 ms)"
 
 
 def test_scans_without_a_common_world():
-    assert said(checked(scale=0.5)) == [("warning", "top", "its scans show no common world")]
+    assert reported(checked(scale=0.5)) == [("warning", "top", "its scans show no common world")]

@@ -43,11 +43,11 @@ def test_turnpike_without_a_rig(unknown: Inspection) -> None:
     assert unknown.summary.speed_max == pytest.approx(14.6, abs=0.5)
     assert "channels.steer.sign = -1" in remedies(unknown)
     assert any(m.startswith("channels.throttle.wrap = {") and "period = 6553.6" in m for m in remedies(unknown))
-    said = {f.where: f for f in unknown.findings}
-    assert said["wheel_rpm[0]"].what == "isolated spikes"
-    assert "copy" in said["cmd[1]"].what
-    assert "0.0 to 1.0 s later" in said["cmd[1]"].evidence
-    assert all(dead in said["fields"].evidence for dead in ("cmd[0]", "shock_pos[0]", "shock_pos[1]"))
+    findings = {f.where: f for f in unknown.findings}
+    assert findings["wheel_rpm[0]"].what == "isolated spikes"
+    assert "copy" in findings["cmd[1]"].what
+    assert "0.0 to 1.0 s later" in findings["cmd[1]"].evidence
+    assert all(dead in findings["fields"].evidence for dead in ("cmd[0]", "shock_pos[0]", "shock_pos[1]"))
 
 
 def test_the_vehicle_bus_has_a_clock_that_drifts(unknown: Inspection) -> None:
@@ -80,9 +80,7 @@ def test_the_preset_leaves_little_to_say(drive: str, request: pytest.FixtureRequ
         ("orientation", {"fields": ("6", "3", "4", "5")}, 'channels.orientation.fields = ["3", "4", "5", "6"]'),
     ],
 )
-def test_a_wrong_preset_is_told_the_right_line(
-    turnpike: Path, name: str, wrong: dict[str, object], remedy: str
-) -> None:
+def test_a_wrong_preset_gets_the_right_line(turnpike: Path, name: str, wrong: dict[str, object], remedy: str) -> None:
     rig = change(load_rig("tartandrive2"), name, **wrong)
     found = inspect_log(open_log(turnpike), rig)
     assert any(m.startswith(remedy) for m in remedies(found)), remedies(found)
@@ -96,11 +94,11 @@ def test_cmd_is_no_command(turnpike: Path) -> None:
 
 
 def test_bags_without_controls_or_pose_are_not_usable(data_folder: Path) -> None:
-    said = {
+    findings = {
         path.name: [f.what for f in inspect_log(open_log(path)).findings if f.severity == "fatal"]
         for path in (data_folder / "bags").iterdir()
     }
-    assert said == {
+    assert findings == {
         "evo_nav2_turtlebot.mcap": ["there is no control channel"],
         "PlotJuggler_tilt_laser.bag": ["no topic looks like a pose (position and heading)"],
         "rosbag2_only_topics.mcap": ["no topic looks like a pose (position and heading)"],

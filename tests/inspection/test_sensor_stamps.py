@@ -75,7 +75,7 @@ def test_driving_starts_where_the_vehicle_moves():
     assert driving(world.poses()) == (0.0, world.poses().span[1])
 
 
-def test_a_calibration_of_another_size_is_said_and_stops_nothing(tmp_path):
+def test_a_calibration_of_another_size_is_reported_and_stops_nothing(tmp_path):
     messages = [(0.3, "/points", cloud(0.2)), (0.3, "/image", compressed(0.1, np.zeros((60, 80, 3), np.uint8))), *FIXED]
     path = record(tmp_path / "drive.mcap", messages)
     (finding,) = [f for f in check_sensors(open_log(path), sensor_rig()) if f.severity == "warning"]
@@ -83,7 +83,7 @@ def test_a_calibration_of_another_size_is_said_and_stops_nothing(tmp_path):
     assert "calibration of these images" in finding.remedy
 
 
-def test_no_sensors_nothing_to_say(tmp_path):
+def test_without_sensors_there_are_no_findings(tmp_path):
     path = record(tmp_path / "drive.mcap")
     assert check_sensors(open_log(path), sensor_rig("")) == []
     optional = sensor_rig('[lidars.top]\ntopic = "/none"\noptional = true\n')

@@ -1,3 +1,5 @@
+"""The commands on a small simulated log: exit codes, messages, files."""
+
 import json
 import subprocess
 import sys
@@ -40,19 +42,21 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     assert {row["model"] for row in metrics["results"]} == {"b", "ctrv", "kinematic"}
     assert {row["start"] for row in metrics["results"]} == {"causal", "smoothed"}
     assert (report / "report.html").stat().st_size > 10_000
-    said = capsys.readouterr().out
-    assert "kinematic" in said
-    assert ("–: no interval" in said) == (metrics["windows"]["blocks"] < 3)
+    message = capsys.readouterr().out
+    assert "kinematic" in message
+    assert ("–: no interval" in message) == (metrics["windows"]["blocks"] < 3)
 
 
-def test_inspect_judges_for_machines(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_inspect_prints_json_and_exits_with_1_where_a_log_is_unusable(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert run("inspect", str(folder / "drive.mcap"), *RIG, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"] is True
     (tmp_path / "still.csv").write_text("time,x,y\n" + "".join(f"{i / 50},0,0\n" for i in range(500)))
     assert run("inspect", str(tmp_path / "still.csv")) == 1
 
 
-def test_extract_goes_on_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = (
         "extract",
         str(folder / "drive.mcap"),
@@ -66,7 +70,7 @@ def test_extract_goes_on_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("inspect", "nothing.mcap"), "nothing.mcap: no such file or folder"),
         (("inspect", ".", "--rig", "tartandrive9"), "tartandrive9: no such rig"),
@@ -93,7 +97,7 @@ def test_extract_goes_on_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
     ],
 )
 def test_a_mistake_ends_in_one_line_and_exit_code_1(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
 ) -> None:
     places = {
         "tmp": tmp_path,
@@ -103,7 +107,7 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
     }
     assert run(*(argument.format(**places) for argument in arguments)) == 1
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.startswith("offpiste: ")
     assert error.count("\n") == 1
 
@@ -113,7 +117,7 @@ def test_wrong_usage_is_exit_code_2() -> None:
     assert run("fly") == 2
 
 
-def test_a_reader_that_stops_early_sees_no_complaint():
+def test_a_pipe_that_is_closed_early_is_no_error():
     command = f"{sys.executable} -c 'from offpiste.cli import main; main()' train --help | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
     assert done.stdout.startswith("usage")
