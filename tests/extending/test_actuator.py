@@ -2,24 +2,10 @@
 
 import numpy as np
 
-from extending.outside import offpiste, python
+from extending.outside import extracted_car, python
+from offpiste.conventions import DT
 
-RIG = """
-name = "lagging"
-absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
-[vehicle]
-mass = 800.0
-max_steer = 0.4
-pose_point = "the rear axle"
-wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
-[channels]
-position = { fields = ["x", "y"] }
-yaw = { fields = ["yaw"] }
-throttle = { fields = ["throttle"] }
-brake = { fields = ["brake"] }
-steer = { fields = ["steer"] }
-throttle_position = { fields = ["flap"], unit = "percent" }
-"""
+CHANNEL = 'throttle_position = { fields = ["flap"], unit = "percent" }'
 
 ROLL_OUT = """
 import sys
@@ -51,21 +37,13 @@ print(len(batch.state))
 
 
 def test_an_added_actuator_lags_behind_its_command(tmp_path):
-    (tmp_path / "rig.toml").write_text(RIG)
-    time = np.arange(0, 30, 0.02)
-    throttle, zero = 0.5 + 0.4 * np.sign(np.sin(0.8 * time)), 0 * time
+    time = np.arange(0, 30, DT)
+    throttle = 0.5 + 0.4 * np.sign(np.sin(0.8 * time))
     position = np.empty_like(time)
     position[0] = throttle[0]
     for i in range(1, len(time)):
-        position[i] = position[i - 1] + 0.02 * 2.0 * (throttle[i - 1] - position[i - 1])
-    columns = {"t": time, "x": 5 * time, "y": zero, "yaw": zero, "throttle": throttle, "brake": zero, "steer": zero}
-    table = np.column_stack([*columns.values(), 100 * position])
-    np.savetxt(
-        tmp_path / "drive.csv", table, delimiter=",", header=",".join((*columns, "flap")), comments="", fmt="%.9g"
-    )
-    arguments = ("--rig", tmp_path / "rig.toml", "--out", tmp_path / "d.zarr", "--split", "blocks:1,0,0")
-    extracted = offpiste("extract", tmp_path / "drive.csv", *arguments, extension="throttle_lag")
-    assert extracted.returncode == 0, extracted.stderr
-    rolled = python("-c", ROLL_OUT, tmp_path / "d.zarr", extension="throttle_lag")
+        position[i] = position[i - 1] + DT * 2.0 * (throttle[i - 1] - position[i - 1])
+    dataset = extracted_car(tmp_path, CHANNEL, extension="throttle_lag", throttle=throttle, flap=100 * position)
+    rolled = python("-c", ROLL_OUT, dataset, extension="throttle_lag")
     assert rolled.returncode == 0, rolled.stderr
     assert int(rolled.stdout) > 10

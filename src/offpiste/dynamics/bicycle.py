@@ -3,7 +3,7 @@
 The elementary functions are passed in: with torch's the functions below are the reference on batches, with SymPy's they
 are expressions from which kernels are derived. docs/method.md lists what differs from the paper as printed, and why.
 
-Learned constants of the bicycle, kept by construction where physics and Euler's stability want them.
+The learned constants are bounded by construction to what physics and the stability of forward Euler allow.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Scalar = Any
 
 
 class Elementary(NamedTuple):
-    """The functions that the physics is written with."""
+    """Elementary functions that the physics is written with."""
 
     sin: Callable[[Scalar], Scalar]
     cos: Callable[[Scalar], Scalar]

@@ -99,7 +99,7 @@ def unit_factor(channel: str, unit: str) -> float:
         RigError: the unit does not measure this channel.
     """
     own = known_channels()[channel][0]
-    known = _UNITS[own]
+    known = _UNITS.get(own, {own: 1.0})
     if unit and unit not in known:
         raise RigError(f"unit '{unit}' does not measure {channel}", how=f"use one of: {', '.join(known)}")
     return known[unit or own]

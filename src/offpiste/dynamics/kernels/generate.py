@@ -1,14 +1,11 @@
-"""From functions of plain scalars to straight-line code and its adjoint (reverse-mode differentiation on SymPy terms).
+"""Writes `generated.py`: the scalar physics as loops over lanes, forward and adjoint (reverse mode on SymPy terms).
 
-The elementary functions that a scalar function is called with are recorded as they are called, each result as a new
-symbol; what lies between them is algebra, which SymPy differentiates and shares. Only `generate` uses this.
+Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics or of `offpiste.channels`.
 
-Writes `generated.py`: the scalar physics as loops over lanes, forward and adjoint.
-
-The physics is called here with SymPy's symbols. What the eager model does around it on batches (reduced forms of
-channels that a log lacks, turning the normal, forward Euler) is written as scalars below; tests hold both against each
-other.
-Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics.
+The physics is called with SymPy's symbols. The elementary functions that it calls are recorded, each result as a new
+symbol; what lies between them is algebra, which SymPy differentiates and shares. What the eager model does around the
+physics on batches (turning the normal, choosing measured inputs, forward Euler) is written as scalars below; tests
+compare both.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,11 +1,8 @@
-"""Matrix primitives on rows of lanes; matrices are padded to multiples of four (`offpiste.dynamics.kernels.network`).
+"""One step of a compensator network on a block of lanes, and its adjoint: generated loops between matrix products.
 
-What is unrolled here by hand keeps sums in registers: about ten times as fast as plain loops (two rows of two AVX-512
-vectors, four columns at a time).
-
-A `Compensator`'s weights as the kernels want them: biases as columns, everything padded to multiples of four.
-
-One step of a compensator network on a block, and its adjoint: generated loops between matrix products.
+Weights have their biases as columns and are padded to multiples of four. The matrix products are unrolled by hand,
+which keeps sums in registers: about ten times as fast as plain loops (two rows of two AVX-512 vectors, four columns at
+a time).
 """
 
 from typing import NamedTuple
