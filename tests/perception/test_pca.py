@@ -83,7 +83,7 @@ def test_cut_keeps_the_first():
     assert torch.allclose(pca.cut(2).project(features), pca.project(features)[:, :2])
     assert pca.cut(2).identity != pca.identity
     for wrong in (0, 7):
-        with pytest.raises(PerceptionError, match=f"{wrong} components asked of a PCA that has 6"):
+        with pytest.raises(PerceptionError, match=f"{wrong} components, but the PCA has 6"):
             pca.cut(wrong)
 
 

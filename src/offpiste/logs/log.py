@@ -1,7 +1,7 @@
 """A recorded log in any format: topics with numbers, images and point clouds, each sample with its stamp.
 
 A format is one class: a subclass of `Log` that registers itself in `LOG_FORMATS`. `offpiste.logs.formats` has those
-that ship, `examples/extending/euroc_like.py` shows one added from outside.
+that ship, `examples/extending/euroc.py` shows one added from outside.
 """
 
 from abc import ABC, abstractmethod
@@ -58,7 +58,7 @@ class RawImage:
 
     Attributes:
         time: stamp [s].
-        frame: in which it was taken.
+        frame: optical frame of the camera.
         pixels: RGB; None where it cannot be decoded.
     """
 
@@ -73,7 +73,7 @@ class RawCloud:
 
     Attributes:
         time: stamp [s].
-        frame: of the points.
+        frame: frame of the points.
         points: records with x, y, z and more.
     """
 

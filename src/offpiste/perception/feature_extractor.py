@@ -35,7 +35,7 @@ class FeatureExtractor:
 
     @property
     def identity(self) -> str:
-        """Hash that tells this PCA and backbone from others."""
+        """Hash of this PCA and backbone."""
         return self.pca.identity
 
     @torch.no_grad()

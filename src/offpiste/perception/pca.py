@@ -120,7 +120,7 @@ class PrincipalComponents:
         """
         if not 1 <= components <= self.components:
             raise PerceptionError(
-                f"{components} components asked of a PCA that has {self.components}",
+                f"{components} components, but the PCA has {self.components}",
                 how="ask for fewer, or fit it again",
             )
         return replace(self, basis=self.basis[:, :components], variance=self.variance[:components])
@@ -159,7 +159,7 @@ class PrincipalComponents:
 def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, **fitted_on: Any) -> PrincipalComponents:
     """PCA of these moments.
 
-    There are fewer components than asked for where the patches span fewer directions (few patches, few or constant
+    There are fewer than `components` where the patches span fewer directions (few patches, few or constant
     channels): a direction without variance carries no information.
 
     Raises:

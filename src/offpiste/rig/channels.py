@@ -136,7 +136,7 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
         if name in ("linear_velocity", "angular_velocity") and not source.frame:
             raise RigError(
                 f"channels.{name}.frame is missing",
-                how='say "world", "body" or "unknown"; `offpiste inspect` tells which fits',
+                how='say "world", "body" or "unknown"; `offpiste inspect` shows which fits',
             )
         if name in absent:
             raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")

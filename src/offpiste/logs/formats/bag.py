@@ -44,7 +44,7 @@ class BagLog(Log):
     Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
 
     Raises:
-        LogError: the bag is empty, damaged, or something else than its ending says.
+        LogError: the bag is empty, damaged, or of another format than its ending.
     """
 
     description = "a ROS bag (.bag, .mcap, .db3, or the folder of one)"
@@ -71,7 +71,7 @@ class BagLog(Log):
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """One topic a ROS topic; a type that cannot be decoded says why, and has no fields."""
+        """One topic for each ROS topic; where a type cannot be decoded, it is the reason, and there are no fields."""
         return self._topics
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:

@@ -33,7 +33,7 @@ def open_readers(path: Path, notes: list[str]) -> list[Reader]:
         notes: warnings are added to it.
 
     Raises:
-        LogError: the bag is empty, damaged, or something else than its ending says.
+        LogError: the bag is empty, damaged, or of another format than its ending.
     """
     if not path.is_dir():
         return [_open_file(path, notes)]

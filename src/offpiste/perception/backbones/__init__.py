@@ -68,7 +68,7 @@ class Backbone(ABC):
         """Feature images, float32, on the backbone's device.
 
         Args:
-            images: RGB, uint8 in [0, 255] or floats in [0, 1]; cropped as `grid` says.
+            images: RGB, uint8 in [0, 255] or floats in [0, 1]; cropped to `grid`.
 
         Raises:
             PerceptionError: images of another type, smaller than a patch, or not finite; features not finite.

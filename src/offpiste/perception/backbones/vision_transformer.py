@@ -146,7 +146,7 @@ def _hub_folder(name: str) -> Path:
     except OSError:
         pass
     try:
-        # Asked first, since a download repeats itself for half a minute where there is no network.
+        # A query comes first: without a network, a download retries for half a minute.
         HfApi().model_info(name, timeout=10)
         return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES))))
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Bad input as a person meets it: `fit-pca` and `extract` end in one line, and drives extracted before stay."""
+"""Faulty logs on the command line: `fit-pca` and `extract` end in one line, and drives extracted before stay."""
 
 import re
 from pathlib import Path
@@ -9,18 +9,8 @@ import pytest
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import open_dataset
-from sensor_bags import (
-    transforms,
-)
-from sensor_drive import (
-    AROUND,
-    STATIC,
-    clouds,
-    good_drive,
-    images,
-    poses,
-    written,
-)
+from sensor_bags import transforms
+from sensor_drive import AROUND, STATIC, clouds, good_drive, images, poses, written
 
 
 def run(capsys, *words: object) -> tuple[int, str, str]:
@@ -99,7 +89,7 @@ def test_fit_pca_ends_in_one_line_and_writes_nothing(case, capsys, folder, tmp_p
     assert not out.exists()
 
 
-TOLD = {
+NOTED = {
     "some NaN": (
         (STATIC, images(), [c for n, c in enumerate(clouds(NAN)) if n % 4 == 0], clouds(first=0.02), poses()),
         "top: 6 of 30 clouds have no usable point and were dropped",
@@ -114,9 +104,9 @@ TOLD = {
 }
 
 
-@pytest.mark.parametrize("case", TOLD)
+@pytest.mark.parametrize("case", NOTED)
 def test_what_can_be_used_in_part_is_used_and_told(case, capsys, folder, pca, tmp_path):
-    parts, note = TOLD[case]
+    parts, note = NOTED[case]
     log = written(tmp_path / "some.mcap", *parts)
     code, said, error = extract(capsys, folder, pca, tmp_path / "d.zarr", log)
     assert code == 0, error
