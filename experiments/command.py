@@ -1,4 +1,4 @@
-"""Runs an experiment's command line: messages on the terminal, errors that a user can cause in one line."""
+"""Command line of a study: messages on the terminal, and errors that a user can cause in one line."""
 
 import logging
 import sys
@@ -20,8 +20,10 @@ def run(command: Callable[..., Any], arguments: list[str] | None = None) -> None
     logger = logging.getLogger("experiments")
     logger.setLevel(logging.INFO)
     logger.handlers = logging.getLogger("offpiste").handlers
+    spec = sys.modules["__main__"].__spec__
+    prog = f"python -m {spec.name.removesuffix('.__main__')}" if spec else None
     try:
-        result = tyro.cli(command, args=arguments)
+        result = tyro.cli(command, args=arguments, prog=prog)
         if hasattr(result, "run"):
             result = result.run()
         if isinstance(result, str):

@@ -57,7 +57,7 @@ class Ridden:
     Attributes:
         cells: by rule; the same passes in all of them.
         reached: whether the vehicle was at the set's distance from the cell during the pass.
-        kind: of the ground that has the largest share there, a number of `GROUND_KINDS`.
+        kind: kind of ground with the largest share there, an index into `GROUND_KINDS`.
     """
 
     cells: Mapping[str, Cells]
@@ -128,7 +128,7 @@ def ride(
     """Play a simulated drive back with each rule.
 
     Args:
-        seconds: of the drive, from its start; all of it by default.
+        seconds: time from the start of the drive [s]; all of it by default.
 
     Raises:
         LogError: the log has no cameras, LiDARs or ground truth, or they are damaged.
@@ -165,16 +165,16 @@ def _passes(rows: Rows, sensors: SensorLog, rig: Rig, resolution: float) -> tupl
 
 @dataclass(frozen=True)
 class Fusion:
-    """Compare the rules on simulated drives."""
+    """Compare the map's fusion rules on simulated drives."""
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Drives of `offpiste simulate` with cameras and LiDAR."""
     pca: Path
-    """Of `offpiste fit-pca`."""
+    """PCA of `offpiste fit-pca`."""
     rig: str = "proving_ground"
-    """Preset or file."""
+    """Name of a rig preset, or a rig file."""
     seconds: float | None = None
-    """Of each drive, from its start; all of it by default."""
+    """Time from the start of each drive [s]; all of it by default."""
     out: Path | None = None
     """Folder for fusion.json, with a row for each drive, rule and feature set."""
 

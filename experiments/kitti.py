@@ -34,7 +34,7 @@ from offpiste.visualization.view import view
 
 logger = logging.getLogger("experiments")
 
-VARIANTS = ("by the poses", "without motion compensation", "stamped 0.2 s late", "not transformed")
+VARIANTS = ("by the poses", "sweep not compensated", "stamped 0.2 s late", "not compensated")
 """Variants of the transformation: the right one, and three wrong ones."""
 _LATE = 0.2
 """Delay of the wrong stamps [s]."""
@@ -96,7 +96,7 @@ APART = (1, 2, 5)
 
 def alignment_table(log: SensorLog) -> str:
     """Table of the alignment of all LiDARs, by distance between scans and by variant."""
-    lines = [f"{'from upright planes [m]':22}" + "".join(f"{variant:>28}" for variant in VARIANTS) + "     pairs"]
+    lines = [f"{'from upright planes [m]':22}" + "".join(f"{variant:>24}" for variant in VARIANTS) + "     pairs"]
     for name, lidar in log.lidars.items():
         scans = [scan for scan in log.stream([name]) if isinstance(scan, Cloud)]
         for apart in APART:
@@ -104,7 +104,7 @@ def alignment_table(log: SensorLog) -> str:
             distances = distances[np.isfinite(distances).all(axis=1)]
             if len(distances):
                 middle, worst = np.median(distances, axis=0), distances.max(axis=0)
-                cells = "".join(f"{m:18.3f} (max {w:.2f})" for m, w in zip(middle, worst, strict=True))
+                cells = "".join(f"{m:13.3f} (max {w:.2f})" for m, w in zip(middle, worst, strict=True))
                 lines.append(f"{name}, {apart} apart".ljust(22) + cells + f"{len(distances):10}")
     return "\n".join(lines)
 

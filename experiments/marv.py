@@ -111,9 +111,9 @@ class Frame:
     """One moment of a robot that is taken to stand still and level: its body frame is the world.
 
     Attributes:
-        views: of the rectified cameras.
+        views: views of the rectified cameras.
         images: rectified, in the order of the views.
-        points_lidar: with an echo [m].
+        points_lidar: points with an echo [m].
         body_from_lidar: where the LiDAR sits.
     """
 
@@ -209,12 +209,12 @@ def terrain(frame: Frame, extractor: FeatureExtractor) -> TerrainLayers:
 
 
 def main(folder: tyro.conf.Positional[Path], out: Path = Path("marv"), backbone: str = "filterbank") -> None:
-    """Write overlay.png, features.png and map.png, and print the edge scores.
+    """Draw a forest frame as overlay.png, features.png and map.png, and show its edge scores.
 
     Args:
-        folder: with calibration, images and clouds.
-        out: for the pictures.
-        backbone: as in `offpiste fit-pca`.
+        folder: folder with calibration, images and clouds.
+        out: folder of the pictures.
+        backbone: name of a backbone, as in `offpiste fit-pca`.
     """
     frame = read_frame(folder)
     extractor = fit_extractor(frame, open_backbone(backbone))

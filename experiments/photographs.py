@@ -74,12 +74,12 @@ def picture(
 
 
 def main(folder: tyro.conf.Positional[Path], out: Path = Path("photographs"), backbone: str = "filterbank") -> None:
-    """Write a picture a photograph and all.png.
+    """Draw the features of each photograph, and of all in all.png.
 
     Args:
-        folder: of photographs.
-        out: for the pictures.
-        backbone: as in `offpiste fit-pca`.
+        folder: folder of photographs.
+        out: folder of the pictures.
+        backbone: name of a backbone, as in `offpiste fit-pca`.
     """
     photographs = read_photographs(folder)
     extractor = fit_on_photographs(list(photographs.values()), open_backbone(backbone))

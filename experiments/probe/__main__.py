@@ -45,15 +45,15 @@ class Probe:
     """Do visual features know the friction? Simulates, fits the PCA and probes; resumes where it stopped."""
 
     out: Path = Path("probe")
-    """Folder for everything."""
+    """Folder of all outputs."""
     drives: Path | None = None
-    """Folder of drives called WORLD-SEED.mcap; those that are not there are simulated. OUT/drives by default."""
+    """Folder of drives called WORLD-SEED.mcap; missing ones are simulated. OUT/drives by default."""
     worlds: tuple[str, ...] = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
-    """Presets."""
+    """Worlds of the drives."""
     seconds: float = 120.0
-    """Of each simulated drive."""
+    """Duration of each simulated drive [s]."""
     seeds: tuple[int, ...] = (61,)
-    """Of the drives that train."""
+    """Seeds of the training drives."""
     test_seeds: tuple[int, ...] = (62,)
     """Seeds of the test drives."""
     backbone: str = FILTERBANK
@@ -63,7 +63,7 @@ class Probe:
     flaw_worlds: tuple[str, ...] = ("mojave", "halter-ranch")
     """Worlds in which flaws are tried; none leaves that out."""
     flaw_seconds: float = 60.0
-    """Of each drive in which flaws are tried, from its start."""
+    """Time from the start of each drive in which flaws are tested [s]."""
     degrees: tuple[float, ...] = (0.5, 1.0, 2.0)
     """Errors of the camera's mounting."""
     directions: int = 2

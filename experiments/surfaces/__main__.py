@@ -90,7 +90,7 @@ class Surfaces:
     dart: tyro.conf.Positional[Path]
     """Folder of the recordings."""
     out: Path = Path("surfaces")
-    """Folder for everything."""
+    """Folder of all outputs."""
     seeds: int = 3
     """Runs of each model."""
     permutations: int = 6
@@ -98,7 +98,7 @@ class Surfaces:
     models: tuple[str, ...] = ("df", "cf")
     """Models that read labels; `b` is compared with them."""
     seed: int = 0
-    """Of the false labellings."""
+    """Seed of the false labellings."""
     processes: int = 2
     """Trainings at a time."""
     train: TrainConfig = field(default_factory=lambda: TrainConfig(batch=64))
