@@ -1,3 +1,5 @@
+"""Formats are recognised by their path; other paths are refused in one line."""
+
 from pathlib import Path
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""ROS 1 and ROS 2 bags: recorded ones, and small ones of every storage, encoding and field type."""
+
 from pathlib import Path
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""CSV and Parquet tables: separators, clocks, cells that are not numbers, damaged files."""
+
 from pathlib import Path
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""TartanDrive 2 folders: the recorded drives, and damaged folders."""
+
 from pathlib import Path
 
 import numpy as np

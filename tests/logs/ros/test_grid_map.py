@@ -1,3 +1,5 @@
+"""Layers through grid_map messages and back, and in the layout of other writers."""
+
 import numpy as np
 import pytest
 

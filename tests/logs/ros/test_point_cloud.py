@@ -1,3 +1,5 @@
+"""Points through PointCloud2 messages and back; messages that contradict themselves."""
+
 import numpy as np
 import pytest
 

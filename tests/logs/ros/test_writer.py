@@ -1,3 +1,5 @@
+"""MCAP files that other readers understand, after interruptions too."""
+
 import os
 import signal
 import subprocess
