@@ -71,6 +71,7 @@ from .planning.cost_map import Goal as Goal
 from .planning.cost_map import Hazards as Hazards
 from .planning.cost_map import cost_map as cost_map
 from .planning.mppi import Plan as Plan
+from .planning.mppi import improve as improve
 from .rig.rig import Rig as Rig
 from .rig.rig import load_rig as load_rig
 

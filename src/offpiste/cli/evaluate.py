@@ -2,12 +2,17 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.commands import COMMANDS
 from offpiste.conventions import FEATURE_SETS
+
+if TYPE_CHECKING:
+    FeatureSet = str
+else:
+    FeatureSet = Literal[(*FEATURE_SETS, "all")]
 
 
 @COMMANDS.register("evaluate")
@@ -23,7 +28,7 @@ class Evaluate:
     """Folder of the report."""
     lookup: Literal["recorded", "map", "both"] = "both"
     """Where models look the terrain up: at recorded wheels, or at predicted ones on the map, as a planner does."""
-    feature_set: Literal["hindsight", "-20", "-10", "0", "10", "20", "30", "40", "all"] = "hindsight"
+    feature_set: FeatureSet = "hindsight"
     """Feature sets read at recorded places: by the distance they were seen from [m], or the last there were."""
     device: str = "cpu"
     """Device of the models."""

@@ -30,21 +30,21 @@ class TrainConfig:
     """Settings of a training.
 
     Attributes:
-        model: name in `offpiste.dynamics.MODELS`.
+        model: name of a model; an unknown name lists those there are.
         codes: length of the code that models with an encoder make of the features under a wheel (the paper's n).
-        pca: how many of the dataset's features models read, the first ones; 0: all.
+        pca: number of the dataset's features that models read, the first ones; 0: all.
         epochs: passes over the training windows for the model itself.
         bicycle_epochs: passes that fit the bicycle's constants before the network joins in.
         actuator_epochs: passes that fit the actuator models before they are frozen.
-        batch: windows a step.
+        batch: windows in a step.
         stride: rows between the windows of one epoch; the phase changes from epoch to epoch, so all rows are used.
-        learning_rate: of Adam for networks.
-        constants_learning_rate: of Adam for the constants of physics.
+        learning_rate: learning rate of Adam for networks.
+        constants_learning_rate: learning rate of Adam for the constants of physics.
         gradient_clip: largest norm of a gradient.
         start: states that predictions start from, in training as in use.
-        weights: of the loss's components.
-        seed: of the initial weights and the order of the windows.
-        device: "cpu", "cuda", ...
+        weights: weights of the loss's components.
+        seed: seed of the initial weights and the order of the windows.
+        device: where to train: "cpu", "cuda", ...
     """
 
     model: str = "b"
