@@ -78,7 +78,7 @@ def test_pieces_on_disk_are_those_in_memory(tmp_path):
         np.testing.assert_array_equal(out, array[lead, first : first + count])
 
 
-def test_a_file_that_is_cut_short_is_told(tmp_path):
+def test_a_file_that_is_cut_short_is_refused(tmp_path):
     array = np.ones((2, 4), np.float32)
     slabs = ArrayReader(on_disk(array, tmp_path / "a"))
     with (tmp_path / "a").open("r+b") as file:

@@ -45,7 +45,7 @@ def test_rates_of_no_cells_are_unknown() -> None:
     assert np.isnan(feature_coverage.valid_rates([cells_of(np.zeros((SETS, 0, 2)))])).all()
 
 
-def test_a_range_leaves_out_what_is_rare_unless_told_otherwise() -> None:
+def test_a_range_leaves_out_what_is_rare_by_default() -> None:
     features = np.zeros((SETS, 201, 2))
     features[0, :, 0] = np.arange(201)
     features[0, 200, 1] = 50

@@ -123,7 +123,7 @@ def test_a_dataset_with_other_features_is_not_mixed_in(tmp_path):
         store.create(tmp_path / "data.zarr", small_rig(), SPLIT)
 
 
-def test_maps_are_kept_only_where_predictions_are_judged(tmp_path):
+def test_maps_are_kept_only_where_predictions_are_evaluated(tmp_path):
     path, split = tmp_path / "data.zarr", parse_split("blocks:1,0,0")
     store.create(path, small_rig(), split, NAMES)
     grounded = with_ground_truth(circle_rows(2400), truth(), small_rig())

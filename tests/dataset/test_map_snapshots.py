@@ -165,7 +165,7 @@ def test_predictions_read_snapshots_as_they_read_the_whole_map(tmp_path):
     assert (read(windows).at(0, far).latent == -1).all()
 
 
-def test_parts_without_snapshots_are_judged_on_all_windows(tmp_path):
+def test_parts_without_snapshots_are_evaluated_on_all_windows(tmp_path):
     dataset = made(tmp_path / "d.zarr")
     windows = Windows(dataset, "validation")
     assert not windows.maps.snapped.any()

@@ -75,7 +75,7 @@ def test_a_pca_is_fitted_on_the_same_images_again_from_its_list(folder: Path) ->
     assert exit_.value.code == 1
 
 
-def test_every_set_is_there_and_its_views_were_taken_from_where_it_says(dataset: Dataset) -> None:
+def test_every_feature_set_is_there_and_was_observed_at_its_distance(dataset: Dataset) -> None:
     cells = dataset.drives[0].rows.cells
     assert cells.features.shape[0] == len(FEATURE_SETS)
     assert dataset.features == tuple(f"pca_{n}" for n in range(12))
@@ -191,7 +191,7 @@ def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path)
     assert not (tmp_path / "d.zarr" / ".one.x").exists()
 
 
-def test_a_pca_that_saw_the_test_part_is_told(dataset: Dataset) -> None:
+def test_a_pca_that_saw_the_test_part_is_warned_of(dataset: Dataset) -> None:
     assert any("the PCA may have seen" in note and "--split" in note for note in dataset.drives[0].notes)
 
 

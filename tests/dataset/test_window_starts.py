@@ -31,5 +31,5 @@ def test_windows_with_enough_of_it():
 @pytest.mark.parametrize(
     ("given", "least"), [(None, 0.5), (cells([[0] * 4], [False]), 0.0), (cells([[0] * 4], [False], 1), 0.5)]
 )
-def test_nothing_is_left_out_without_views_or_where_all_is_wanted(given, least):
+def test_nothing_is_left_out_without_feature_sets_or_where_all_is_wanted(given, least):
     assert enough_hindsight(given, least) is None

@@ -52,7 +52,7 @@ def test_gathered_windows_equal_a_slow_loop(part, start):
 
 
 @pytest.mark.parametrize("chosen", [slice(3, 20, 4), [5, 2, 2], -1])
-def test_some_of_the_windows_are_a_view(chosen):
+def test_some_of_the_windows_share_memory(chosen):
     windows = Windows(TWO, "train")
     some, index = windows[chosen], np.atleast_1d(np.arange(len(windows))[chosen])
     assert len(some) == len(index)

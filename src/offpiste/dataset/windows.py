@@ -158,7 +158,7 @@ class Windows:
         row = self.rows - self._offset[self.drive]
         return np.flatnonzero(row % stride == phase % stride)
 
-    def reading(self, feature_set: str) -> "Windows":
+    def with_feature_set(self, feature_set: str) -> "Windows":
         """The same windows with another feature set."""
         other = copy(self)
         other._set = set_number(feature_set, self.sets)

@@ -151,7 +151,7 @@ def _every_reading(
             for model in models:
                 if (model.split or dataset.split) == split:
                     for lookup, chosen in readings if model.dynamics.reads_terrain else (NO_READING,):
-                        read = windows.reading(chosen) if chosen else windows
+                        read = windows.with_feature_set(chosen) if chosen else windows
                         yield Case(model.name, model.variant, start, lookup, chosen), model, read
 
 

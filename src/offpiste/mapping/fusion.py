@@ -1,9 +1,9 @@
 """Fusion rules: how several observations of a voxel become one; each is declared once, for loops and for NumPy alike.
 
 A rule says how much the new observation counts: 0 keeps what the voxel holds, 1 replaces it, anything between them is
-the new one's share in a weighted mean. It is asked for the place of a hit and for its features, each with their own
-distances, and not for the first observation, which always stays. It is a function of plain scalars that Numba compiles
-into the loop over points; it must work on NumPy arrays too.
+the new one's share in a weighted mean. It is evaluated for the place of a hit and for its features, each with their own
+distances; the first observation always stays. It is a function of plain scalars that Numba compiles into the loop over
+points, and it must work on NumPy arrays too.
 """
 
 from collections.abc import Callable

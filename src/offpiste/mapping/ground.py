@@ -14,7 +14,7 @@ from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEA
 
 @MAPPING.inlined
 def over_ground(voxels, slot, up, hit, size):  # type: ignore[no-untyped-def]
-    """How high over the lowest hit of its column the voxel `up` levels above it was hit."""
+    """Height of the hit in the voxel `up` levels above the lowest, over the lowest hit of its column."""
     return (np.float32(up) + voxels.seen[slot, Z] - hit[Z]) * size
 
 
@@ -32,7 +32,7 @@ def obstacle_above(voxels, occupied, slots, hit, size, reach):  # type: ignore[n
 
 @MAPPING.inlined
 def keep_features(seen, kept):  # type: ignore[no-untyped-def]
-    """Keep the distance from which a voxel's features were seen, and these."""
+    """Keep the features of a voxel and the distance from which they were seen."""
     kept[0] = seen[FEATURE_DISTANCE]
     for k in range(1, len(kept)):
         kept[k] = seen[FEATURES + k - 1]
@@ -40,7 +40,7 @@ def keep_features(seen, kept):  # type: ignore[no-untyped-def]
 
 @MAPPING.inlined  # a call hands over every array of its arguments, which takes as long as the work itself
 def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Keep what a column shows."""
+    """Keep the ground, the obstacle and the features of a column."""
     head, slots = voxels.heads[row, across], voxels.slots[row, across]
     surface.feature_height[row, across] = np.float32(np.nan)
     if head[OCCUPIED] == 0:
@@ -65,7 +65,7 @@ def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-un
 
 @MAPPING.entry
 def see_columns(first, last, since, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Keep what the columns show that changed after `since`; rows are those of the voxels."""
+    """Keep ground, obstacles and features of the columns that changed after `since`; rows are those of the voxels."""
     n, block = voxels.changed.shape[0], 32
     for row in range(first, last):
         for start in range(0, n, block):
@@ -80,14 +80,14 @@ def see_columns(first, last, since, size, reach, voxels, surface):  # type: igno
 
 @MAPPING.loop
 def put_lower(a, out):  # type: ignore[no-untyped-def]
-    """Put a where it is less."""
+    """Put the smaller of a and out."""
     for i in range(len(out)):
         out[i] = a[i] if a[i] < out[i] else out[i]
 
 
 @MAPPING.loop
 def put_lowest_beside(height, radius, lowest):  # type: ignore[no-untyped-def]
-    """The lowest ground within `radius` cells along a row; infinite if none."""
+    """Put the lowest ground within `radius` cells along a row; infinite if there is none."""
     n = len(height)
     for i in range(n):
         lowest[i] = height[i] if height[i] == height[i] else np.float32(np.inf)
@@ -112,7 +112,7 @@ def put(a, out):  # type: ignore[no-untyped-def]
 
 @MAPPING.entry
 def read_columns(first, last, low, reference, size, radius, surface, buffers):  # type: ignore[no-untyped-def]
-    """What the columns show, in the layers' order, and the lowest ground within `radius` cells along the row."""
+    """Copy the columns in the layers' order, and find the lowest ground within `radius` cells along the row."""
     n = buffers.height.shape[0]
     start = low[0] % n
     for j in range(first, last):
@@ -128,7 +128,7 @@ def read_columns(first, last, low, reference, size, radius, surface, buffers):  
 
 @MAPPING.entry
 def drop_overhangs(first, last, radius, reach, feature_height, buffers):  # type: ignore[no-untyped-def]
-    """Columns whose lowest voxel is a branch have no ground; features too far above their ground do not count.
+    """Take the ground of columns whose lowest voxel is a branch, and features too far above their ground.
 
     Heights of features become those over the reference level.
     """

@@ -1,7 +1,7 @@
-"""Loops that fill gaps and write the layers, over blocks `first` to `last` of the `blocks` that the rows are cut into.
+"""Gaps filled from the nearest cell, and the layers written: loops over blocks of rows.
 
-The nearest cell is found for a whole row at once: neighbours are gone through from the furthest to the nearest, each
-writing over what those before it left.
+The nearest cell is found for a whole row at once: neighbours are visited from the furthest to the nearest, and each
+overwrites those before it. Rows are cut into `blocks`; a call takes those from `first` to `last`.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from offpiste.compilation import MAPPING
 
 @MAPPING.loop
 def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyped-def]
-    """For each cell of a row, the number of the first offset that leads to ground, and how high that was hit."""
+    """Number of the first offset that leads to ground, for each cell of a row, and the height of that ground."""
     n = len(which)
     which[:] = np.int32(-1)
     ground[:] = np.float32(np.nan)
@@ -28,7 +28,7 @@ def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyp
 
 @MAPPING.loop
 def nearest_features(j, offsets, limit, feature_height, ground, which):  # type: ignore[no-untyped-def]
-    """For each cell of a row, the number of the first offset to features seen within `limit` of the ground here."""
+    """Number of the first offset to features seen within `limit` of the ground here, for each cell of a row."""
     n = len(ground)
     which[:] = np.int32(-1)
     for k in range(len(offsets) - 1, -1, -1):
@@ -43,7 +43,7 @@ def nearest_features(j, offsets, limit, feature_height, ground, which):  # type:
 
 @MAPPING.entry
 def fill_gaps(first, last, blocks, offsets, limit, buffers):  # type: ignore[no-untyped-def]
-    """Where each cell's ground and features come from.
+    """Find the cell that each cell's ground and features come from.
 
     Args:
         offsets: rows and columns to neighbours, nearest first, the cell itself at [0] [K, 2].
@@ -59,14 +59,14 @@ def fill_gaps(first, last, blocks, offsets, limit, buffers):  # type: ignore[no-
 
 @MAPPING.loop
 def put_up(rise_x, rise_y, out):  # type: ignore[no-untyped-def]
-    """Upward parts of the unit normals."""
+    """Put the upward components of the unit normals."""
     for i in range(len(out)):
         out[i] = np.float32(1) / np.sqrt(np.float32(1) + (rise_x[i] * rise_x[i] + rise_y[i] * rise_y[i]))
 
 
 @MAPPING.loop
 def write_own_ground(j, floor, up, buffers, layers):  # type: ignore[no-untyped-def]
-    """The ground of a row, not a number where a cell has none of its own."""
+    """Write the ground of a row, NaN where a cell has none of its own."""
     rise_x, rise_y, height = buffers.rise_x[j], buffers.rise_y[j], buffers.height[j]
     elevation, centre, slope, normal = layers.elevation[j], buffers.centre[j], layers.slope[j], layers.normal[j]
     obstacle, obstacle_here = layers.obstacle_height[j], buffers.obstacle[j]
@@ -86,7 +86,7 @@ def write_own_ground(j, floor, up, buffers, layers):  # type: ignore[no-untyped-
 
 @MAPPING.loop
 def write_filled_ground(j, floor, offsets, buffers, layers):  # type: ignore[no-untyped-def]
-    """The ground of those cells of a row that others fill."""
+    """Write the ground of the cells of a row that are filled from others."""
     which = buffers.which[j]
     for i in range(len(which)):
         if which[i] > 0:
@@ -103,7 +103,7 @@ def write_filled_ground(j, floor, offsets, buffers, layers):  # type: ignore[no-
 
 @MAPPING.loop
 def write_flags(which, which_feature, observed, known, valid):  # type: ignore[no-untyped-def]
-    """Whether each cell of a row was hit, has ground, has features."""
+    """Write whether each cell of a row was hit, has ground, has features."""
     for i in range(len(which)):
         observed[i] = which[i] == 0
     for i in range(len(which)):
@@ -114,7 +114,7 @@ def write_flags(which, which_feature, observed, known, valid):  # type: ignore[n
 
 @MAPPING.loop
 def write_features(j, low, offsets, surface, buffers, layers):  # type: ignore[no-untyped-def]
-    """The features of a row; cells that had none already stay as they are."""
+    """Write the features of a row; cells that had none before are left alone."""
     n, channels = layers.valid.shape[0], layers.features.shape[2]
     which, valid = buffers.which_feature[j], layers.valid[j]
     start_x, start_y = low[0] % n, low[1] % n + j
@@ -140,8 +140,8 @@ def write_layers(first, last, blocks, floor, low, offsets, surface, buffers, lay
         floor: height of the reference level in the world [m].
         low: integer coordinates x, y of the lowest cell [2].
         offsets: as `fill_gaps` was given.
-        surface: `buffers.Surface`.
-        layers: `buffers.Layers`.
+        surface: `voxels_to_layers.Surface`.
+        layers: `voxels_to_layers.Layers`.
     """
     n = buffers.height.shape[0]
     for block in range(first, last):

@@ -1,8 +1,8 @@
-"""Clouds in, map out: the same loop offline and on-line.
+"""Scans with features in, map layers out: the same steps on the vehicle and offline.
 
-The feature encoder is passed in. On-line it runs before the map and makes 40 channels into 4; offline there is none,
-and the model learns it from what the map held (paper, "Dataset Collection Pipeline"). As long as nothing averages, both
-orders give the same map.
+On the vehicle features are encoded before they are mapped, 40 channels into 4; offline the map holds features, and the
+encoder is learned from them (paper, "Dataset Collection Pipeline"). As long as nothing averages, both orders give the
+same map.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 
 Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
-"""From features to codes, each row for itself."""
+"""From features to codes, row by row."""
 
 
 @dataclass(frozen=True)
 class FeatureCloud:
-    """One scan with what the cameras saw at its points.
+    """One scan with the image features at its points.
 
     Attributes:
         points_world: [m]; float64 far from the world's origin.
@@ -44,7 +44,7 @@ class FeatureCloud:
 
 @dataclass(frozen=True)
 class MapSettings:
-    """All that can be set about a map."""
+    """Settings of the voxel map and of the layers made from it."""
 
     voxels: VoxelSettings = field(default_factory=VoxelSettings)
     flatten: FlattenSettings = field(default_factory=FlattenSettings)
@@ -91,7 +91,7 @@ class MapPipeline:
 
 
 def encoded(layers: TerrainLayers, encode: Encode, channels: int) -> TerrainLayers:
-    """Layers with the codes of their features instead of these.
+    """The same layers with codes in the place of features.
 
     Args:
         channels: of the codes, E.

@@ -39,7 +39,7 @@ class MapStack:
 
 @dataclass(frozen=True)
 class TerrainSample:
-    """What lies at places.
+    """The ground at places.
 
     Attributes:
         normal: unit surface normals in the world frame; straight up where `known` is false.
@@ -89,7 +89,7 @@ def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
 def sample_maps(
     maps: MapStack, number: Int[Tensor, "*P"], place: Float[Tensor, "*P 2"], offset: Float[Tensor, "*P 2"]
 ) -> TerrainSample:
-    """The ground at places.
+    """Sample maps at places.
 
     Args:
         number: of the map that is read at each place.
@@ -141,7 +141,7 @@ class MapTerrain:
     encode: Encode | None = None
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
-        """The ground under the wheels of vehicles in `state`; `t` is not looked at."""
+        """The ground under the wheels of vehicles in `state`; `t` is not used."""
         place = wheel_positions_of_states(state, self.wheels)
         found = sample_maps(
             self.maps, self.number[:, None].expand(-1, 4), place, self.offset[:, None].expand(-1, 4, -1)
@@ -161,7 +161,7 @@ class HeldCodes:
 
     @classmethod
     def of(cls, source: MapTerrain, state: Float[Tensor, "B 6"]) -> "HeldCodes":
-        """A source that keeps the codes that lie under the wheels in `state`."""
+        """A source that keeps the codes under the wheels in `state`."""
         return cls(replace(source, encode=None), source.at(0, state).latent)
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
@@ -170,7 +170,7 @@ class HeldCodes:
 
 
 def as_codes(missing: Float[Tensor, " E"]) -> Encode:
-    """Reads features that are codes already.
+    """An `Encode` for features that are codes already.
 
     Args:
         missing: `FeatureEncoder.missing()`.

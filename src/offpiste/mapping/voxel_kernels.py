@@ -1,4 +1,4 @@
-"""Loops over the voxels: observations in. The same in plain NumPy: tests/mapping.
+"""Loops that put observations into voxels; the same in plain NumPy is in tests/mapping.
 
 A column keeps the `LEVELS` levels from its lowest occupied voxel upwards, whatever its height: what lies higher above
 the ground matters to no vehicle. Which of them are occupied is a word of bits whose lowest is always set.
@@ -18,18 +18,18 @@ from offpiste.compilation import MAPPING, Function
 from offpiste.mapping.fusion import FUSION_RULES
 
 BASE, OCCUPIED, FEATURED, LOWEST = range(4)
-"""Of a column's head: level of its lowest voxel, counted from the world's zero, bits of the levels from there up that
-are occupied, and that have features, and the slot of the lowest; only `OCCUPIED` means anything in an empty column."""
+"""Fields of a column's head: level of its lowest voxel, counted from the world's zero; bits of the levels from there up
+that are occupied; those that have features; slot of the lowest. In an empty column only `OCCUPIED` is valid."""
 
 LEVELS: Final = 31
-"""Of a column, as many as a word without its sign has bits; 6.2 m of voxels of 0.2 m."""
+"""Levels of a column, as many as a word without its sign has bits; 6.2 m of voxels of 0.2 m."""
 
 X, Y, Z, DISTANCE, FEATURE_DISTANCE, HITS, FEATURE_HITS, _SPARE, FEATURES = range(9)
-"""Of a voxel: x, y from its centre and z from its floor [voxels]; distance from the sensor, and that of the features,
-infinite where there are none [m]; number of observations, and of those with features; the features."""
+"""Fields of a voxel: x, y from its centre and z from its floor [voxels]; distance from the sensor, and that of the
+features, infinite where there are none [m]; number of observations, and of those with features; the features."""
 
 EVER, FREED, LOST = range(3)
-"""Of a part: slots ever used, slots on the stack of those given back, observations that found no slot."""
+"""Counts of a part: slots ever used, slots on the stack of those given back, observations that found no slot."""
 
 PARTS: Final = 2
 """The rows are dealt out to parts in stripes, and so are the slots: each part can be filled by a thread of its own."""
@@ -65,7 +65,7 @@ class Voxels(NamedTuple):
 
 @MAPPING.inlined
 def take(voxels, part):  # type: ignore[no-untyped-def]
-    """A free slot of a part, or -1."""
+    """Take a free slot of a part; -1 if there is none."""
     counts, size = voxels.counts[part], voxels.freed.shape[1]
     if counts[FREED] > 0:
         counts[FREED] -= 1
@@ -135,7 +135,7 @@ def share_of_new(distance: float, held_distance: float, count: float) -> float:
 
 @MAPPING.inlined
 def fuse_place(seen, x, y, z, distance, share):  # type: ignore[no-untyped-def]
-    """Put where a voxel was hit; whether that has moved."""
+    """Fuse the place of a hit with the held one; returns whether it moved."""
     if share == 1:
         seen[X], seen[Y], seen[Z], seen[DISTANCE] = x, y, z, distance
     elif share != 0:
@@ -148,7 +148,7 @@ def fuse_place(seen, x, y, z, distance, share):  # type: ignore[no-untyped-def]
 
 @MAPPING.inlined
 def fuse_features(seen, features, distance, share):  # type: ignore[no-untyped-def]
-    """Put what a voxel looked like; whether that has changed."""
+    """Fuse the features of a hit with the held ones; returns whether they changed."""
     if share == 1:
         seen[FEATURE_DISTANCE] = distance
         for k in range(len(features)):
@@ -162,7 +162,7 @@ def fuse_features(seen, features, distance, share):  # type: ignore[no-untyped-d
 
 @MAPPING.inlined
 def finite(features):  # type: ignore[no-untyped-def]
-    """Whether all features are."""
+    """Whether all features are finite."""
     total = np.float32(0)
     for k in range(len(features)):
         total += features[k] - features[k]  # 0, or not a number
@@ -185,7 +185,7 @@ def point_inserter(rule: str) -> Function:
 def insert_points(  # type: ignore[no-untyped-def]
     first, last, points, features, has_feature, distance, low, middle, reach, scale, number, voxels
 ):
-    """Points into the parts `first` to `last` of the map.
+    """Put points into the parts `first` to `last` of the map.
 
     Args:
         points: [N, 3] in the world (float64) [m].

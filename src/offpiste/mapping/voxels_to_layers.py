@@ -3,7 +3,7 @@
 "The visual terrain features in the 3D voxel data are compressed to a 2D map output by taking the lowest valid data
 point within each vertical stack of voxels [...] missing data is filled in with data from the nearest neighboring cell
 in a 0.4 m radius" (paper, "Mapping of Visual Features"). Ground under a bush is the lowest hit below it; a branch over
-a column without any other hit is told from ground by its neighbours (`FlattenSettings.overhang_radius`).
+a column without any other hit is recognised by its neighbours (`FlattenSettings.overhang_radius`).
 
 Rows and columns of what the loops hand to each other are those of the layers, from the map's lowest cell. Offsets are
 in cells, heights in metres over the floor of a reference level, so that float32 is fine wherever the map is.
@@ -55,7 +55,7 @@ Layers = namedtuple("Layers", [layer.name for layer in LAYERS])  # type: ignore[
 
 
 class Surface(NamedTuple):
-    """What each column shows from above; kept from one flattening to the next, wrapped around as the voxels are.
+    """The ground of each column, from one flattening to the next, wrapped around as the voxels are.
 
     Attributes:
         level: of the lowest voxel, counted from the world's zero [n, n].
@@ -75,7 +75,7 @@ class Surface(NamedTuple):
 
 
 def make_surface(cells: int, channels: int) -> Surface:
-    """Of an empty map of [cells, cells]."""
+    """The surface of an empty map of [cells, cells]."""
     shape = (cells, cells)
     names = ("x", "y", "z", "obstacle", "feature_height")
     return Surface(
@@ -86,7 +86,7 @@ def make_surface(cells: int, channels: int) -> Surface:
 
 
 class Buffers(NamedTuple):
-    """What is handed from loop to loop.
+    """Arrays that are handed from loop to loop.
 
     Attributes:
         x, y: where the lowest voxel of a column was hit, from the cell's centre [n, n].
@@ -123,7 +123,7 @@ class Buffers(NamedTuple):
 
 
 def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
-    """Room for maps of [cells, cells], worked on in blocks of rows."""
+    """Buffers for maps of [cells, cells], worked on in blocks of rows."""
     whole = {"which", "which_feature"}
     grids = [name for name in Buffers._fields if name not in ("sums", "moments", "line")]
     return Buffers(
@@ -135,7 +135,7 @@ def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
 
 
 def flatten(voxel_map: VoxelMap, settings: FlattenSettings | None = None) -> TerrainLayers:
-    """The layers of a map, once; `Flattener` does it again and again without new memory."""
+    """The layers of a map; `Flattener` makes them repeatedly without new memory."""
     return Flattener(voxel_map, settings or FlattenSettings()).layers()
 
 
@@ -156,9 +156,9 @@ def neighbour_offsets(radius: float) -> Int[np.ndarray, "K 2"]:
 
 
 class Flattener:
-    """Makes layers of one voxel map, looking only into columns that changed since it last did.
+    """Makes layers of one voxel map, reading only columns that changed since the last time.
 
-    Keeps the memory that this takes: on 600 x 600 cells 29 MB, and 1.4 MB for each feature.
+    It keeps its buffers: on 600 x 600 cells 29 MB, and 1.4 MB for each feature.
     """
 
     def __init__(self, voxel_map: VoxelMap, settings: FlattenSettings) -> None:

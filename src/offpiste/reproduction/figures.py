@@ -126,7 +126,9 @@ def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindow
     sets = FEATURE_SETS[: windows.sets]
     predicted = {
         label: {
-            name: in_start_frame(trajectories(dynamics, windows.reading(name), index, lookup="recorded")[..., :2], yaw)
+            name: in_start_frame(
+                trajectories(dynamics, windows.with_feature_set(name), index, lookup="recorded")[..., :2], yaw
+            )
             for name in sets
         }
         for label, dynamics in models.items()

@@ -88,7 +88,7 @@ def run_errors(
     lookup, chosen = reading
     return prediction_errors(
         run.dynamics,
-        windows.reading(chosen) if chosen else windows,
+        windows.with_feature_set(chosen) if chosen else windows,
         index,
         lookup=lookup,
         scale=scale,

@@ -92,8 +92,8 @@ def test_every_set_is_shifted(dataset: Dataset) -> None:
     row = further(dataset.drives[3].rows.state[:, :2], 6.0)[windows.row_in_drive(index)[0]]
     there = np.flatnonzero(windows.row_in_drive(np.arange(len(windows))) == row)
     for name in FEATURE_SETS:
-        one = moved.reading(name).gather(same_windows(windows, index, moved)).ground
-        two = windows.reading(name).gather(there).ground
+        one = moved.with_feature_set(name).gather(same_windows(windows, index, moved)).ground
+        two = windows.with_feature_set(name).gather(there).ground
         assert one is not None
         assert two is not None
         torch.testing.assert_close(one.features[one.ahead[0, 0]], two.features[two.ahead[0, 0]], equal_nan=True)

@@ -50,7 +50,10 @@ def test_the_usual_features_give_the_usual_batch(dataset: Dataset) -> None:
     assert len(own) == 2 * (len(ROWS) - 1)  # two drives train
     at = [i for i in range(len(whole)) if whole.row_in_drive(np.array([i]))[0] in ROWS]
     for name in (FEATURE_SETS[0], FEATURE_SETS[6]):
-        one, two = own.reading(name).gather(np.arange(len(own))), whole.reading(name).gather(np.array(at))
+        one, two = (
+            own.with_feature_set(name).gather(np.arange(len(own))),
+            whole.with_feature_set(name).gather(np.array(at)),
+        )
         torch.testing.assert_close(one.history.state, two.history.state)
         torch.testing.assert_close(one.target, two.target)
         torch.testing.assert_close(one.terrain.normal, two.terrain.normal)

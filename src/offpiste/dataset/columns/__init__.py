@@ -72,7 +72,8 @@ class Column:
         segments: rows of a window that a batch holds it for.
         relative: laid out as `conventions.STATE`; px, py are stored relative to the drive's origin, and in a batch to
             the window's start.
-        by_feature_set: there is one value for each feature set; read from disk where windows need it.
+        by_feature_set: there is one value for each feature set; it stays on disk, and only `normal` is gathered into
+            batches.
     """
 
     read: Callable[[RowGrid], np.ndarray]
