@@ -17,7 +17,7 @@ from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.wheel_positions import wheel_positions
-from offpiste.visualization.coverage import covered, passes_of
+from offpiste.visualization.coverage import measure_coverage, passes_of
 from offpiste.visualization.view_dataset import DRIVES_A_PAGE, pages
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -54,7 +54,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_numbers_are_those_of_the_features(dataset: Path) -> None:
-    found = covered(store.open_dataset(dataset))
+    found = measure_coverage(store.open_dataset(dataset))
     assert [rates.name for rates in found.drives] == ["drive-0", "drive-1"]
     assert found.whole.cells == sum(rates.cells for rates in found.drives)
     np.testing.assert_allclose(found.whole.share, (1, 1, 1, *[0.5] * 5), atol=0.01)
@@ -72,7 +72,7 @@ def test_what_is_in_reach_is_unknown_where_passes_are_others(tmp_path: Path) -> 
     dataset = store.open_dataset(written(tmp_path, [rows, other]))
     assert passes_of(dataset.drives[0], dataset.rig) is not None
     assert passes_of(dataset.drives[1], dataset.rig) is None
-    found = covered(dataset)
+    found = measure_coverage(dataset)
     assert np.isnan(found.drives[1].in_reach).all()
     assert len(found.contacts) == 0
 

@@ -23,7 +23,7 @@ from offpiste.reproduction.settings import PCA_SWEPT, FigureModel, ReproductionS
 from offpiste.reproduction.steps import format_duration, times_by_kind
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import load_run
-from offpiste.visualization.coverage import FeatureCoverage, covered
+from offpiste.visualization.coverage import FeatureCoverage, measure_coverage
 from offpiste.visualization.coverage_figures import coverage_sections
 
 SAME = "The same ten windows with features seen from every distance, read at recorded places. Up: ahead at the start."
@@ -37,7 +37,7 @@ def write_figure(settings: ReproductionSettings, data: EvaluationData, results: 
     """
     dataset, folder = data.dataset, settings.out / settings.figure
     stored, is_fig4 = len(dataset.features), settings.figure == "fig4"
-    seen = covered(dataset) if is_fig4 else None
+    seen = measure_coverage(dataset) if is_fig4 else None
     metrics = _metrics(settings, data, results, seen)
     compared = tables.fig4_claims(results) if is_fig4 else tables.fig3_claims(results, stored)
     drawn = figures.fig4(results) if is_fig4 else figures.fig3(results, stored)

@@ -1,7 +1,4 @@
-"""The report of a dataset's visual features as numbers, by drive and in all (`offpiste.dataset.feature_coverage`).
-
-The report of a dataset's features as rows of text, for the terminal and for the page alike.
-"""
+"""Coverage of a dataset's visual features as numbers and tables, by drive and in all."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,19 +19,19 @@ from offpiste.report.text_table import TextTable, number
 from offpiste.rig.rig import Rig
 
 STRIDE = 5
-"""Rows between two looks at where the vehicle was: 0.1 s."""
+"""Rows between the places of the vehicle that decide what was within reach: 0.1 s."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Valid rates by feature set, of a drive or of all.
+    """Valid rates by feature set, of one drive or of all.
 
     Attributes:
         name: of the drive.
-        cells: how many, each counted once a pass.
-        share: of all cells.
-        of_hindsight: of those that are valid in hindsight, which is 1 there, as in the paper's table.
-        in_reach: of those from which the vehicle was as far away as the set says; NaN where that cannot be told.
+        cells: number of cells, each counted once per pass.
+        share: valid share of all cells.
+        of_hindsight: valid share of the cells that are valid in hindsight; 1 in hindsight, as in the paper's table.
+        in_reach: valid share of the cells that the vehicle was at the set's distance from; NaN where unknown.
     """
 
     name: str
@@ -46,16 +43,16 @@ class Rates:
 
 @dataclass(frozen=True)
 class FeatureCoverage:
-    """What the visual features of a dataset cover.
+    """Coverage of a dataset's visual features.
 
     Attributes:
-        drives: with such features.
-        whole: of all of them together.
-        quartiles: of the distances at which features were observed [m].
+        drives: valid rates of each drive with such features.
+        whole: valid rates of all of them together.
+        quartiles: quartiles of the distances at which features were observed [m].
         apart: differences between sets, relative to the features' ranges between the 1st and the 99th percentile.
         apart_of_total: the same relative to the total range of values, as the paper has it.
-        unrelated: of cells that have nothing to do with each other, as in `apart.length`.
-        contacts: of wheels with cells, by how often the place was passed before; empty where that cannot be told.
+        unrelated: difference of unrelated cells, as in `apart.length`.
+        contacts: contacts of wheels with cells, by how often the place was passed before; empty where unknown.
     """
 
     drives: tuple[Rates, ...]
@@ -67,11 +64,11 @@ class FeatureCoverage:
     contacts: Int[np.ndarray, " K"]
 
 
-def covered(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | None:
-    """The numbers of a dataset; None if no drive of it has features by distance.
+def measure_coverage(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | None:
+    """Coverage of a dataset's features; None if no drive has features by distance.
 
     Args:
-        seed: of the pairs of cells that have nothing to do with each other.
+        seed: of the random pairs of unrelated cells.
     """
     found = [(drive, drive.rows.cells) for drive in dataset.drives if by_distance(drive.rows.cells)]
     cells = [c for _, c in found if c is not None]
@@ -97,7 +94,7 @@ def covered(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | None:
 
 
 def by_distance(cells: Cells | None) -> bool:
-    """Whether these are visual features, with all feature sets."""
+    """Whether cells have visual features, with all feature sets."""
     return cells is not None and len(cells.valid) == len(FEATURE_SETS) and cells.features.shape[2] > 0
 
 
@@ -117,7 +114,7 @@ def path_of(drive: StoredDrive) -> Float[np.ndarray, "N 2"]:
 
 
 def seconds_of(drive: StoredDrive) -> float:
-    """How long it lasts [s]."""
+    """Length of a drive [s]."""
     return len(drive.rows.time) * DT
 
 
@@ -139,13 +136,13 @@ def _rates(name: str, cells: Sequence[Cells], reached: Sequence[np.ndarray]) -> 
     )
 
 
-def tables(found: FeatureCoverage) -> tuple[TextTable, ...]:
-    """All of them, in the order in which they are read."""
-    counted = (_contacts(found),) if len(found.contacts) else ()
-    return (_rates_of_cover_table(found), _distances(found), _matrix(found), _neighbours(found), *counted)
+def tables(coverage: FeatureCoverage) -> tuple[TextTable, ...]:
+    """All tables, in reading order."""
+    counted = (_contacts(coverage),) if len(coverage.contacts) else ()
+    return (_rate_table(coverage), _distances(coverage), _matrix(coverage), _neighbours(coverage), *counted)
 
 
-def _rates_of_cover_table(found: FeatureCoverage) -> TextTable:
+def _rate_table(coverage: FeatureCoverage) -> TextTable:
     def line(name: str, rates: np.ndarray) -> tuple[str, ...]:
         return (name, *(number(rate) for rate in rates))
 
@@ -157,8 +154,8 @@ def _rates_of_cover_table(found: FeatureCoverage) -> TextTable:
             line("  of those within reach", rates.in_reach),
         ]
 
-    drives = found.drives if len(found.drives) > 1 else ()
-    body = [line for rates in (*drives, found.whole) for line in lines_of(rates)]
+    drives = coverage.drives if len(coverage.drives) > 1 else ()
+    body = [line for rates in (*drives, coverage.whole) for line in lines_of(rates)]
     about = (
         "Share of cells under the wheels that have features, each counted once a pass. Within reach: only cells that "
         "the vehicle was at the set's distance from on that pass, ± 5 m; the start of a drive was never seen from 40 m."
@@ -167,10 +164,10 @@ def _rates_of_cover_table(found: FeatureCoverage) -> TextTable:
     return TextTable("Valid rates", names, (*body, line("paper", np.array(PAPER_RATES))), about)
 
 
-def _distances(found: FeatureCoverage) -> TextTable:
+def _distances(coverage: FeatureCoverage) -> TextTable:
     lines = [
         (name, *(number(value, 1) for value in column))
-        for name, column in zip(("25 %", "median", "75 %"), found.quartiles.T, strict=True)
+        for name, column in zip(("25 %", "median", "75 %"), coverage.quartiles.T, strict=True)
     ]
     about = (
         "From the sensor to the ground when the features were observed. The map keeps the closest observation, so what "
@@ -180,21 +177,21 @@ def _distances(found: FeatureCoverage) -> TextTable:
     return TextTable("Achieved observation distances", names, tuple(lines), about)
 
 
-def _matrix(found: FeatureCoverage) -> TextTable:
-    length = found.apart.length
+def _matrix(coverage: FeatureCoverage) -> TextTable:
+    length = coverage.apart.length
     lines = [(name, *(number(v) for v in row)) for name, row in zip(FEATURE_SETS, length, strict=True)]
     about = (
         "Mean l2 norm of the difference of the same cells' features between two sets, where both are valid, divided by "
-        "the l2 norm of the features' ranges (1st to 99th percentile of all cells in hindsight). Two cells that have "
-        f"nothing to do with each other differ by {number(found.unrelated)}."
+        "the l2 norm of the features' ranges (1st to 99th percentile of all cells in hindsight). Unrelated cells "
+        f"differ by {number(coverage.unrelated)}."
     )
     return TextTable("Differences between sets", ("l2 difference / range", *FEATURE_SETS), tuple(lines), about)
 
 
-def _neighbours(found: FeatureCoverage) -> TextTable:
+def _neighbours(coverage: FeatureCoverage) -> TextTable:
     pairs = [f"{a}/{b}" for a, b in pairwise(FEATURE_SETS[1:])]
     lines = []
-    for name, differences in (("1 to 99 %", found.apart), ("total", found.apart_of_total)):
+    for name, differences in (("1 to 99 %", coverage.apart), ("total", coverage.apart_of_total)):
         each = differences.neighbours()
         known = np.isfinite(each).any(axis=1)
         for what, reduce in (("mean", np.nanmean), ("largest", np.nanmax)):
@@ -209,19 +206,19 @@ def _neighbours(found: FeatureCoverage) -> TextTable:
     return TextTable("Differences of single features", ("difference / range", *pairs), tuple(lines), about)
 
 
-def _contacts(found: FeatureCoverage) -> TextTable:
-    share = found.contacts / found.contacts.sum()
+def _contacts(coverage: FeatureCoverage) -> TextTable:
+    share = coverage.contacts / coverage.contacts.sum()
     names = [f"pass {n + 1}" for n in range(len(share))]
-    line = ("contacts", *(f"{c} ({s:.0%})" for c, s in zip(found.contacts, share, strict=True)))
+    line = ("contacts", *(f"{c} ({s:.0%})" for c, s in zip(coverage.contacts, share, strict=True)))
     about = "A wheel on a cell at a row, by how often that place was passed before: later passes have seen it nearby."
     return TextTable("Rows by pass", ("wheels at rows", *names), (line,), about)
 
 
-def headline(found: FeatureCoverage) -> str:
-    """One sentence with the main numbers."""
+def headline(coverage: FeatureCoverage) -> str:
+    """Sentence with the main numbers."""
     rates = ", ".join(
-        f"{name} {number(rate)}" for name, rate in zip(FEATURE_SETS, found.whole.share, strict=True) if rate == rate
+        f"{name} {number(rate)}" for name, rate in zip(FEATURE_SETS, coverage.whole.share, strict=True) if rate == rate
     )
-    far = found.apart.length[HINDSIGHT]
+    far = coverage.apart.length[HINDSIGHT]
     most = number(np.nanmax(far)) if np.isfinite(far).any() else "–"
     return f"valid by distance: {rates}; features differ from hindsight's by up to {most} of their range"

@@ -17,14 +17,14 @@ PLACES = np.arange(len(FEATURE_SETS))
 TICKS = [name if name == "hindsight" else f"{name} m" for name in FEATURE_SETS]
 
 
-def draw_rates(found: FeatureCoverage) -> Figure:
+def draw_rates(coverage: FeatureCoverage) -> Figure:
     """Valid rates by distance, of each drive, of all, and the paper's."""
     figure = Figure(figsize=(8.4, 4.4), dpi=130, layout="constrained")
-    axes = plain(figure.subplots(), f"Valid features by distance, {found.whole.cells} cells")
-    for number, drive in enumerate(found.drives if len(found.drives) > 1 else ()):
+    axes = plain(figure.subplots(), f"Valid features by distance, {coverage.whole.cells} cells")
+    for number, drive in enumerate(coverage.drives if len(coverage.drives) > 1 else ()):
         axes.plot(PLACES, drive.share, color=SOFT, linewidth=0.8, label="" if number else "each drive")
-    axes.plot(PLACES, found.whole.share, "o-", color=BLUE, label="all cells")
-    axes.plot(PLACES, found.whole.in_reach, "o--", color=GREEN, label="cells that the vehicle was so far from")
+    axes.plot(PLACES, coverage.whole.share, "o-", color=BLUE, label="all cells")
+    axes.plot(PLACES, coverage.whole.in_reach, "o--", color=GREEN, label="cells within reach of the distance")
     axes.plot(PLACES, PAPER_RATES, "s:", color=ORANGE, label="paper")
     axes.set(ylim=(0, 1.05), ylabel="share of valid cells")
     axes.set_xticks(PLACES, TICKS)
@@ -32,14 +32,14 @@ def draw_rates(found: FeatureCoverage) -> Figure:
     return figure
 
 
-def draw_distances(found: FeatureCoverage) -> Figure:
-    """From how far features were really observed, against the distance that each set asks for."""
+def draw_distances(coverage: FeatureCoverage) -> Figure:
+    """Distances that features were observed from, against the distance of each feature set."""
     figure = Figure(figsize=(8.4, 4.0), dpi=130, layout="constrained")
     axes = plain(figure.subplots(), "Distance from sensor to ground when valid features were observed")
-    low, middle, high = found.quartiles.T
+    low, middle, high = coverage.quartiles.T
     wanted = PLACES[1:][DISTANCES >= 0]
     axes.bar(
-        wanted, 2 * TOLERANCE, 0.8, DISTANCES[DISTANCES >= 0] - TOLERANCE, color=GRID, label="asked for: vehicle ± 5 m"
+        wanted, 2 * TOLERANCE, 0.8, DISTANCES[DISTANCES >= 0] - TOLERANCE, color=GRID, label="of the set: vehicle ± 5 m"
     )
     axes.vlines(PLACES, low, high, color=BLUE, linewidth=5, alpha=0.5, label="quartiles")
     axes.plot(PLACES, middle, "o", color=BLUE, label="median")
@@ -49,11 +49,11 @@ def draw_distances(found: FeatureCoverage) -> Figure:
     return figure
 
 
-def draw_differences(found: FeatureCoverage) -> Figure:
+def draw_differences(coverage: FeatureCoverage) -> Figure:
     """L2 differences between sets as a matrix, and of each feature between distances next to each other."""
     figure = Figure(figsize=(11.5, 4.8), dpi=130, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
-    length = found.apart.length
+    length = coverage.apart.length
     image = left.imshow(length, cmap="viridis", vmin=0)
     for row in PLACES:
         for column in PLACES:
@@ -67,7 +67,7 @@ def draw_differences(found: FeatureCoverage) -> Figure:
     figure.colorbar(image, ax=left, shrink=0.85)
 
     plain(right, "Each feature between neighbouring distances, of its range")
-    for differences, colour, name in ((found.apart, BLUE, "1 to 99 %"), (found.apart_of_total, PURPLE, "total")):
+    for differences, colour, name in ((coverage.apart, BLUE, "1 to 99 %"), (coverage.apart_of_total, PURPLE, "total")):
         steps = np.arange(len(differences.neighbours()))
         shift = -0.13 if colour == BLUE else 0.13
         for number, values in enumerate(differences.neighbours()):
@@ -96,12 +96,12 @@ FIGURES: dict[str, tuple[str, Callable[[FeatureCoverage], Figure], str]] = {
 """Title of the table that a figure stands below, the function that draws it, and its caption."""
 
 
-def coverage_sections(found: FeatureCoverage, figures: Collection[str] = tuple(FIGURES)) -> list[Section]:
+def coverage_sections(coverage: FeatureCoverage, figures: Collection[str] = tuple(FIGURES)) -> list[Section]:
     """All tables as sections of a page, with these figures below them."""
     sections = []
-    for table in tables(found):
+    for table in tables(coverage):
         drawn = [(name, *FIGURES[name][1:]) for name in figures if FIGURES[name][0] == table.title]
         sections.append(
-            table_section(table, *(Picture(name, png(draw(found)), caption) for name, draw, caption in drawn))
+            table_section(table, *(Picture(name, png(draw(coverage)), caption) for name, draw, caption in drawn))
         )
     return sections

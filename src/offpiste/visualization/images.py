@@ -1,9 +1,4 @@
-"""The first three components of a feature image as colours, beside the image it comes from (the paper's figure).
-
-Pictures of points in images.
-
-Camera images with what was found in them, from a few moments of a drive.
-"""
+"""Camera images as pictures: scan points in them, and the first three components of their features as colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,17 +14,17 @@ from offpiste.mapping.replay import Moment
 from offpiste.perception.patch_grid import PatchGrid
 
 PERCENTILES = (2.0, 98.0)
-"""Of each component are drawn darkest and brightest."""
+"""Percentiles of each component that are drawn darkest and brightest."""
 
 
 def colour_limits(
     components: Float[np.ndarray, "*P n"], mask: Bool[np.ndarray, "*P"] | None = None
 ) -> Float[np.ndarray, "2 3"]:
-    """What is drawn darkest and brightest of each of the first three components.
+    """Values of the first three components that are drawn darkest and brightest.
 
     Args:
         components: of one image, or of all that are to be compared; NaN where there are none.
-        mask: patches to judge by, e.g. ground.
+        mask: patches that count, e.g. ground.
     """
     chosen = components.reshape(-1, components.shape[-1]) if mask is None else components[mask]
     chosen = chosen[np.isfinite(chosen).all(axis=1), :3].astype(np.float64)
@@ -42,7 +37,7 @@ def colour_limits(
 def colours(
     components: Float[np.ndarray, "*P n"], limits: Float[np.ndarray, "2 3"] | None = None
 ) -> UInt8[np.ndarray, "*P 3"]:
-    """The first three components as RGB; grey for those that are lacking or constant, black where one is NaN."""
+    """First three components as RGB; grey for components that are missing or constant, black where one is NaN."""
     low, high = colour_limits(components) if limits is None else limits
     values = np.zeros((*components.shape[:-1], 3))
     given = min(3, components.shape[-1])
@@ -63,7 +58,7 @@ def beside(
 
 
 def sheet(pictures: Sequence[UInt8[np.ndarray, "h w 3"]], *, columns: int = 2) -> UInt8[np.ndarray, "H W 3"]:
-    """Pictures of one size side by side and below each other."""
+    """Pictures of one size in rows and columns."""
     blank = [np.zeros_like(pictures[0])] * (-len(pictures) % columns)
     filled = [*pictures, *blank]
     rows = [np.concatenate(filled[start : start + columns], axis=1) for start in range(0, len(filled), columns)]
@@ -102,24 +97,24 @@ def overlay(
 
 
 MOMENTS: Final = 4
-"""That are shown of a drive."""
+"""Number of moments of a drive that are shown."""
 
 WIDTH: Final = 2000
-"""Of a sheet [px]."""
+"""Width of a sheet [px]."""
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
 @dataclass(frozen=True)
 class Album:
-    """Pictures of the first moments after given times at which all cameras that speak have been looked through.
+    """Pictures of the first moments after given times at which every camera has an image.
 
     Attributes:
         times: rising [s].
         limits: colours of the features; None without features.
-        cameras: as many are waited for, up to a second.
-        overlays: image by image: points in it, red near and blue far.
-        besides: the same image beside its features.
+        cameras: number of cameras to wait for, up to a second.
+        overlays: each image with the points in it, red near and blue far.
+        besides: each image beside its features.
     """
 
     times: tuple[float, ...]
@@ -129,8 +124,8 @@ class Album:
     besides: list[Picture] = field(default_factory=list)
     done: list[float] = field(default_factory=list)
 
-    def look(self, moment: Moment) -> None:
-        """Take a picture if it is time for one."""
+    def add(self, moment: Moment) -> None:
+        """Take pictures of a moment if it is time for them."""
         if len(self.done) == len(self.times) or moment.time < self.times[len(self.done)] or not moment.views:
             return
         if len(moment.views) < self.cameras and moment.time < self.times[len(self.done)] + 1.0:

@@ -1,7 +1,4 @@
-"""All ground that a map around a moving vehicle has shown, for pictures from above.
-
-A map from above: elevation, features, obstacles and slope, what is known, and where the wheels went.
-"""
+"""The map of a drive from above: elevation, features, obstacles and slope, what is known, and the wheels' tracks."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -19,10 +16,10 @@ from offpiste.report.figure import INK
 from offpiste.visualization.images import colours
 
 UNKNOWN, FILLED, OBSERVED, FEATURED = range(4)
-"""What is known of a cell: nothing; filled from a cell nearby; hit; seen by a camera."""
+"""Knowledge of a cell: none; filled from a cell nearby; hit by a LiDAR; seen by a camera."""
 
 MOST_CELLS: Final = 3_000_000
-"""Of a mosaic, which takes every second, third, ... cell of the map where the drive is long."""
+"""Number of cells that a mosaic may have; of a long drive it takes every second, third, ... cell."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Ground:
         origin: x, y of the centre of cell [0, 0] [m].
         elevation: NaN where unknown [m].
         components: the first three features; NaN where there are none.
-        obstacle: height of what stands on the ground [m]; NaN where unknown.
+        obstacle: height of obstacles above the ground [m]; NaN where unknown.
         slope: rise over run; NaN where unknown.
         known: `UNKNOWN` to `FEATURED`.
     """
@@ -47,7 +44,7 @@ class Ground:
     known: Int[np.ndarray, "ny nx"]
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "Ground":
-        """The cells whose centres lie in a box of the world frame."""
+        """Ground cropped to the cells whose centres lie in a box of the world frame."""
         ny, nx = self.known.shape
         first = np.clip(np.ceil((low - self.origin) / self.resolution).astype(int), 0, [nx, ny])
         stop = np.clip(np.floor((high - self.origin) / self.resolution).astype(int) + 1, first, [nx, ny])
@@ -56,7 +53,7 @@ class Ground:
         return Ground(self.origin + first * self.resolution, self.resolution, *(layer[box] for layer in layers))
 
     def trimmed(self) -> "Ground":
-        """Without unknown rows and columns around."""
+        """Ground without unknown rows and columns at its edges."""
         rows, columns = np.nonzero(self.known)
         if not len(rows):
             return self
@@ -67,12 +64,12 @@ class Ground:
 
 
 class Mosaic:
-    """Every cell as the map held it last; memory bounded by `MOST_CELLS`.
+    """Ground of a whole drive, each cell as the map had it last; memory is bounded by `MOST_CELLS`.
 
     Args:
         low, high: corners of a box that holds all maps [m].
         resolution: size of the maps' cells [m].
-        most: cells that it may have.
+        most: number of cells that it may have.
     """
 
     def __init__(
@@ -95,7 +92,7 @@ class Mosaic:
         self._known = np.zeros((ny, nx), np.int8)
 
     def add(self, layers: TerrainLayers) -> None:
-        """Take over what a map knows now; what it does not know any more stays."""
+        """Update the cells that a map knows now; others stay."""
         low = np.floor(layers.origin / layers.resolution).astype(int)  # cell i covers [i, i + 1) cells
         skip = -low % self.step
         every = slice(skip[1], None, self.step), slice(skip[0], None, self.step)
@@ -117,20 +114,20 @@ class Mosaic:
         self._known[here] = np.where(valid, FEATURED, np.where(observed, OBSERVED, FILLED))
 
     def ground(self) -> Ground:
-        """What it has; shares memory with the mosaic."""
+        """The ground so far; shares memory with the mosaic."""
         size = self._resolution * self.step
         origin = self._first * size + self._resolution / 2
         return Ground(origin, size, self._elevation, self._components, self._obstacle, self._slope, self._known)
 
 
 SUN = np.array([-0.5, 0.45, 0.74])
-"""Towards the light: from the upper left, as on maps."""
+"""Direction towards the light: from the upper left, as on maps."""
 
 PAPER = 0.97
-"""Brightness of what is unknown."""
+"""Brightness of unknown cells."""
 
 RELIEF = ListedColormap(colormaps["gist_earth"](np.linspace(0.15, 0.9, 256)))
-"""From low to high: without the blue of water and the white of snow."""
+"""Colours of elevation, without the blue of water and the white of snow."""
 
 STEEP = 0.8
 """Slope that is drawn in the last colour, rise over run."""
@@ -145,11 +142,11 @@ Limits = Float[np.ndarray, "2 3"]
 
 
 def draw_map(ground: Ground, wheels: Float[np.ndarray, "N 4 2"], limits: Limits | None, *, title: str = "") -> Figure:
-    """Four panels of the same ground.
+    """Figure with four panels of the same ground.
 
     Args:
-        wheels: where they went [m].
-        limits: what is drawn darkest and brightest of the features (`perception.pictures.colour_limits`); None where
+        wheels: places of the wheels [m].
+        limits: what is drawn darkest and brightest of the features (`images.colour_limits`); None where
             there are none.
     """
     tall = ground.known.shape[0] / max(ground.known.shape[1], 1)
@@ -175,14 +172,14 @@ def draw_map(ground: Ground, wheels: Float[np.ndarray, "N 4 2"], limits: Limits 
 
 
 def draw_wheels(axes: Axes, wheels: Float[np.ndarray, "N 4 2"]) -> None:
-    """The four tracks."""
+    """Draw the tracks of the four wheels."""
     for number in range(4):
         axes.plot(*wheels[:, number].T, color="white", linewidth=1.1, alpha=0.8)
         axes.plot(*wheels[:, number].T, color=INK, linewidth=0.5)
 
 
 def hillshade(ground: Ground) -> Float[np.ndarray, "ny nx"]:
-    """Light on the ground [0..1], about 0.7 on a level; NaN where its neighbours are unknown."""
+    """Light on the ground [0..1], about 0.7 on level ground; NaN where neighbours are unknown."""
     if min(ground.elevation.shape) < 2:
         return np.full(ground.elevation.shape, np.nan)
     rise_y, rise_x = np.gradient(ground.elevation.astype(np.float64), ground.resolution)
@@ -206,7 +203,7 @@ def _rgb(components: Float[np.ndarray, "ny nx 3"], limits: Limits) -> UInt8[np.n
 
 
 def _relief(axes: Axes, ground: Ground) -> ScalarMappable:
-    """Colours of elevation with light and shade; what their scale is drawn from."""
+    """Draw elevation in colours with light and shade; returns what the colour bar is made from."""
     known = ground.known > 0
     low, high = np.percentile(ground.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
     scale = ScalarMappable(Normalize(low, max(high, low + 0.5)), RELIEF)
@@ -218,7 +215,7 @@ def _relief(axes: Axes, ground: Ground) -> ScalarMappable:
 
 
 def _obstacles(figure: Figure, axes: Axes, ground: Ground) -> None:
-    """Slope below, obstacles on top."""
+    """Draw slope, and obstacles on top of it."""
     _show(axes, ground, np.full((*ground.known.shape, 3), PAPER))
     slope = axes.imshow(ground.slope, origin="lower", extent=_extent(ground), cmap="Greys", vmin=0, vmax=STEEP)
     stands = np.where(ground.obstacle > 0.2, ground.obstacle, np.nan)

@@ -1,4 +1,4 @@
-"""Ground as triangles, in tiles that stand still in the world."""
+"""Ground as a mesh of triangles, in tiles at fixed places in the world."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from offpiste.mapping.terrain_map import TerrainLayers
 
 TILE: Final = 100
-"""Cells along the side of a tile: 20 m of a map of 0.2 m."""
+"""Number of cells along the side of a tile: 20 m of a map of 0.2 m."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,7 @@
-"""From where a Rerun viewer first looks at a vehicle.
+"""A drive as a Rerun recording (rerun.io): images, features, scans, the growing map and the wheels' tracks, by time.
 
-A drive as a Rerun recording (rerun.io): images, features, scans, the growing map and the wheels' path, by time.
-
-Everything goes to the file as it comes, so that memory does not grow with the drive. Places are relative to where the
-vehicle was first, because viewers count in float32.
+Data is streamed to the file, so memory does not grow with the drive. Places are relative to where the vehicle was
+first, because viewers count in float32.
 """
 
 from dataclasses import dataclass, field
@@ -24,11 +22,11 @@ from offpiste.visualization.map_figure import STEEP, TALL
 from offpiste.visualization.mesh import Tile, cell_centres, grid_triangles, tiles
 
 OFFSET: Final = np.array([-14.0, -14.0, 11.0])
-"""Of the eye from the vehicle's first place [m]."""
+"""Offset of the viewer's eye from the vehicle's first place [m]."""
 
 
 def following_eye(vehicle: str, start: Float[np.ndarray, " 3"]) -> Any:
-    """An eye above and beside a vehicle, that goes along with it.
+    """Viewer's eye above and beside a vehicle, following it.
 
     Args:
         vehicle: its entity.
@@ -45,7 +43,7 @@ EPOCH: Final = 1e8
 """Times above this are dates, those below count from the log's own zero [s]."""
 
 GREY: Final = np.array([120, 120, 120], np.uint8)
-"""Of what no camera has seen."""
+"""Colour of what no camera has seen."""
 
 
 @dataclass(frozen=True)

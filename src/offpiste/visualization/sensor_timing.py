@@ -1,4 +1,4 @@
-"""What comes when: the stamps of a log's cameras, LiDARs and poses, and their gaps."""
+"""When each sensor sends, with its gaps, and the time between its messages."""
 
 from collections.abc import Mapping
 
@@ -32,11 +32,11 @@ def draw_sensors(stamps: Mapping[str, Float[np.ndarray, " _"]], stretch: tuple[f
 
     Args:
         stamps: of each sensor, sorted [s].
-        stretch: that is looked at, marked; its end may be infinite [s].
+        stretch: the viewed part of the log, marked; its end may be infinite [s].
     """
     figure = Figure(figsize=(12, 2.6 + 0.34 * len(stamps) + 1.6), dpi=120, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(0.5 + 0.34 * len(stamps), 2.6))
-    plain(above, "when each sensor speaks; orange: gaps of more than three usual intervals")
+    plain(above, "when each sensor sends; orange: gaps of more than three usual intervals")
     plain(below, "time between messages")
     for line, (name, time) in enumerate(stamps.items()):
         steps, gap = np.diff(time), gaps(time)

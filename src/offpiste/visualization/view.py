@@ -1,7 +1,4 @@
-"""The stretch of a log that is looked at.
-
-Look at a log or at a dataset, whichever a path is.
-"""
+"""View a log or a dataset, whichever a path is."""
 
 import logging
 from pathlib import Path
@@ -57,7 +54,7 @@ def view(
         what was written, each whole.
 
     Raises:
-        LogError, RigError, PerceptionError, DatasetError: it is neither, or cannot be looked at.
+        LogError, RigError, PerceptionError, DatasetError: the path is neither, or cannot be viewed.
     """
     if out.exists() and not out.is_dir():
         raise DatasetError("is a file, not a folder for pictures", where=out, how="choose another --out")

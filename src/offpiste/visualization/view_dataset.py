@@ -16,7 +16,7 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain, png
 from offpiste.report.page import Page, Picture, Section, write_page
-from offpiste.visualization.coverage import FeatureCoverage, covered, headline, path_of, seconds_of, tables
+from offpiste.visualization.coverage import FeatureCoverage, headline, measure_coverage, path_of, seconds_of, tables
 from offpiste.visualization.coverage_figures import coverage_sections
 
 logger = logging.getLogger(__name__)
@@ -90,7 +90,7 @@ def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
     Returns:
         Paths of the files, each written whole or not at all.
     """
-    found = covered(dataset)
+    found = measure_coverage(dataset)
     if found is not None:
         for table in tables(found):
             logger.info(table.text())

@@ -1,4 +1,4 @@
-"""A recorded drive as people look at it: pictures of its sensors and its map, and a Rerun recording."""
+"""Pictures of a recorded drive: its sensors and its map; and a Rerun recording."""
 
 import logging
 from collections.abc import Iterator
@@ -30,24 +30,24 @@ from offpiste.visualization.sensor_timing import draw_sensors, stamps_of
 logger = logging.getLogger(__name__)
 
 PATCH = 14
-"""Side of a patch where nothing is made of patches [px]."""
+"""Side of a patch where no features are computed [px]."""
 
 PATH_STEP = 0.1
-"""Between the places of the wheels' path [s]."""
+"""Time between places of the wheels' tracks [s]."""
 
 EARLIER = 1.0
-"""Images are looked at from so long before the first scan on [s]."""
+"""Images are processed from this long before the first scan [s]."""
 
 MOSAIC_METRES = 2.0
-"""The mosaic is brought up to date when the vehicle has gone so far [m]."""
+"""The mosaic is updated when the vehicle has driven this far [m]."""
 
 NEAR = 25.0
-"""Half a side of the closer map [m]."""
+"""Half the side of the closer map [m]."""
 
 
 @dataclass(frozen=True)
 class _Drive:
-    """What is played back.
+    """A stretch of a drive that is played back.
 
     Attributes:
         start, end: first and last scan of the stretch [s].
@@ -79,7 +79,7 @@ def view_log(
     """Write sensors.png, overlay.png, features.png (with features), map.png, map-near.png, and drive.rrd.
 
     Args:
-        looking: what turns images into features.
+        extractor: computes the features of images.
         stretch: first and last second after the first pose [s].
         rrd: write a recording, too; without its package a line says so, and pictures are made all the same.
 
@@ -87,7 +87,7 @@ def view_log(
         what was written, each whole.
 
     Raises:
-        LogError, RigError: there is nothing to see in this log, or in this stretch, with this rig.
+        LogError, RigError: nothing of this log, or of this stretch, can be viewed with this rig.
     """
     drive = _open(log, rig, extractor, stretch)
     sensors = drive.log
@@ -189,7 +189,7 @@ def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None
     played = replay(log, cameras, look, channels, start=drive.start - EARLIER, end=drive.end)
     moment, before = None, np.full(3, np.inf)
     for moment in track(played, "playing back", total=drive.scans):
-        album.look(moment)
+        album.add(moment)
         if not np.linalg.norm(moment.vehicle - before) < MOSAIC_METRES:
             before = moment.vehicle.copy()
             mosaic.add(moment.layers)
