@@ -1,7 +1,8 @@
 """The map: insertion and flattening, against plain NumPy and against copying the bytes touched; and torch's lookups.
 
-`python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m between scans of
-100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m in cells of 0.2 m.
+`PYTHONPATH=. python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m
+between scans of 100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m
+in cells of 0.2 m.
 Times are medians, in brackets the best one and the processor time that all threads together took, median and best: on
 a busy machine that divided by the threads says what a free one would take.
 """
@@ -15,11 +16,11 @@ from functools import partial
 import numpy as np
 import torch
 
-from mapping import numpy_reference
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
+from tests.mapping import numpy_reference
 
 RINGS, TURN = 64, 1563
 SCANS = 40
