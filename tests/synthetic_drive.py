@@ -1,4 +1,4 @@
-"""Samples to record: of a kinematic bicycle on rolling ground, by known equations, and of the simulated vehicle."""
+"""Vehicle samples to record: a kinematic bicycle on rolling ground with known equations, and the simulated vehicle."""
 
 from functools import cache
 

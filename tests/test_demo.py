@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from feature_datasets import dataset_with_features
 from log_messages import logged
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
@@ -13,7 +14,6 @@ from offpiste.demo import MAP, DemoSettings, comparison_table, conclusion, gain_
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference
-from seen_drives import seen_dataset
 
 SMALL = DemoSettings(
     seconds=8.0,
@@ -64,7 +64,7 @@ def errors(distance: np.ndarray) -> Errors:
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """36 s to train, 18 s to test."""
-    return seen_dataset(tmp_path_factory.mktemp("demo") / "seen.zarr")
+    return dataset_with_features(tmp_path_factory.mktemp("demo") / "seen.zarr")
 
 
 def test_the_gain_is_relative_to_b_on_the_same_windows() -> None:

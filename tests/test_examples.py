@@ -9,11 +9,11 @@ import cv2
 import pytest
 import torch
 
+from feature_datasets import dataset_with_features
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import build, save_run, vehicle_of
-from seen_drives import seen_dataset
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -30,7 +30,7 @@ def run(name: str, *arguments: str | Path) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset of circles with random features, and runs `b` and `dc` with weights as they are drawn."""
     folder = tmp_path_factory.mktemp("examples")
-    dataset = seen_dataset(folder / "dataset.zarr")
+    dataset = dataset_with_features(folder / "dataset.zarr")
     for model in ("b", "dc"):
         config = TrainConfig(model=model)
         save_run(folder / model, build(model, vehicle_of(dataset), seed=0), config, dataset, torch.ones(5))

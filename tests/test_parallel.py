@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from jobs import square
 from log_messages import logged
 from offpiste.errors import LogError, OffpisteError
 from offpiste.parallel import run_all
+from parallel_jobs import square
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -43,7 +43,7 @@ def test_errors_come_back_from_other_processes_as_they_were():
 
 
 def test_processes_end_when_their_parent_is_killed():
-    imports = "from jobs import wait; from offpiste.parallel import run_all"
+    imports = "from parallel_jobs import wait; from offpiste.parallel import run_all"
     code = f"{imports}; run_all(wait, [1, 2], 2, 'waiting', finished=print)"
     script = f"if __name__ == '__main__':\n    {code}"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(["tests", *sys.path])}

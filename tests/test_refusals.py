@@ -12,13 +12,13 @@ import zarr
 from safetensors.torch import load_file, save_file
 
 from factories import circle_rows, small_rig
+from feature_datasets import dataset_with_features
 from offpiste.cli import main
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig, Weights, refuse_impossible
 from offpiste.training.run import build, save_run, vehicle_of
-from seen_drives import seen_dataset
 
 QUICK = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100", "--batch", "64")
 
@@ -27,7 +27,7 @@ QUICK = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset with features by distance, and beside it runs `b` and `cf` whose weights are as they were drawn."""
     folder = tmp_path_factory.mktemp("refusals")
-    dataset = seen_dataset(folder / "good.zarr")
+    dataset = dataset_with_features(folder / "good.zarr")
     for model in ("b", "cf"):
         config = TrainConfig(model=model)
         save_run(folder / model, build(model, vehicle_of(dataset), seed=0), config, dataset, torch.ones(5))
@@ -83,7 +83,7 @@ def test_features_that_are_all_missing(copied: Path, good: Path, tmp_path: Path,
 
 
 def test_one_drive(tmp_path: Path, good: Path, error_of: Callable[..., str]) -> None:
-    alone = seen_dataset(tmp_path / "one.zarr", ("train",)).path
+    alone = dataset_with_features(tmp_path / "one.zarr", ("train",)).path
     assert "the validation part has no window of 5 s, and no row" in error_of(
         "train", alone, "--out", tmp_path / "run", *QUICK
     )

@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from made_errors import BASE
 from offpiste.errors import RunError
 from offpiste.evaluation.error_files import load_errors, save_errors, saved_errors
 from offpiste.evaluation.errors import Errors
+from window_errors import BASE
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:

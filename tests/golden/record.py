@@ -27,6 +27,7 @@ import torch
 from mcap.reader import make_reader
 
 from factories import COMMANDED, VEHICLE, Situation
+from feature_datasets import dataset_with_features
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDrive, drive_course
 from offpiste.closed_loop.planner import Planner
@@ -70,9 +71,8 @@ from offpiste.training.prediction import predict
 from offpiste.training.run import build, load_run
 from offpiste.training.terrain_sources import encoded
 from offpiste.training.train import standardise, train
-from planning_grounds import layers, situation
+from planning_maps import layers, situation
 from runtime.stream import parametric, settings
-from seen_drives import seen_dataset
 
 Results = dict[str, np.ndarray | str]
 
@@ -646,7 +646,7 @@ def findings() -> Results:
 
 def training() -> Results:
     """Short trainings: weights in the order of registration, losses of every epoch, and what an evaluation finds."""
-    made = seen_dataset(temporary_folder() / "seen.zarr", rows=700)
+    made = dataset_with_features(temporary_folder() / "seen.zarr", rows=700)
     found: Results = {}
     quick = TrainConfig(epochs=2, bicycle_epochs=1, actuator_epochs=1, stride=20, batch=32, codes=3, seed=11)
     runs = []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import seen_world as world
+import textured_world as world
 from offpiste.inspection.camera import check_camera
 from offpiste.inspection.lidar import check_lidar
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from msgspec import structs
 
-import seen_world as world
+import textured_world as world
 from offpiste.inspection.sensor_samples import Grey, driving, pairs
 from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, untimed_points
 from offpiste.inspection.sensors import check_sensors

@@ -20,7 +20,7 @@ from offpiste.planning.cost_map import (
     hazard_layers,
     speed_limit,
 )
-from planning_grounds import layers, straight
+from planning_maps import layers, straight
 
 HERE = torch.zeros(2, dtype=torch.float64)
 

@@ -6,7 +6,7 @@ import torch
 from scipy.ndimage import distance_transform_edt
 
 from offpiste.planning.cost_map import BLOCK, NEAR, Course, Hazards, along_path, densified, hazard_layers
-from planning_grounds import layers
+from planning_maps import layers
 
 SIZE = 0.2
 

@@ -10,7 +10,7 @@ from offpiste.conventions import DT, GRAVITY
 from offpiste.planning.cost_map import Hazards
 from offpiste.planning.costs import Weights, driving_cost, driving_terms
 from offpiste.state import Trajectory
-from planning_grounds import layers, situation
+from planning_maps import layers, situation
 
 STEPS = 50
 

@@ -22,7 +22,7 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
 from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_model_state
 from offpiste.state import ModelState
-from planning_grounds import layers, situation
+from planning_maps import layers, situation
 
 STEPS = 60
 

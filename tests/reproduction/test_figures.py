@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
+from feature_datasets import dataset_with_features
 from offpiste.dataset.windows import Windows
 from offpiste.reproduction.figures import spaced_windows
-from seen_drives import seen_dataset
 
 
 def test_ten_windows_share_no_row(tmp_path: Path) -> None:
-    dataset = seen_dataset(tmp_path / "seen.zarr", ("test",) * 4, rows=1500)
+    dataset = dataset_with_features(tmp_path / "seen.zarr", ("test",) * 4, rows=1500)
     windows = Windows(dataset, "test")
     index = spaced_windows(windows)
     assert len(index) == 10

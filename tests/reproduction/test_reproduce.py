@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
+from feature_datasets import dataset_with_features
 from log_messages import logged
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS
@@ -21,7 +22,6 @@ from offpiste.reproduction import settings
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import SIZES, ReproductionSettings, Size
 from offpiste.training.config import TrainConfig
-from seen_drives import seen_dataset
 
 TINY = Size(
     "tiny",
@@ -38,7 +38,7 @@ class Killed(BaseException):
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return seen_dataset(tmp_path_factory.mktemp("data") / "seen.zarr").path
+    return dataset_with_features(tmp_path_factory.mktemp("data") / "seen.zarr").path
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +174,7 @@ def test_datasets_that_cannot_carry_a_figure_are_refused_in_one_line(
     create(blind, small_rig(), parse_split("blocks:0.6,0.2,0.2"))
     add_drive(blind, "one", circle_rows(4000), parse_split("blocks:0.6,0.2,0.2"), ())
     few = tmp_path / "few.zarr"
-    seen_dataset(few, ("train", "validation", "test"), rows=300)
+    dataset_with_features(few, ("train", "validation", "test"), rows=300)
     alone = tmp_path / "alone.zarr"
     shutil.copytree(dataset, alone)
     for drive in list(alone.glob("circle-[123]")):

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from feature_datasets import dataset_with_features
 from offpiste.evaluation.errors import COMPONENTS, Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.evaluation.result_rows import RunErrors
 from offpiste.reproduction.results import FigureResults, last_rows, seen_throughout
 from offpiste.reproduction.settings import figure_models
 from offpiste.reproduction.tables import distance_table, error_table, fig3_claims, fig4_claims, seed_table, verdict
-from seen_drives import seen_dataset
 
 STORED = 40
 N = 120
@@ -121,7 +121,7 @@ def test_rows_over_all_seeds_stand_for_models_with_several():
 
 @pytest.mark.parametrize("name", ["hindsight", "20"])
 def test_seen_throughout_equals_a_slow_loop(name: str, tmp_path: Path) -> None:
-    dataset = seen_dataset(tmp_path / "seen.zarr", ("test", "test"), rows=420)
+    dataset = dataset_with_features(tmp_path / "seen.zarr", ("test", "test"), rows=420)
     for drive in dataset.drives:
         drive.rows.cells.valid[:] = True
         drive.rows.cells.valid[5, 40:60] = False

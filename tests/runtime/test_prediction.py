@@ -6,7 +6,7 @@ import torch
 
 from offpiste.dynamics.encoder import Compressor
 from offpiste.runtime.prediction import coded_area, cropped
-from planning_grounds import layers
+from planning_maps import layers
 
 ORIGIN = torch.zeros(2, dtype=torch.float64)
 

@@ -9,10 +9,10 @@ import pytest
 from experiments.control_experiments.models import models_control, trained
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.shift import shift_control
+from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
-from seen_drives import seen_dataset
 
 TINY = Size("tiny", (30.0, 15.0, 15.0), stride=320, train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=80))
 
@@ -20,7 +20,7 @@ TINY = Size("tiny", (30.0, 15.0, 15.0), stride=320, train=TrainConfig(epochs=1, 
 @pytest.fixture(scope="module")
 def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reproduced")
-    seen_dataset(folder / "dataset.zarr")
+    dataset_with_features(folder / "dataset.zarr")
     (folder / "settings.json").write_text(json.dumps({"size": asdict(TINY), "dataset": "simulated"}))
     of = open_reproduction(folder)
     for model in ("b", "dc"):

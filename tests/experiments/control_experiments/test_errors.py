@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from experiments.control_experiments.errors import MAP, gain, share
 from experiments.control_experiments.tables import gain_table, write_control
-from made_errors import BASE, ROW, errors
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
+from window_errors import BASE, ROW, errors
 
 
 def test_a_model_that_is_a_quarter_better_everywhere() -> None:

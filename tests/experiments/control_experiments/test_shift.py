@@ -6,18 +6,18 @@ import torch
 
 from experiments.control_experiments.errors import same_windows
 from experiments.control_experiments.shift import ShiftedMap, further, shifted
+from feature_datasets import dataset_with_features
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.training.run import vehicle_of
 from offpiste.training.terrain_sources import encoded, map_terrain, on_map
-from seen_drives import seen_dataset
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return seen_dataset(tmp_path_factory.mktemp("data") / "seen.zarr")
+    return dataset_with_features(tmp_path_factory.mktemp("data") / "seen.zarr")
 
 
 def test_rows_further_along_the_path_by_hand() -> None:

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from experiments.control_experiments.snapshots import own_drives, read_as_stored, read_on_snapshot
+from feature_datasets import FEATURES, dataset_with_features
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.wheel_positions import wheel_positions
-from seen_drives import FEATURES, seen_dataset
 
 ROWS = (20, 75, 300, 880)
 """The last one is too near the end for a window."""
@@ -41,7 +41,7 @@ def with_snapshots(dataset: Dataset, folder: Path) -> Dataset:
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("data")
-    return with_snapshots(seen_dataset(folder / "seen.zarr"), folder / "snapshots")
+    return with_snapshots(dataset_with_features(folder / "seen.zarr"), folder / "snapshots")
 
 
 def test_the_usual_features_give_the_usual_batch(dataset: Dataset) -> None:

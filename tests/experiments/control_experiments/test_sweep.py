@@ -6,8 +6,8 @@ import pytest
 from experiments.control_experiments.data import planned
 from experiments.control_experiments.errors import MAP, gain
 from experiments.control_experiments.sweep import _named, draw_gains, noisy
-from made_errors import BASE, errors
 from offpiste.mapping.terrain_map import TerrainMap
+from window_errors import BASE, errors
 
 
 def kinds(nodes: int = 400) -> TerrainMap:

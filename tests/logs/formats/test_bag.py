@@ -8,7 +8,7 @@ from mcap.writer import CompressionType
 from rosbags import rosbag1
 from rosbags.rosbag2.enums import CompressionMode, StoragePlugin
 
-from made_bags import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
+from bag_files import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
 from offpiste.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 

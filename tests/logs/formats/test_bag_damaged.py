@@ -10,7 +10,7 @@ import pytest
 from mcap.writer import CompressionType
 from rosbags.rosbag2.enums import StoragePlugin
 
-from made_bags import mcap_file, ros1_bag, ros2_folder, speeds, twists
+from bag_files import mcap_file, ros1_bag, ros2_folder, speeds, twists
 from offpiste.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 

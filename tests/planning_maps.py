@@ -1,4 +1,4 @@
-"""Small grounds and starts that tests of planning share."""
+"""Small terrain maps and start states for tests of planning."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""Errors of windows with a chosen distance."""
+"""Prediction errors of windows with a given distance."""
 
 import numpy as np
 

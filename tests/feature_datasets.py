@@ -1,4 +1,4 @@
-"""Datasets with random visual features by distance, made in a moment."""
+"""Small datasets with random visual features by distance."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ PARTS = ("train", "train", "validation", "test")
 VALID = np.array([1.0, 0.99, 0.99, 0.99, 0.98, 0.9, 0.6, 0.2])
 
 
-def seen_rows(rows: int, rng: np.random.Generator, **circle: float) -> Rows:
+def rows_with_features(rows: int, rng: np.random.Generator, **circle: float) -> Rows:
     """A circle whose cells, three rows long, look different from every distance."""
     driven = circle_rows(rows, seed=int(rng.integers(1000)), **circle)
     index = (4 * (np.arange(rows) // 3)[:, None] + np.arange(4)).astype(np.int32)
@@ -32,7 +32,7 @@ def seen_rows(rows: int, rng: np.random.Generator, **circle: float) -> Rows:
     return replace(driven, normal=normal, cells=Cells(index, look, valid, away, np.zeros_like(away)))
 
 
-def seen_dataset(path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0) -> Dataset:
+def dataset_with_features(path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0) -> Dataset:
     """Some drives, each in one part, with a map of random looks."""
     rng = np.random.default_rng(seed)
     names = [f"circle-{number}" for number in range(len(parts))]
@@ -41,7 +41,7 @@ def seen_dataset(path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, s
     split = parse_split(f"drives:{listed}")
     create(path, small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
     for name in names:
-        driven = seen_rows(rows, rng, speed=float(rng.uniform(3, 6)))
+        driven = rows_with_features(rows, rng, speed=float(rng.uniform(3, 6)))
         looks = rng.normal(size=(100, 100, FEATURES)).astype(np.float32)
         terrain = TerrainMap(driven.origin - 20.0, 0.4, np.zeros((100, 100), np.float32), looks)
         add_drive(path, name, driven, split, (), terrain)

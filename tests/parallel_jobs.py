@@ -1,4 +1,4 @@
-"""Jobs for processes of their own, which must import them."""
+"""Jobs for tests of `offpiste.parallel`, which worker processes must be able to import."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""A textured ground with walls, seen by one LiDAR and one camera of a vehicle that pitches, rolls, turns and brakes."""
+"""Textured ground with walls, seen by one LiDAR and one camera of a vehicle that pitches, rolls, turns and brakes."""
 
 from functools import cache
 
