@@ -1,13 +1,12 @@
 """A log in memory of a bicycle with known speed, steering and pedals, in which tests plant one fault at a time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from offpiste.logs.log import Log, Samples, Topic
+import factories
 from offpiste.rig.rig import Rig, parse_rig
 
 WHEELBASE, MAX_STEER = 2.5, 0.4
@@ -50,20 +49,11 @@ fields = ["angle"]
 """
 
 
-class MemoryLog(Log):
-    """Topics given as (stamps, columns by field)."""
+class MemoryLog(factories.MemoryLog):
+    """Topics given as (stamps, columns by field), of which tests change one at a time."""
 
     def __init__(self, topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]) -> None:
-        self.path = Path("simulated")
-        self.data = topics
-
-    @property
-    def topics(self) -> dict[str, Topic]:
-        return {n: Topic(n, "in memory", len(time), tuple(columns)) for n, (time, columns) in self.data.items()}
-
-    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
-        time, columns = self.data[topic.name]
-        return Samples(time.copy(), np.stack([columns[f] for f in fields], axis=1))
+        super().__init__(**topics)
 
     def change(self, topic: str, field: str, how: Callable[[np.ndarray], np.ndarray]) -> "MemoryLog":
         """The same log with one field changed."""
