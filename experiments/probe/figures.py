@@ -4,7 +4,6 @@ What the probes found, as tables.
 """
 
 from collections.abc import Sequence
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from offpiste.conventions import FEATURE_SETS
+from offpiste.report.figure import png
 
 Rows = Sequence[dict[str, Any]]
 
@@ -43,7 +43,7 @@ def distance_picture(rows: Rows, *, title: str) -> bytes:
             plot.set(ylabel=f"{target.replace('_', ' ')}: {label}", xlabel="seen from [m]")
     axes[0, 1].legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(1.0, 0.3))
     figure.suptitle(f"{title}: probes trained on hindsight, tested on other drives; 95 % intervals over blocks of 10 s")
-    return _png(figure)
+    return png(figure)
 
 
 def flaw_picture(rows: Rows, *, title: str) -> bytes:
@@ -69,7 +69,7 @@ def flaw_picture(rows: Rows, *, title: str) -> bytes:
     axes[0].set(ylabel="friction: R²")
     axes[1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.suptitle(f"{title}: visual probe under errors of the camera's mounting and stamps")
-    return _png(figure)
+    return png(figure)
 
 
 def _lines(plot: Axes, rows: Rows, quantity: str) -> None:
@@ -93,12 +93,6 @@ def _bare(plot: Axes) -> None:
     plot.spines[["top", "right"]].set_visible(False)
     plot.grid(axis="y", color="#dddddd", linewidth=0.6)
     plot.axhline(0, color="#999999", linewidth=0.8)
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
 
 
 Rows_probe_tables = Sequence[dict[str, Any]]

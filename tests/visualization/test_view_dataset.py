@@ -17,7 +17,7 @@ from offpiste.dataset.rows import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.wheel_positions import wheel_positions
-from offpiste.visualization.coverage import measure_coverage, passes_of
+from offpiste.visualization.coverage_tables import measure_coverage, passes_of
 from offpiste.visualization.view_dataset import DRIVES_A_PAGE, pages
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")

@@ -18,7 +18,7 @@ from offpiste.runtime.modes import Mode
 from offpiste.simulation.top_view import shaded_colours
 from offpiste.simulation.world.surface import read_grid
 from offpiste.visualization.mesh import grid_triangles
-from offpiste.visualization.recording import following_eye
+from offpiste.visualization.rerun_recording import following_eye
 
 LIFT = 0.3
 """Lines are drawn so far above the ground [m]."""

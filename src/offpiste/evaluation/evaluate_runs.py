@@ -78,5 +78,5 @@ def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
         raise RunError(
             f"'{reading[0].model}' reads terrain features, and all of {dataset.path} are missing",
             where=reading[0].folder,
-            how="look at the dataset with `offpiste view`, fix the rig's cameras and LiDARs and extract again",
+            how="view the dataset with `offpiste view`, fix the rig's cameras and LiDARs and extract again",
         )

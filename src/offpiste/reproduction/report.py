@@ -1,4 +1,4 @@
-"""Report of a figure: report.html, its pictures, and metrics.json."""
+"""Report of a reproduced figure: report.html, its pictures, and metrics.json."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -23,8 +23,8 @@ from offpiste.reproduction.settings import PCA_SWEPT, FigureModel, ReproductionS
 from offpiste.reproduction.steps import format_duration, times_by_kind
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import load_run
-from offpiste.visualization.coverage import FeatureCoverage, measure_coverage
 from offpiste.visualization.coverage_figures import coverage_sections
+from offpiste.visualization.coverage_tables import FeatureCoverage, measure_coverage
 
 SAME = "The same ten windows with features seen from every distance, read at recorded places. Up: ahead at the start."
 

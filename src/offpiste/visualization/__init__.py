@@ -1,1 +1,1 @@
-"""Logs and datasets as people look at them: pictures, a Rerun recording, a report of what the features cover."""
+"""Pictures of logs and datasets, Rerun recordings, and reports of what features cover."""

@@ -11,7 +11,7 @@ from offpiste.dataset.feature_coverage import PAPER_DIFFERENCE, PAPER_RATES
 from offpiste.dataset.feature_set_recorder import DISTANCES, TOLERANCE
 from offpiste.report.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain, png
 from offpiste.report.page import Picture, Section, table_section
-from offpiste.visualization.coverage import FeatureCoverage, tables
+from offpiste.visualization.coverage_tables import FeatureCoverage, tables
 
 PLACES = np.arange(len(FEATURE_SETS))
 TICKS = [name if name == "hindsight" else f"{name} m" for name in FEATURE_SETS]

@@ -16,8 +16,15 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain, png
 from offpiste.report.page import Page, Picture, Section, write_page
-from offpiste.visualization.coverage import FeatureCoverage, headline, measure_coverage, path_of, seconds_of, tables
 from offpiste.visualization.coverage_figures import coverage_sections
+from offpiste.visualization.coverage_tables import (
+    FeatureCoverage,
+    headline,
+    measure_coverage,
+    path_of,
+    seconds_of,
+    tables,
+)
 
 logger = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ from offpiste.report.figure import png
 from offpiste.rig.rig import Rig
 from offpiste.visualization.images import Album, contact_sheet, times_between, write_png
 from offpiste.visualization.map_figure import FEATURED, Mosaic, draw_map
-from offpiste.visualization.recording import Recorder
+from offpiste.visualization.rerun_recording import Recorder
 from offpiste.visualization.sensor_timing import draw_sensors, stamps_of
 
 logger = logging.getLogger(__name__)
