@@ -1,18 +1,12 @@
 """A fusion rule from outside the package, used by its name; and what the registry refuses."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
+from extending.outside import python
 from offpiste.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.voxel_map import VoxelSettings
-
-TESTS = Path(__file__).parents[1]
 
 MAP = """
 import numpy as np
@@ -31,16 +25,7 @@ compare("farthest")  # the loop and plain NumPy, which reads the same declaratio
 
 
 def test_an_added_rule_is_compiled_into_the_map_and_read_by_numpy():
-    paths = (TESTS.parent / "examples" / "extending", TESTS, os.environ.get("PYTHONPATH", ""))
-    environment = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "OFFPISTE_EXTENSIONS": "farthest"}
-    done = subprocess.run(
-        (sys.executable, "-c", MAP),
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = python("-c", MAP, extension="farthest")
     assert done.returncode == 0, done.stderr
 
 

@@ -1,4 +1,4 @@
-"""A column of the windows from outside the package: from a log's channel to a batch."""
+"""A column of the windows from outside the package: from a log's channel to a batch, and to a planner's history."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,14 @@ from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.errors import DatasetError, RigError
 from offpiste.rig.rig import parse_rig
 
-CHANNEL = 'temperature = { fields = ["air"], unit = "degC" }'
+CHANNEL = 'temperature = { fields = ["air"], unit = "degC" }\n'
 
 GATHER = """
 import sys
 import numpy as np
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
+from offpiste.runtime.estimator import VehicleReading, VehicleTrack
 
 dataset = open_dataset(sys.argv[1])
 windows = Windows(dataset, "train")
@@ -24,13 +25,21 @@ np.testing.assert_allclose(batch.extra["temperature"]["start"], 20 + 0.1 * time[
 np.testing.assert_allclose(batch.history.extra["temperature"][:, 0], 20 + 0.1 * time[row - 10], atol=1e-4)
 assert list(batch.extra["temperature"]) == ["past", "start"]
 assert dataset.drives[0].rows.cut(slice(5, 9)).column("temperature").shape == (4,)
+
+track = VehicleTrack()
+for number in range(50):
+    level, still = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3)
+    more = {"temperature": 20.0 + number} if number != 45 else {}
+    track.add(VehicleReading(0.02 * number, still, level, still, 0.0, np.full(4, np.nan), more))
+found = track.rows(0.02 * 49).extra["temperature"]
+np.testing.assert_array_equal(found, [np.nan if n == 45 else 20.0 + n for n in range(39, 50)])
 print(len(windows), "windows")
 """
 
 
-def test_an_added_column_goes_from_the_log_into_batches(tmp_path):
-    air = 20 + 0.1 * np.arange(0, 10, 0.02)
-    dataset = extracted_car(tmp_path, CHANNEL, extension="temperature", air=air)
+def test_an_added_column_goes_from_the_log_into_batches_and_histories(tmp_path):
+    time = np.arange(0, 10, 0.02)
+    dataset = extracted_car(tmp_path, CHANNEL, extension="temperature", air=20 + 0.1 * time)
     gathered = python("-c", GATHER, dataset, extension="temperature")
     assert gathered.returncode == 0, gathered.stderr
     assert int(gathered.stdout.split()[0]) > 100
@@ -42,5 +51,6 @@ def test_without_the_extension_the_channel_is_refused():
 
 
 def test_a_column_of_a_taken_name_is_refused():
+    assert "state" in COLUMNS
     with pytest.raises(DatasetError, match="two columns called 'state'"):
         COLUMNS.register("state")(Column(read=lambda grid: grid.time))

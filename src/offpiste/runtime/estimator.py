@@ -1,12 +1,15 @@
 """What the vehicle has said of itself in the last seconds, for planning and mapping: rows at 50 Hz, and poses."""
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.conventions import DT, HISTORY_STEPS
+from offpiste.dataset.columns import COLUMNS
+from offpiste.dataset.rows import OWN_COLUMNS
 from offpiste.geometry import planar_body_from_world
 from offpiste.logs.channel import Channel
 from offpiste.logs.poses import Poses
@@ -26,6 +29,7 @@ class VehicleReading:
         velocity: of the pose point in the world frame [m/s].
         yaw_rate: d(yaw)/dt [rad/s].
         actuators: of `conventions.ACTUATORS`; NaN where the vehicle does not tell.
+        extra: values of columns that extensions declare (`dataset.columns.COLUMNS`), by name.
     """
 
     time: float
@@ -34,6 +38,7 @@ class VehicleReading:
     velocity: Float[np.ndarray, " 3"]
     yaw_rate: float
     actuators: Float[np.ndarray, " A"]
+    extra: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def finite(self) -> bool:
@@ -49,11 +54,13 @@ class TrackRows:
     Attributes:
         state: `conventions.STATE`, in the world frame, yaw unwrapped.
         actuators, control: `conventions.ACTUATORS` and `conventions.CONTROL`; control of row t is not known yet.
+        extra: columns that extensions declare for the past of windows; NaN where a reading lacks them.
     """
 
     state: Float[np.ndarray, "H 6"]
     actuators: Float[np.ndarray, "H A"]
     control: Float[np.ndarray, "H 3"]
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class VehicleTrack:
@@ -123,7 +130,8 @@ class VehicleTrack:
         yaw = np.unwrap([_yaw(r.orientation) for r in chosen])[:, None] + age * rate
         place = np.stack([r.position[:2] for r in chosen]) + age * velocity
         state = np.concatenate((place, yaw, planar_body_from_world(velocity, yaw[:, 0]), rate), axis=1)
-        return TrackRows(state, np.stack([r.actuators for r in chosen]), self._controls(at))
+        extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
+        return TrackRows(state, np.stack([r.actuators for r in chosen]), self._controls(at), extra)
 
     def _controls(self, at: Float[np.ndarray, " H"]) -> Float[np.ndarray, "H 3"]:
         if not self._commands:
@@ -132,6 +140,11 @@ class VehicleTrack:
         index = np.searchsorted(time, at + 1e-6, side="right") - 1
         held = np.stack([c for _, c in self._commands])[np.maximum(index, 0)]
         return np.where((index >= 0)[:, None], held, 0.0)
+
+
+def _past_columns() -> list[str]:
+    """Columns of extensions that a model's history holds."""
+    return [name for name, column in COLUMNS.items() if name not in OWN_COLUMNS and "past" in column.segments]
 
 
 def _yaw(quaternion: Float[np.ndarray, " 4"]) -> float:
