@@ -36,13 +36,13 @@ dataset, run = open_dataset(sys.argv[1]), load_run(sys.argv[2])
 assert run.dynamics.vehicle.control_columns[-2:] == ("left_track", "right_track")
 assert abs(run.dynamics.vehicle.track - 1.4) < 1e-9
 windows = Windows(dataset, "test")
-batch = windows.gather(windows.every(20))
+batch = windows.gather(windows.every(50))
 predicted = predict(run.dynamics, batch).state
 print(float((predicted - batch.target)[:, -1, :2].norm(dim=-1).mean()))
 """
 
 
-def drive(folder: Path, seconds: float = 120.0) -> Path:
+def drive(folder: Path, seconds: float = 60.0) -> Path:
     """A table of a vehicle that goes at 0.9 of its tracks' speed and turns at 0.6 of what they ask for."""
     time = np.arange(0, seconds, DT)
     left = 4 + np.sin(0.5 * time) + 0.5 * np.sin(1.3 * time)
@@ -67,12 +67,12 @@ def test_a_model_with_controls_of_its_own_is_trained_and_predicts(tmp_path):
         "extract", log, "--rig", tmp_path / "rig.toml", "--out", dataset, *split, extension="skid_steer"
     )
     assert extracted.returncode == 0, extracted.stderr
-    config = ("--model", "skid-steer", "--epochs", "6", "--batch", "16", "--stride", "10")
+    config = ("--model", "skid-steer", "--epochs", "3", "--batch", "16", "--stride", "25")
     trained = offpiste("train", dataset, "--out", run, *config, extension="skid_steer")
     assert trained.returncode == 0, trained.stderr
     predicted = python("-c", PREDICT, dataset, run, extension="skid_steer")
     assert predicted.returncode == 0, predicted.stderr
-    assert float(predicted.stdout) < 1.5, "of 18 m driven in 5 s"
+    assert float(predicted.stdout) < 3, "of 18 m driven in 5 s; constant motion is 12 m off"
 
 
 def test_without_the_extension_the_controls_are_refused():
