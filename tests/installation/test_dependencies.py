@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from installation import wheels
 
@@ -37,13 +38,13 @@ def imported_at_the_top(path: Path) -> set[str]:
 
 
 def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
-    core = {requirement.name for requirement in wheels.core_dependencies()}
-    distributions = packages_distributions()
+    core = {canonicalize_name(requirement.name) for requirement in wheels.core_dependencies()}
+    distributions = {name: {canonicalize_name(d) for d in found} for name, found in packages_distributions().items()}
     strangers = {
         f"{path.relative_to(SOURCE)}: {name}"
         for path in SOURCE.rglob("*.py")
         for name in imported_at_the_top(path) - sys.stdlib_module_names - {"offpiste"}
-        if not core & set(distributions.get(name, ()))
+        if not core & distributions.get(name, set())
     }
     assert strangers <= {"dynamics/kernels/generate.py: sympy"}, "which only who changes the physics runs"
 
