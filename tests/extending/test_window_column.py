@@ -52,5 +52,6 @@ def test_without_the_extension_the_channel_is_refused():
 
 def test_a_column_of_a_taken_name_is_refused():
     assert "state" in COLUMNS
+    assert "state" in COLUMNS
     with pytest.raises(DatasetError, match="two columns called 'state'"):
         COLUMNS.register("state")(Column(read=lambda grid: grid.time))
