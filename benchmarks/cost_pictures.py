@@ -15,9 +15,12 @@ from offpiste.conventions import CONTROL, GRAVITY
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.mapping.terrain_map import TerrainLayers, empty_layers
 from offpiste.mapping.terrain_sampler import stack_maps
-from offpiste.planning import costs
-from offpiste.planning.cost_map import Course, Hazards, cost_map, speed_limit
-from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.costs import terms
+from offpiste.planning.costs.layers import Hazards, speed_limit
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.course import Course
+from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, sample
 from offpiste.state import ModelState
@@ -52,7 +55,7 @@ def obstacle_course(resolution: float = 0.2) -> TerrainLayers:
 def draw_plan(axes: Axes) -> None:
     """A plan of 5 s by a parametric model, and its samples."""
     torch.manual_seed(0)
-    ground, weights = obstacle_course(), Weights()
+    ground, weights = obstacle_course(), CostWeights()
     course = Course(np.array([[-30.0, 0], [30.0, 0]]), np.full(2, 6.0))
     costs = cost_map(ground, course, Hazards(margin=0.8))
     state, nowhere = torch.tensor([-10.0, 3, 0, 5, 0, 0]), torch.zeros(2, dtype=torch.float64)
@@ -78,16 +81,16 @@ def draw_plan(axes: Axes) -> None:
 
 def main() -> None:
     """Write the picture."""
-    folder, w = Path(sys.argv[1] if len(sys.argv) > 1 else "docs"), Weights()
+    folder, w = Path(sys.argv[1] if len(sys.argv) > 1 else "docs"), CostWeights()
     figure = Figure(figsize=(11, 10), layout="constrained")
     grid = figure.add_gridspec(4, 3, height_ratios=(1, 1, 1, 2.2))
     axes = [figure.add_subplot(grid[i // 3, i % 3]) for i in range(9)]
     x = np.linspace(-3, 3, 201)
-    curve(axes[0], x, costs.path_term(x, w.path), "off the path", "distance [m]")
+    curve(axes[0], x, terms.path_term(x, w.path), "off the path", "distance [m]")
     v = np.linspace(0, 12, 201)
-    along = costs.speed_term((1.0, 0.0), v, 0 * v, (1.0, 0.0), 6.0, w.speed)
+    along = terms.speed_term(v, 6.0, w.speed)
     curve(axes[1], v, along, "along the course (target 6 m/s)", "speed along [m/s]")
-    over = costs.overspeed_term(v, 4.0, w.overspeed, np.maximum)
+    over = terms.overspeed_term(v, 4.0, w.overspeed, np.maximum)
     curve(axes[2], v, over, "over the ground's limit (4 m/s)", "speed [m/s]")
     h = Hazards()
     rough = np.linspace(0.01, 0.3, 201)
@@ -96,7 +99,7 @@ def main() -> None:
     curve(axes[4], rise, h.steep * np.maximum(rise - h.steepest, 0), "steep ground, each wheel / 4", "rise over run")
     a, level = np.linspace(-12, 12, 201), np.linspace(-0.6, 0.6, 5)
     for angle in level[1:4]:
-        ratio = costs.lateral_ratio(a, np.sin(angle), np.cos(angle), GRAVITY, w.least_vertical, np.maximum)
+        ratio = terms.lateral_ratio(a, np.sin(angle), np.cos(angle), GRAVITY, w.least_vertical, np.maximum)
         axes[5].plot(a, ratio, linewidth=1.8, label=f"side slope {np.degrees(angle):.0f}°")
     axes[5].axhline(w.lateral_limit, color="black", linewidth=0.8, linestyle=":")
     axes[5].legend(fontsize=7)
@@ -105,11 +108,11 @@ def main() -> None:
     axes[5].tick_params(labelsize=LABEL)
     axes[5].grid(alpha=0.3)
     r = np.linspace(0, 1.5, 601)
-    curve(axes[6], r, costs.rollover_term(r, w.lateral_limit, w.rollover, np.maximum), "rollover", "ratio")
+    curve(axes[6], r, terms.rollover_term(r, w.lateral_limit, w.rollover, np.maximum), "rollover", "ratio")
     u = np.linspace(-1, 1, 201)
-    curve(axes[7], u, costs.effort_term(u, w.effort[2]), "effort: steering", "command")
+    curve(axes[7], u, terms.effort_term(u, w.effort[2]), "effort: steering", "command")
     rate = np.linspace(-4, 4, 201)
-    curve(axes[8], rate, costs.jerk_term(rate * 0.02, 0.0, 0.02, w.jerk[2]), "jerk: steering", "change [1/s]")
+    curve(axes[8], rate, terms.jerk_term(rate * 0.02, 0.0, 0.02, w.jerk[2]), "jerk: steering", "change [1/s]")
     draw_plan(figure.add_subplot(grid[3, :]))
     figure.savefig(folder / "planning-costs.png", dpi=90)
 

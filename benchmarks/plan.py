@@ -2,9 +2,9 @@
 
 `python benchmarks/plan.py [--threads 2] [--samples 256 1024 4096] [--seconds 20] [--skip compiled]`. All read the same
 map (600 x 600 cells of 0.2 m, waves), with the same dynamics and the same cost. pytorch_mppi calls dynamics and cost
-step by step, so its cost is `costs.terms_after` of one step. Planners take turns, so that what else the machine does
-meets all alike; a line has the median and the best time, the processor's time [ms], how many times as long as the fused
-one (median over turns; in brackets by the processor's time), and the share of costs within 1 % of eager.
+step by step, so its cost is `driving_cost.terms_after` of one step. Planners take turns, so that what else the machine
+does meets all alike; a line has the median and the best time, the processor's time [ms], how many times as long as the
+fused one (median over turns; in brackets by the processor's time), and the share of costs within 1 % of eager.
 
 `--cycle RUN --pca FILE` drives a run for some seconds on the proving ground instead, and prints the stages of its run
 time.
@@ -29,8 +29,11 @@ from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.dynamics.encoder import Compressor
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes, stack_maps
-from offpiste.planning.cost_map import Course, Hazards, cost_map
-from offpiste.planning.costs import Situation, Weights, terms_after
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.course import Course
+from offpiste.planning.driving_cost import Situation, terms_after
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
 from offpiste.planning.rollouts import driving_costs
@@ -68,18 +71,18 @@ def codes_first(at: Situation, codes: tuple[Tensor, Tensor]) -> Situation:
     )  # fmt: skip
 
 
-def stepwise(model: Hybrid, at: Situation, weights: Weights, samples: int) -> tuple[Callable, Callable]:
-    """Dynamics and running cost for pytorch_mppi; lateral speed and control before a step travel with the state."""
+def stepwise(model: Hybrid, at: Situation, weights: CostWeights, samples: int) -> tuple[Callable, Callable]:
+    """Dynamics and running cost for pytorch_mppi; velocity and control before a step travel with the state."""
     zeros, offset = torch.zeros(samples, dtype=torch.long), at.offset.expand(samples, 2)
     encode = as_codes(model.encoder.missing()) if model.codes else None
     step = as_callable(model, MapTerrain(at.ground, zeros, offset, at.wheels, encode))
 
     def dynamics(state: Tensor, control: Tensor) -> Tensor:
-        return torch.cat((step(state[:, :-7], control), state[:, 4:5], state[:, -3:], control), dim=1)
+        return torch.cat((step(state[:, :-8], control), state[:, 3:5], state[:, -3:], control), dim=1)
 
     def cost(state: Tensor, control: Tensor) -> Tensor:
-        terms = terms_after(state[:, :6], state[:, -7], control, state[:, -6:-3], at, weights)
-        return DT * torch.stack(terms).sum(dim=0)
+        terms = terms_after(state[:, :6], state[:, -8:-6], control, state[:, -6:-3], at, weights)
+        return DT * torch.stack(tuple(terms.values())).sum(dim=0)
 
     return dynamics, cost
 
@@ -90,12 +93,12 @@ def start(model: Hybrid, at: Situation) -> ModelState:
     return ModelState(at.state[None], torch.full((1, 4), torch.nan), units, units)
 
 
-def pytorch_mppi(model: Hybrid, at: Situation, weights: Weights, controls: Tensor, *, compiled: bool) -> Callable:
+def pytorch_mppi(model: Hybrid, at: Situation, weights: CostWeights, controls: Tensor, *, compiled: bool) -> Callable:
     """Its rollout of the same control sequences."""
     from pytorch_mppi import MPPI
 
     dynamics, cost = stepwise(model, at, weights, len(controls))
-    first = torch.cat((start(model, at).pack()[0].nan_to_num(), at.state[4:5], at.control, at.control))
+    first = torch.cat((start(model, at).pack()[0].nan_to_num(), at.state[3:5], at.control, at.control))
     planner = MPPI(
         dynamics, cost, len(first), torch.eye(3), num_samples=len(controls), horizon=controls.shape[1],
         U_init=torch.zeros(controls.shape[1:]),
@@ -148,7 +151,7 @@ def agreement(costs: Tensor, reference: Tensor) -> float:
 
 def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Namespace, skip: list[str]) -> None:
     """Print what the same rollouts cost each planner."""
-    weights, codes = Weights(), encode_map(at.ground, model.encoder)
+    weights, codes = CostWeights(), encode_map(at.ground, model.encoder)
     coded, model_state = codes_first(at, codes), start(model, at)
     fused = fused_costs(model, model_state, at, weights, codes)
     eager = driving_costs(model, model_state, coded, weights, as_codes(codes[1]) if model.codes else None)
@@ -177,11 +180,15 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
     }
     for name, model in models.items():
         codes = encode_map(at.ground, model.encoder)
-        cost_of = fused_costs(model, start(model, at), at, Weights(), codes)
+        cost_of = fused_costs(model, start(model, at), at, CostWeights(), codes)
         runs[f"rollouts, {name}"] = lambda cost_of=cost_of: cost_of(controls)
         runs[f"whole, {name}"] = lambda model=model, codes=codes: (
             improve(
-                plan, fused_costs(model, start(model, at), at, Weights(), codes), settings, draw, previous=at.control
+                plan,
+                fused_costs(model, start(model, at), at, CostWeights(), codes),
+                settings,
+                draw,
+                previous=at.control,
             ).controls
         )
     taken = in_turns(runs, seconds)

@@ -5,8 +5,10 @@ import torch
 
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import stack_maps
-from offpiste.planning.cost_map import Course, Hazards, cost_map
-from offpiste.planning.costs import Situation
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.course import Course
+from offpiste.planning.driving_cost import Situation
 
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
 

@@ -66,10 +66,11 @@ from .perception.feature_extractor import load_feature_extractor as load_feature
 
 # Planning.
 from .planning.cost_map import CostMap as CostMap
-from .planning.cost_map import Course as Course
-from .planning.cost_map import Goal as Goal
-from .planning.cost_map import Hazards as Hazards
 from .planning.cost_map import cost_map as cost_map
+from .planning.costs.layers import Hazards as Hazards
+from .planning.costs.weights import CostWeights as CostWeights
+from .planning.course import Course as Course
+from .planning.course import Goal as Goal
 from .planning.mppi import Plan as Plan
 from .planning.mppi import improve as improve
 from .rig.rig import Rig as Rig

@@ -8,13 +8,13 @@ import pytest
 from offpiste.closed_loop.lockstep import Driving, time_of
 from offpiste.closed_loop.scores import Trace, driven_cost, prediction_errors, summary, trace_of
 from offpiste.conventions import HORIZON_STEPS
-from offpiste.planning.cost_map import Course
-from offpiste.planning.costs import Weights
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.course import Course
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.prediction import Prediction
 from synthetic_drive import samples
 
-WEIGHTS = Weights(path=3.0, speed=1.0)
+WEIGHTS = CostWeights(path=3.0, speed=1.0)
 COURSE = Course(np.stack((np.arange(11.0), np.zeros(11)), axis=1), np.full(11, 7.0))
 """10 m along x, at 7 m/s."""
 

@@ -55,8 +55,9 @@ from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
-from offpiste.planning.cost_map import Hazards
-from offpiste.planning.costs import Weights, driving_terms
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, shift
 from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_model_state
@@ -505,12 +506,12 @@ def rough(seed: int = 0) -> TerrainLayers:
 def plan() -> Results:
     """Three updates of MPPI, and the costs of one set of samples, by the kernel and without it."""
     found: Results = {}
-    weights = Weights(lateral_limit=0.25, rollover=20.0)
+    weights = CostWeights(lateral_limit=0.25, rollover=20.0)
     planned = Settings(
         PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=96, temperature=3.0, rest=(0.3, 0.0, 0.0), smoothing=9
     )
     at = situation(rough(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
-    found |= parts("prices", at.costs)
+    found |= parts("prices", at.costs) | {"prices.3": np.array(at.costs.outside[0])}
     for name, vehicle in (
         ("parametric", COMMANDED), ("b", COMMANDED), ("dc", COMMANDED), ("hold", COMMANDED), ("b", VEHICLE),
     ):  # fmt: skip
@@ -541,7 +542,7 @@ def plan() -> Results:
         trajectory = rollout(dynamics, spread_model_state(past, len(drawn)), drawn, source)
         found |= told(f"{label}.eager.states", trajectory.state, keep=150)
         terms = driving_terms(trajectory, drawn, at, weights)
-        found[f"{label}.eager.terms"] = torch.stack(tuple(terms)).double().numpy()
+        found[f"{label}.eager.terms"] = torch.stack(tuple(terms.values())).double().numpy()
         after = kernel_model_state(dynamics, past, drawn[0, :8], at, codes)
         found |= told(f"{label}.carry", torch.nan_to_num(after.pack()), keep=60)
     return found

@@ -8,19 +8,10 @@ import pytest
 import torch
 
 from offpiste.errors import PlanningError
-from offpiste.planning.cost_map import (
-    LAYERS,
-    Course,
-    Goal,
-    Hazards,
-    cost_map,
-    course_layers,
-    densified,
-    goal_layers,
-    hazard_layers,
-    speed_limit,
-)
-from planning_maps import layers, straight
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.costs.layers import Hazards, hazard_layers, speed_limit
+from offpiste.planning.course import Course, Goal
+from planning_grounds import layers, straight
 
 HERE = torch.zeros(2, dtype=torch.float64)
 
@@ -51,15 +42,15 @@ def test_what_nothing_is_known_of_has_no_nan():
     for part in (ground.slope, ground.roughness, ground.obstacle_height, ground.elevation):
         part[:] = np.nan
     ground.known[:] = False
-    found = cost_map(ground, straight(), Hazards()).layers
-    assert not found.isnan().any()
-    assert (found[..., LAYERS.index("hazard")] == Hazards().unknown).all()
+    costs = cost_map(ground, straight(), Hazards())
+    assert not costs.layers.isnan().any()
+    assert (costs.layers[..., costs.names.index("hazard")] == Hazards().unknown).all()
 
 
 def test_distance_and_direction_of_a_bent_path():
     ground = layers(41, 0.5)
     course = Course(np.array([[-10.0, 0.0], [5.0, 0.0], [5.0, 10.0]]), np.array([4.0, 4.0, 8.0]))
-    found = course_layers(ground, course)
+    found = course.layers(ground)
 
     def at(x, y):
         return found[round((y + 10) / 0.5), round((x + 10) / 0.5)]
@@ -73,7 +64,7 @@ def test_distance_and_direction_of_a_bent_path():
 def test_distance_against_brute_force():
     ground, random = layers(15, 1.0), np.random.default_rng(0)
     path = random.uniform(-7, 7, (4, 2))
-    found = course_layers(ground, Course(path, np.ones(4)))[..., 0]
+    found = Course(path, np.ones(4)).layers(ground)[..., 0]
     for j, i in ((0, 0), (7, 3), (14, 14), (2, 12)):
         place = ground.origin + np.array([i, j])
         ends = itertools.pairwise(path)
@@ -82,14 +73,14 @@ def test_distance_against_brute_force():
 
 
 def test_points_are_added_evenly():
-    dense = densified(Course(np.array([[0.0, 0.0], [0.0, 3.0], [4.0, 3.0]]), np.array([1.0, 1.0, 5.0])), 0.5)
+    dense = Course(np.array([[0.0, 0.0], [0.0, 3.0], [4.0, 3.0]]), np.array([1.0, 1.0, 5.0])).densified(0.5)
     np.testing.assert_allclose(np.linalg.norm(np.diff(dense.path, axis=0), axis=-1), 0.5)
     assert dense.speed[-1] == 5
 
 
 def test_a_goal_is_straight_ahead_from_everywhere():
     ground = layers(21, 1.0)
-    found = goal_layers(ground, Goal(np.array([3.0, 4.0]), 6.0, braking=2.0))
+    found = Goal(np.array([3.0, 4.0]), 6.0, braking=2.0).layers(ground)
     np.testing.assert_allclose(found[10, 10], [0, 0.6, 0.8, math.sqrt(20)], atol=1e-6)
     np.testing.assert_allclose(found[14, 13, 3], 0)
     assert found[0, 0, 3] == 6

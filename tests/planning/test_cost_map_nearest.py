@@ -5,8 +5,10 @@ import pytest
 import torch
 from scipy.ndimage import distance_transform_edt
 
-from offpiste.planning.cost_map import BLOCK, NEAR, Course, Hazards, along_path, densified, hazard_layers
-from planning_maps import layers
+from offpiste.planning.costs.layers import Hazards, hazard_layers
+from offpiste.planning.course import Course
+from offpiste.planning.nearest_path_point import BLOCK, NEAR, along_path
+from planning_grounds import layers
 
 SIZE = 0.2
 
@@ -14,7 +16,7 @@ SIZE = 0.2
 def winding(seed):
     """A path that bends, meets itself and comes back beside itself, a point every half cell."""
     corners = np.random.default_rng(seed).uniform(-12, 12, (9, 2))
-    return densified(Course(corners, np.ones(9)), SIZE / 2).path
+    return Course(corners, np.ones(9)).densified(SIZE / 2).path
 
 
 @pytest.mark.parametrize("seed", range(5))

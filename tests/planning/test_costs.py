@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from offpiste.conventions import DT, GRAVITY
-from offpiste.planning.cost_map import Hazards
-from offpiste.planning.costs import Weights, driving_cost, driving_terms
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import driving_cost, driving_terms
 from offpiste.state import Trajectory
 from planning_maps import layers, situation
 
@@ -26,45 +27,45 @@ def moving(vx=5.0, vy=0.0, yaw=0.0, yaw_rate=0.0, y=0.0, x=0.0):
 
 def terms_of(trajectory, at=None, weights=None, controls=None):
     controls = torch.zeros(1, STEPS, 3) if controls is None else controls
-    return driving_terms(trajectory, controls, at or situation(), weights or Weights())
+    return driving_terms(trajectory, controls, at or situation(), weights or CostWeights())
 
 
 def test_driving_along_the_path_at_its_speed_costs_nothing():
-    cost = driving_cost(moving(), torch.zeros(1, STEPS, 3), situation(), Weights())
+    cost = driving_cost(moving(), torch.zeros(1, STEPS, 3), situation(), CostWeights())
     assert cost.item() == pytest.approx(0, abs=1e-5)
 
 
 def test_beside_the_path_and_too_slow():
-    found = terms_of(moving(vx=3.0, y=2.0), weights=Weights(path=0.5, speed=2.0))
-    torch.testing.assert_close(found.path, torch.full((1, STEPS), 0.5 * 4.0))
-    torch.testing.assert_close(found.speed, torch.full((1, STEPS), 2.0 * 4.0))
-    total = driving_cost(moving(vx=3.0, y=2.0), torch.zeros(1, STEPS, 3), situation(), Weights(path=0.5, speed=2.0))
+    found = terms_of(moving(vx=3.0, y=2.0), weights=CostWeights(path=0.5, speed=2.0))
+    torch.testing.assert_close(found["path"], torch.full((1, STEPS), 0.5 * 4.0))
+    torch.testing.assert_close(found["speed"], torch.full((1, STEPS), 2.0 * 4.0))
+    total = driving_cost(moving(vx=3.0, y=2.0), torch.zeros(1, STEPS, 3), situation(), CostWeights(path=0.5, speed=2.0))
     assert total.item() == pytest.approx(STEPS * DT * 10, rel=1e-5)
 
 
 def test_across_the_path_nothing_of_the_speed_is_along_it():
-    found = terms_of(moving(yaw=math.pi / 2), weights=Weights(speed=1.0))
-    torch.testing.assert_close(found.speed, torch.full((1, STEPS), 25.0), rtol=1e-5, atol=0)
+    found = terms_of(moving(yaw=math.pi / 2), weights=CostWeights(speed=1.0))
+    torch.testing.assert_close(found["speed"], torch.full((1, STEPS), 25.0), rtol=1e-5, atol=0)
 
 
 def test_a_bend_that_would_roll_the_vehicle_over():
     for yaw_rate, rolls in ((1.3, False), (1.5, True)):  # 5 m/s: 0.66 and 0.76 g
-        found = terms_of(moving(yaw_rate=yaw_rate), weights=Weights(lateral_limit=0.7, rollover=1000.0))
+        found = terms_of(moving(yaw_rate=yaw_rate), weights=CostWeights(lateral_limit=0.7, rollover=1000.0))
         wanted = 1000 * (1 + 5 * yaw_rate / GRAVITY - 0.7) if rolls else 0.0
-        torch.testing.assert_close(found.rollover, torch.full((1, STEPS), wanted), rtol=1e-4, atol=1e-6)
+        torch.testing.assert_close(found["rollover"], torch.full((1, STEPS), wanted), rtol=1e-4, atol=1e-6)
 
 
 def test_a_side_slope_that_would_roll_the_vehicle_over_from_either_side():
     at = situation(layers(plane=(0.0, 0.8)))
     for yaw, rolls in ((0.0, True), (math.pi, True), (math.pi / 2, False)):
-        found = terms_of(moving(yaw=yaw, vx=0.0), at, Weights(lateral_limit=0.7))
-        assert bool((found.rollover > 0).all()) is rolls
-        assert bool((found.rollover > 0).any()) is rolls
+        found = terms_of(moving(yaw=yaw, vx=0.0), at, CostWeights(lateral_limit=0.7))
+        assert bool((found["rollover"] > 0).all()) is rolls
+        assert bool((found["rollover"] > 0).any()) is rolls
 
 
 def test_the_first_step_knows_the_lateral_speed_before_it():
     at = situation(state=(0.0, 0, 0, 5, -0.2, 0))  # to 0 within a step: 10 m/s^2
-    found = terms_of(moving(), at, Weights(lateral_limit=0.7)).rollover[0]
+    found = terms_of(moving(), at, CostWeights(lateral_limit=0.7))["rollover"][0]
     assert found[0] > 0
     assert (found[1:] == 0).all()
 
@@ -75,18 +76,18 @@ def test_an_obstacle_costs_each_wheel_that_it_is_under():
     ground.obstacle_height[42, 50] = 1.0  # x = 5, y = 1
     at = situation(ground, hazards=Hazards(obstacle=100.0, margin=0.1))
     standing = terms_of(moving(vx=0.0, x=3.9), at)
-    torch.testing.assert_close(standing.hazard, torch.full((1, STEPS), 25.0))  # only the front left wheel
-    assert (terms_of(moving(vx=0.0, x=-3.9), at).hazard == 0).all()
+    torch.testing.assert_close(standing["hazard"], torch.full((1, STEPS), 25.0))  # only the front left wheel
+    assert (terms_of(moving(vx=0.0, x=-3.9), at)["hazard"] == 0).all()
 
 
 def test_off_the_map_and_on_cells_of_which_nothing_is_known():
     ground = layers()
     ground.known[:, :40] = False
     at = situation(ground, hazards=Hazards(unknown=5.0))
-    assert (terms_of(moving(vx=0.0, x=10.0), at).hazard == 0).all()
-    assert (terms_of(moving(vx=0.0, x=-10.0), at).hazard == 5).all()
-    assert (terms_of(moving(vx=0.0, x=100.0), at).hazard == 5).all()
-    assert (terms_of(moving(vx=0.0), at).hazard == 2.5).all()
+    assert (terms_of(moving(vx=0.0, x=10.0), at)["hazard"] == 0).all()
+    assert (terms_of(moving(vx=0.0, x=-10.0), at)["hazard"] == 5).all()
+    assert (terms_of(moving(vx=0.0, x=100.0), at)["hazard"] == 5).all()
+    assert (terms_of(moving(vx=0.0), at)["hazard"] == 2.5).all()
 
 
 def test_rough_ground_limits_the_speed():
@@ -95,17 +96,17 @@ def test_rough_ground_limits_the_speed():
     at = situation(ground)
     limit = at.costs.layers[0, 0, 1].item()
     assert 0 < limit < 5
-    found = terms_of(moving(), at, Weights(overspeed=3.0)).overspeed
+    found = terms_of(moving(), at, CostWeights(overspeed=3.0))["overspeed"]
     torch.testing.assert_close(found, torch.full((1, STEPS), 3 * (5 - limit) ** 2))
 
 
 def test_effort_and_jerk_start_from_the_last_control():
     at = replace(situation(), control=torch.tensor([0.1, 0.0, 0.0]))
     controls = torch.tensor([0.3, 0.0, -0.5]).expand(1, STEPS, 3)
-    found = terms_of(moving(), at, Weights(effort=(1.0, 1.0, 2.0), jerk=(0.1, 1.0, 0.1)), controls)
-    torch.testing.assert_close(found.effort, torch.full((1, STEPS), 0.09 + 0.5))
-    assert found.jerk[0, 0].item() == pytest.approx(0.1 * 10**2 + 0.1 * 25**2, rel=1e-5)
-    assert (found.jerk[0, 1:] == 0).all()
+    found = terms_of(moving(), at, CostWeights(effort=(1.0, 1.0, 2.0), jerk=(0.1, 1.0, 0.1)), controls)
+    torch.testing.assert_close(found["effort"], torch.full((1, STEPS), 0.09 + 0.5))
+    assert found["jerk"][0, 0].item() == pytest.approx(0.1 * 10**2 + 0.1 * 25**2, rel=1e-5)
+    assert (found["jerk"][0, 1:] == 0).all()
 
 
 @pytest.mark.parametrize("channel", range(6))
@@ -113,7 +114,7 @@ def test_effort_and_jerk_start_from_the_last_control():
 def test_a_state_that_is_not_finite_has_no_finite_cost(channel, value):
     trajectory = moving()
     trajectory.state[0, 7, channel] = value
-    assert not driving_cost(trajectory, torch.zeros(1, STEPS, 3), situation(), Weights()).isfinite().any()
+    assert not driving_cost(trajectory, torch.zeros(1, STEPS, 3), situation(), CostWeights()).isfinite().any()
 
 
 def test_the_frame_of_the_trajectories_may_be_shifted():
@@ -123,5 +124,8 @@ def test_the_frame_of_the_trajectories_may_be_shifted():
     there = Trajectory(moved.state - torch.tensor([7.0, 9.0, 0, 0, 0, 0]), moved.actuators)
     shifted = replace(at, offset=torch.tensor([7.0, 9.0], dtype=torch.float64))
     controls = torch.zeros(1, STEPS, 3)
-    wanted, found = driving_cost(moved, controls, at, Weights()), driving_cost(there, controls, shifted, Weights())
+    wanted, found = (
+        driving_cost(moved, controls, at, CostWeights()),
+        driving_cost(there, controls, shifted, CostWeights()),
+    )
     torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-4)

@@ -15,8 +15,9 @@ from offpiste.conventions import ACTUATORS
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.encoder import Compressor, Identity
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
-from offpiste.planning.cost_map import Hazards
-from offpiste.planning.costs import Weights, driving_terms
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
@@ -89,9 +90,9 @@ def both(dynamics, at, controls, weights):
 @pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
 def test_costs_and_states_equal_the_eager_ones(kind, vehicle):
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
-    weights = Weights(lateral_limit=0.25, rollover=20.0)
+    weights = CostWeights(lateral_limit=0.25, rollover=20.0)
     eager, fused, terms = both(model(kind, vehicle), at, commands(70), weights)
-    for name, term in terms._asdict().items():
+    for name, term in terms.items():
         assert (term > 0).any(), name
     close = (fused[1] - eager[1]).abs().amax(dim=(1, 2)) < 2e-3
     assert close.float().mean() > 0.9  # at edges of cells rounding decides, and trajectories part
@@ -112,7 +113,7 @@ def test_costs_and_states_equal_the_eager_ones(kind, vehicle):
 )
 def test_on_even_ground_every_sample_agrees(kind, state, plane):
     at, controls = situation(layers(plane=plane), state=state), commands(33, seed=2)
-    eager, fused, _ = both(model(kind), at, controls, Weights(lateral_limit=2.0))
+    eager, fused, _ = both(model(kind), at, controls, CostWeights(lateral_limit=2.0))
     torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
     torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
 
@@ -121,7 +122,7 @@ def test_on_even_ground_every_sample_agrees(kind, state, plane):
 def test_backwards_most_samples_agree(kind):
     # Random weights make reverse unstable: there the eager float32 is as far from float64 as the kernel is.
     at, controls = situation(layers(), state=(0.0, 0, 2, -1, 0, 0)), commands(33, seed=2)[:, :30]
-    eager, fused, _ = both(model(kind), at, controls, Weights(lateral_limit=2.0))
+    eager, fused, _ = both(model(kind), at, controls, CostWeights(lateral_limit=2.0))
     difference = (fused[1] - eager[1]).abs().amax(dim=(1, 2))
     assert difference.median() < 1e-4
     assert (difference < 1e-3).float().mean() > 0.9
@@ -147,7 +148,7 @@ def test_a_model_that_holds_is_another_than_one_that_looks_ahead():
     at, controls, holding, extractor = situation(ground()), commands(8), model("hold"), model("dc")
     extractor.load_state_dict(holding.state_dict())
     codes = encode_map(at.ground, holding.encoder)
-    held, seen = (fused_rollout(m, start(m, at), controls, at, Weights(), codes)[1] for m in (holding, extractor))
+    held, seen = (fused_rollout(m, start(m, at), controls, at, CostWeights(), codes)[1] for m in (holding, extractor))
     torch.testing.assert_close(held[:, 0], seen[:, 0])
     assert (held[:, -1] - seen[:, -1]).abs().max() > 1e-3
 
@@ -161,8 +162,8 @@ def test_a_map_that_holds_codes_needs_no_encoder():
     coded_at = replace(at, ground=replace(at.ground, features=codes.where(seen, torch.nan)[None]))
     again = coded_map(coded_at.ground, encoder)
     torch.testing.assert_close(again, (codes, missing), rtol=0, atol=0)
-    eager = driving_costs(dynamics, model_state, coded_at, Weights(), as_codes(missing))(controls)
-    torch.testing.assert_close(eager, driving_costs(dynamics, model_state, at, Weights(), encoder)(controls))
+    eager = driving_costs(dynamics, model_state, coded_at, CostWeights(), as_codes(missing))(controls)
+    torch.testing.assert_close(eager, driving_costs(dynamics, model_state, at, CostWeights(), encoder)(controls))
     with pytest.raises(ValueError, match="holds 2 numbers a cell; codes are 3"):
         coded_map(at.ground, encoder)
 
@@ -185,7 +186,7 @@ def test_cells_are_encoded_as_one_by_one_and_only_those_in_reach():
 @pytest.mark.parametrize("cells", [1, 2])
 def test_a_map_of_hardly_any_cells(cells):
     at, dynamics = situation(layers(cells, 20.0, plane=(0.1, 0.05))), model("b")
-    eager, fused, _ = both(dynamics, at, commands(5), Weights(lateral_limit=2.0))
+    eager, fused, _ = both(dynamics, at, commands(5), CostWeights(lateral_limit=2.0))
     torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
     torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
 
@@ -193,15 +194,15 @@ def test_a_map_of_hardly_any_cells(cells):
 def test_nothing_known_of_the_map():
     empty = layers(known=np.zeros((81, 81), bool), features=np.full((81, 81, 2), np.nan, np.float32),
                    normal=np.full((81, 81, 3), np.nan, np.float32))  # fmt: skip
-    eager, fused, terms = both(model("dc"), situation(empty), commands(5), Weights(lateral_limit=2.0))
-    assert (terms.hazard == Hazards().unknown).all()
+    eager, fused, terms = both(model("dc"), situation(empty), commands(5), CostWeights(lateral_limit=2.0))
+    assert (terms["hazard"] == Hazards().unknown).all()
     torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-3)
 
 
 @pytest.mark.parametrize("samples", [1, 31, 32, 65])
 def test_any_number_of_samples_costs_what_each_costs_alone(samples):
     at, dynamics = situation(ground()), model("dc")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, dynamics.encoder))
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, dynamics.encoder))
     controls = commands(samples)
     together = cost_of(controls)
     assert together.shape == (samples,)
@@ -211,7 +212,7 @@ def test_any_number_of_samples_costs_what_each_costs_alone(samples):
 
 def test_a_plan_is_the_same_on_any_number_of_threads():
     at, dynamics = situation(ground()), model("dc")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, dynamics.encoder))
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, dynamics.encoder))
     settings, plans, threads = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=100), [], torch.get_num_threads()
     for count in (1, 2):
         torch.set_num_threads(count)
@@ -224,7 +225,7 @@ def test_a_plan_is_the_same_on_any_number_of_threads():
 
 def test_a_sample_with_nan_costs_nan_and_others_do_not():
     at, dynamics = situation(ground()), model("b")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, None))
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, None))
     controls = commands(40)
     controls[7, 30] = torch.nan
     assert cost_of(controls).isnan().nonzero().flatten().tolist() == [7]
@@ -234,20 +235,20 @@ def test_what_the_kernel_cannot_take_is_refused():
     at, dynamics = situation(ground()), model("dc")
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
     with pytest.raises(ValueError, match="codes of 0"):
-        fused_costs(dynamics, model_state, at, Weights(), encode_map(at.ground, None))
+        fused_costs(dynamics, model_state, at, CostWeights(), encode_map(at.ground, None))
     with pytest.raises(ValueError, match="the start is"):
-        fused_costs(dynamics, spread_model_state(model_state, 2), at, Weights(), codes)
+        fused_costs(dynamics, spread_model_state(model_state, 2), at, CostWeights(), codes)
     with pytest.raises(ValueError, match="float64"):
-        fused_costs(dynamics, model_state, at, Weights(), codes)(commands(3).double())
+        fused_costs(dynamics, model_state, at, CostWeights(), codes)(commands(3).double())
     with pytest.raises(ValueError, match="no kernel"):
         fused_costs(
-            dynamics.double(), ModelState(*(p.double() for p in vars(model_state).values())), at, Weights(), codes
+            dynamics.double(), ModelState(*(p.double() for p in vars(model_state).values())), at, CostWeights(), codes
         )
 
 
 def test_a_plan_with_it_is_better_than_doing_nothing():
     at, dynamics = situation(layers(), state=(-10.0, 3, 0, 3, 0, 0)), model("b")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, Weights(), encode_map(at.ground, None))
+    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, None))
     settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=128, iterations=4)
     nothing = torch.zeros(STEPS, 3)
     plan = improve(nothing, cost_of, settings, torch.Generator().manual_seed(0), previous=torch.zeros(3))
@@ -265,11 +266,11 @@ for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 
     at = f.situation(f.ground(), state=state)
     dynamics = f.model("dc")
     codes = f.encode_map(at.ground, dynamics.encoder)
-    f.fused_costs(dynamics, f.start(dynamics, at), at, f.Weights(), codes)(f.commands(33))
+    f.fused_costs(dynamics, f.start(dynamics, at), at, f.CostWeights(), codes)(f.commands(33))
 """
     )
     here = Path(__file__).parent
-    paths = os.pathsep.join(map(str, (here, here.parent)))
+    paths = os.pathsep.join((str(here), str(here.parent), os.environ.get("PYTHONPATH", "")))
     environment = {
         **os.environ,
         "NUMBA_BOUNDSCHECK": "1",
@@ -285,7 +286,7 @@ def test_the_eager_cost_keeps_the_frame_of_the_situation():
         at, state=at.state - torch.tensor([5.0, 7, 0, 0, 0, 0]), offset=torch.tensor([5.0, 7.0], dtype=torch.float64)
     )
     costs = [
-        fused_costs(dynamics, start(dynamics, here), here, Weights(), encode_map(here.ground, None))(commands(8))
+        fused_costs(dynamics, start(dynamics, here), here, CostWeights(), encode_map(here.ground, None))(commands(8))
         for here in (at, moved)
     ]
     torch.testing.assert_close(costs[0], costs[1], rtol=1e-2, atol=1e-2)

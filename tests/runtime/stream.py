@@ -15,7 +15,7 @@ from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning import mppi
-from offpiste.planning.cost_map import Course
+from offpiste.planning.course import Course
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.planning.cost_map import Course
+from offpiste.planning.course import Course
 from offpiste.runtime.course_progress import Guide, Reach
 
 

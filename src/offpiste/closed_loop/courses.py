@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from offpiste.conventions import GRAVITY
 from offpiste.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
-from offpiste.planning.cost_map import Course
+from offpiste.planning.course import Course
 from offpiste.simulation.drive import Start
 from offpiste.simulation.driver.lookahead import VisibleTerrain
 from offpiste.simulation.world.surface import read_grid

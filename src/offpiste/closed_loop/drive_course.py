@@ -218,6 +218,7 @@ def settings_of(planner: Planner, asked: CourseDrive) -> dict[str, Any]:
     """What tells a drive from others on the same course, as a result holds it: all but the noise, a function."""
     runtime = asdict(asked.runtime)
     runtime["sampling"].pop("noise")
+    runtime["weights"] = asked.runtime.weights.values()
     given = {
         "run": str(planner.folder.resolve()),
         "limit_s": asked.seconds,

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 
 from offpiste.closed_loop.scores import Trace
-from offpiste.planning.cost_map import Course
+from offpiste.planning.course import Course
 from offpiste.runtime.prediction import Prediction
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World

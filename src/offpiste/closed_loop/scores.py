@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from offpiste.closed_loop.lockstep import Driving, time_of
 from offpiste.conventions import DT, HORIZON_STEPS
-from offpiste.planning.cost_map import Course
-from offpiste.planning.costs import Weights
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.course import Course
 from offpiste.runtime.course_progress import Guide
 from offpiste.runtime.prediction import Prediction
 
@@ -50,7 +50,7 @@ def trace_of(driving: Driving, course: Course) -> Trace:
     return Trace(place, speed, off, target, progress, slip)
 
 
-def summary(driving: Driving, trace: Trace, length: float, limit: float, weights: Weights) -> dict[str, Any]:
+def summary(driving: Driving, trace: Trace, length: float, limit: float, weights: CostWeights) -> dict[str, Any]:
     """Numbers with their units in their names; means are over the time until the course was driven, or ended.
 
     Args:
@@ -86,7 +86,7 @@ def summary(driving: Driving, trace: Trace, length: float, limit: float, weights
     }
 
 
-def driven_cost(trace: Trace, rows: int, limit: float | None, weights: Weights) -> float:
+def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights) -> float:
     """Squared distance from the course and squared error of the speed, weighted and summed over time.
 
     These are the terms of path and speed of what planners minimise, but with the vehicle's speed whichever way it

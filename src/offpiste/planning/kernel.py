@@ -14,16 +14,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS, CONTROL, DT, GRAVITY
+from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.model_arrays import compensator_weights, constants, learned_constants, networks
 from offpiste.mapping.terrain_sampler import MapStack
-from offpiste.planning.costs import Situation, Weights
-from offpiste.planning.kernel_rollout import KernelWeights, roll_out
-from offpiste.planning.kernel_terrain import CostLayers, Grid, Ground
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import Situation
+from offpiste.planning.kernel_costs import kernel_costs
+from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState
 from offpiste.threads import spread_kernel
@@ -83,7 +84,7 @@ def coded_map(maps: MapStack, encoder: FeatureEncoder) -> Codes:
 
 
 def fused_costs(
-    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: Weights, codes: Codes
+    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
 ) -> CostOf:
     """Costs of driving on the situation's map; the same as `rollouts.driving_costs`, up to rounding.
 
@@ -108,7 +109,7 @@ def fused_rollout(
     model_state: ModelState,
     controls: Float[Tensor, "K T 3"],
     situation: Situation,
-    weights: Weights,
+    weights: CostWeights,
     codes: Codes,
 ) -> tuple[Float[Tensor, " K"], Float[Tensor, "K T 6"]]:
     """The same costs, and the states after each step: to look at, and to test."""
@@ -130,7 +131,7 @@ def kernel_model_state(
     """
     packed = model_state.pack()
     after = torch.empty(1, len(controls), packed.shape[1])
-    _bind(dynamics, model_state, situation, Weights(), codes, holds=False)(controls[None], after)
+    _bind(dynamics, model_state, situation, CostWeights(), codes, holds=False)(controls[None], after)
     found = ModelState.unpack(after[:, -1])
     recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
     return replace(found, actuators=found.actuators.where(recorded, model_state.actuators))
@@ -141,22 +142,22 @@ def _bind(
     dynamics: Dynamics,
     model_state: ModelState,
     situation: Situation,
-    weights: Weights,
+    weights: CostWeights,
     codes: Codes,
     *,
     holds: bool = True,
 ) -> Callable[[Tensor, Tensor], Tensor]:
     _check(dynamics, model_state, codes)
-    vehicle = dynamics.vehicle
+    vehicle, costs = dynamics.vehicle, kernel_costs(situation.costs.table)
     recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
     given = (
         situation.control.float().numpy(),
         np.array(recorded),
         constants(dynamics, learned_constants(dynamics)),
         networks(dynamics, compensator_weights(dynamics)),
-        _ground(situation, codes),
-        _cost_layers(situation),
-        _kernel_weights(weights),
+        _ground_cells(situation, codes),
+        _cost_cells(situation),
+        costs.numbers(weights),
         holds and dynamics.holds_codes,
     )
     start = model_state.pack()[0].contiguous().numpy()
@@ -166,52 +167,41 @@ def _bind(
         if controls.ndim != 3 or controls.shape[2] != width or (controls.dtype, controls.device) != wanted:
             found = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
             raise ValueError(f"controls are {found}; the kernel wants [K, T, {width}], float32 on the CPU")
-        costs = torch.empty(len(controls))
+        total = torch.empty(len(controls))
         blocks = -(-len(controls) // layout.LANES)
-        spread_kernel(blocks, roll_out, start, controls.contiguous().numpy(), *given, costs.numpy(), states.numpy())
-        return costs
+        arrays = start, controls.contiguous().numpy(), *given, total.numpy(), states.numpy()
+        spread_kernel(blocks, costs.roll_out, *arrays)
+        return total
 
     return roll
 
 
-def _ground(situation: Situation, codes: Codes) -> Ground:
+def _ground_cells(situation: Situation, codes: Codes) -> GroundCells:
     maps = situation.ground
     cells, missing = codes
-    return Ground(
+    return GroundCells(
         _grid(situation.offset - maps.origin[0], maps.resolution, cells),
-        _numbers(maps.slope[0]),
-        _numbers(cells),
+        _flat(maps.slope[0]),
+        _flat(cells),
         *(part.float().contiguous().numpy() for part in (missing, situation.wheels)),
     )
 
 
-def _cost_layers(situation: Situation) -> CostLayers:
+def _cost_cells(situation: Situation) -> CostCells:
     costs = situation.costs
-    grid = _grid(situation.offset - costs.origin, costs.resolution, costs.layers)
-    return CostLayers(grid, _numbers(costs.layers), np.float32(costs.outside))
+    return CostCells(
+        _grid(situation.offset - costs.origin, costs.resolution, costs.layers),
+        _flat(costs.layers),
+        np.array(costs.outside, np.float32),
+    )
 
 
-def _numbers(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
+def _flat(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
     return cells.float().contiguous().numpy().reshape(-1)
 
 
 def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "ny nx _"]) -> Grid:
     return Grid(shift.numpy().astype(np.float32), np.float32(1 / resolution), cells.shape[0], cells.shape[1])
-
-
-def _kernel_weights(w: Weights) -> KernelWeights:
-    return KernelWeights(
-        path=np.float32(w.path),
-        speed=np.float32(w.speed),
-        overspeed=np.float32(w.overspeed),
-        rollover=np.float32(w.rollover),
-        lateral_limit=np.float32(w.lateral_limit),
-        least_vertical=np.float32(w.least_vertical),
-        gravity=np.float32(GRAVITY),
-        dt=np.float32(DT),
-        effort=np.array(w.effort, np.float32),
-        jerk=np.array(w.jerk, np.float32),
-    )
 
 
 def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:

@@ -1,7 +1,7 @@
-"""What a block's wheels stand on: cells are found for all lanes at once, numbers gathered from them, and computed with.
+"""Terrain and cost map under a block of lanes: cells are found for all lanes at once, numbers gathered, then computed.
 
 Without branches and with one index a lane, reading becomes the processor's gathering instructions: lanes off the map
-read cell 0, and do not use it.
+read a cell of its border, and take something else where that does not count.
 """
 
 from typing import NamedTuple
@@ -12,12 +12,16 @@ from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
+from offpiste.mapping import map_cells, wheel_positions
 
-HAZARD, LIMIT, DISTANCE, ALONG_X, ALONG_Y, TARGET, COS, SIN = range(8)
-"""Rows of what a block sees after a step; the first ones are the layers of the cost map."""
+on_map, bilinear = PLANNING.inlined(map_cells.on_map), PLANNING.inlined(map_cells.bilinear)
+wheel_position = PLANNING.inlined(wheel_positions.wheel_position)
 
-COST_NUMBERS = TARGET + 1
-"""Of a cell of the cost map."""
+COS, SIN, FIRST_LAYER = range(3)
+"""Rows of `TerrainSamples.values`: the heading, then the layers of the cost map."""
+
+POSE_POINT = 4
+"""Number of the pose point among the places where layers are read, behind the wheels."""
 
 
 class Grid(NamedTuple):
@@ -35,8 +39,8 @@ class Grid(NamedTuple):
     columns: int
 
 
-class Ground(NamedTuple):
-    """What the model reads, cell after cell.
+class GroundCells(NamedTuple):
+    """Cells that the model reads.
 
     Attributes:
         slope: [ny * nx * 2], NaN where unknown.
@@ -52,43 +56,50 @@ class Ground(NamedTuple):
     wheels: np.ndarray
 
 
-class CostLayers(NamedTuple):
-    """What the cost reads: `course.CostMap`, [ny * nx * 6]."""
+class CostCells(NamedTuple):
+    """Cells that the cost reads: `cost_map.CostMap`.
+
+    Attributes:
+        layers: [ny * nx * C].
+        outside: value of each layer off the map [C].
+    """
 
     grid: Grid
     layers: np.ndarray
-    outside: Lane
+    outside: np.ndarray
 
 
-class Sight(NamedTuple):
-    """What a block sees after a step, and what it takes to see it.
+class TerrainSamples(NamedTuple):
+    """Terrain and cost map under a block after a step, and the buffers to read them.
 
     Attributes:
-        seen: for the cost, rows of lanes.
-        cell, square: of the ground and of the raster, nearest to each lane's wheel; -1 off the map.
-        corner: of the four cells of the ground around it.
-        place: of the first number that is read.
+        values: heading and layers, rows of lanes.
+        cell: of the ground, nearest to each lane's wheel; -1 off the map.
+        cost_cell: of the cost map, nearest to each lane's wheel or pose point; off the map -1 less it.
+        corner: of the four cells of the ground around the wheel.
+        first: index of the first number that is read.
         u, v: from the corner, in cells.
         slope: at the four cells, towards +x and +y, rows of lanes.
     """
 
-    seen: np.ndarray
+    values: np.ndarray
     cell: np.ndarray
-    square: np.ndarray
+    cost_cell: np.ndarray
     corner: np.ndarray
-    place: np.ndarray
+    first: np.ndarray
     u: np.ndarray
     v: np.ndarray
     slope: np.ndarray
 
 
 @PLANNING.maker
-def make_sight() -> Sight:
-    """An empty one."""
-    cells = np.zeros((4, LANES), np.int32)
-    return Sight(
-        np.zeros(8 * LANES, f4), cells[0], cells[1], cells[2], cells[3], np.zeros(LANES, f4), np.zeros(LANES, f4),
-        np.zeros(8 * LANES, f4),
+def make_samples(layers: int) -> TerrainSamples:
+    """Buffers for a cost map of so many layers."""
+    # Few allocations: LLVM gives a loop up as soon as it would have to compare too many of them for overlap.
+    cells, numbers = np.zeros(4 * LANES, np.int32), np.zeros(10 * LANES, f4)
+    return TerrainSamples(
+        np.zeros((FIRST_LAYER + layers) * LANES, f4), cells[:LANES], cells[3 * LANES :], cells[LANES : 2 * LANES],
+        cells[2 * LANES : 3 * LANES], numbers[:LANES], numbers[LANES : 2 * LANES], numbers[2 * LANES :],
     )  # fmt: skip
 
 
@@ -97,7 +108,7 @@ def cell_at(grid: Grid, px: Lane, py: Lane) -> tuple[Lane, Lane, bool]:
     """Fractional cell of a place, moved onto the map, and whether it was on it; index and fraction are safe."""
     x, y = (px + grid.shift[0]) * grid.scale, (py + grid.shift[1]) * grid.scale
     last_x, last_y, half, zero = f4(grid.columns - 1), f4(grid.rows - 1), f4(0.5), f4(0)
-    inside = (x > -half) & (x < last_x + half) & (y > -half) & (y < last_y + half)
+    inside = on_map(x, y, last_x, last_y, half)
     # Comparisons are written so that what is not a number becomes 0.
     x = (x if x < last_x else last_x) if x > zero else zero
     y = (y if y < last_y else last_y) if y > zero else zero
@@ -105,120 +116,127 @@ def cell_at(grid: Grid, px: Lane, py: Lane) -> tuple[Lane, Lane, bool]:
 
 
 @PLANNING.inlined
-def number(grid: Grid, x: Lane, y: Lane) -> np.int32:
-    """Of the cell nearest to a fractional cell on the map."""
+def nearest_cell(grid: Grid, x: Lane, y: Lane) -> np.int32:
+    """Index of the cell nearest to a fractional cell on the map."""
     return np.int32(np.rint(y)) * np.int32(grid.columns) + np.int32(np.rint(x))
 
 
 @PLANNING.loop
-def find(model_state: np.ndarray, sight: Sight, ground: Ground, cost_layers: CostLayers, k: int) -> None:
-    """The cells under wheel k."""
-    wx, wy, zero = ground.wheels[k, 0], ground.wheels[k, 1], f4(0)
-    grid = ground.grid
-    # A map of one row or column has no cell beyond the corner: `read` takes the same one twice.
+def find_cells(
+    model_state: np.ndarray, heading: np.ndarray, wheel: np.ndarray, grid: Grid, cost_grid: Grid, cell: np.ndarray,
+    corner: np.ndarray, u: np.ndarray, v: np.ndarray, cost_cell: np.ndarray,
+) -> None:  # fmt: skip
+    """Find the cells under a wheel; given arrays instead of `TerrainSamples`, LLVM makes vector code of it."""
+    wx, wy, zero = wheel[0], wheel[1], f4(0)
+    # A map of one row or column has no cell beyond the corner: `read_slope` takes the same one twice.
     corner_x, corner_y = max(f4(grid.columns - 2), zero), max(f4(grid.rows - 2), zero)
     for i in range(LANES):
-        c, s = sight.seen[COS * LANES + i], sight.seen[SIN * LANES + i]
-        px, py = model_state[i] + c * wx - s * wy, model_state[LANES + i] + s * wx + c * wy
+        c, s = heading[COS * LANES + i], heading[SIN * LANES + i]
+        px, py = wheel_position(model_state[i], model_state[LANES + i], c, s, wx, wy)
         x, y, inside = cell_at(grid, px, py)
-        sight.cell[i] = number(grid, x, y) if inside else -1
+        cell[i] = nearest_cell(grid, x, y) if inside else -1
         x0, y0 = np.floor(x), np.floor(y)
         x0, y0 = x0 if x0 < corner_x else corner_x, y0 if y0 < corner_y else corner_y
-        sight.corner[i] = np.int32(y0) * np.int32(grid.columns) + np.int32(x0)
-        sight.u[i], sight.v[i] = x - x0, y - y0
-        x, y, inside = cell_at(cost_layers.grid, px, py)
-        sight.square[i] = number(cost_layers.grid, x, y) if inside else -1
+        corner[i] = np.int32(y0) * np.int32(grid.columns) + np.int32(x0)
+        u[i], v[i] = x - x0, y - y0
+        x, y, inside = cell_at(cost_grid, px, py)
+        nearest = nearest_cell(cost_grid, x, y)
+        cost_cell[i] = nearest if inside else np.int32(-1) - nearest
 
 
 @PLANNING.loop
-def locate(cells: np.ndarray, size: int, place: np.ndarray) -> None:
-    """Where the numbers of cells begin that have so many each."""
+def find_pose_cells(model_state: np.ndarray, cost_cell: np.ndarray, cost_grid: Grid) -> None:
+    """Find the cells of the cost map at the pose points."""
     for i in range(LANES):
-        place[i] = max(cells[i], np.int32(0)) * np.int32(size)
+        x, y, inside = cell_at(cost_grid, model_state[i], model_state[LANES + i])
+        cell = nearest_cell(cost_grid, x, y)
+        cost_cell[i] = cell if inside else np.int32(-1) - cell
 
 
 @PLANNING.loop
-def read(w: np.ndarray, sight: Sight, ground: Ground, cost_layers: CostLayers, k: int, codes: bool) -> None:
-    """What lies under wheel k."""
-    read_slope(sight, ground)
-    read_costs(sight, cost_layers)
-    if codes:
-        size = len(ground.missing)
-        locate(sight.cell, size, sight.place)
-        for e in range(size):
-            row, missing = w[(CODES + k * size + e) * LANES : (CODES + k * size + e + 1) * LANES], ground.missing[e]
-            for i in range(LANES):
-                code = ground.codes[np.uint64(sight.place[i] + e)]
-                row[i] = code if sight.cell[i] >= 0 else missing
+def find_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
+    """Find where the numbers of cells begin that have so many each."""
+    for i in range(LANES):
+        index[i] = max(cells[i], np.int32(0)) * np.int32(size)
 
 
 @PLANNING.loop
-def read_slope(sight: Sight, ground: Ground) -> None:
-    """Of the four cells around a wheel."""
-    right, up = min(ground.grid.columns - 1, 1), min(ground.grid.rows - 1, 1) * ground.grid.columns
-    locate(sight.corner, 2, sight.place)
+def read_codes(w: np.ndarray, samples: TerrainSamples, ground: GroundCells, k: int) -> None:
+    """Gather the codes under wheel k into the workspace."""
+    size = len(ground.missing)
+    find_numbers(samples.cell, size, samples.first)
+    for e in range(size):
+        row, missing = w[(CODES + k * size + e) * LANES : (CODES + k * size + e + 1) * LANES], ground.missing[e]
+        for i in range(LANES):
+            code = ground.codes[np.uint64(samples.first[i] + e)]
+            row[i] = code if samples.cell[i] >= 0 else missing
+
+
+@PLANNING.loop
+def read_slope(grid: Grid, slope: np.ndarray, corner: np.ndarray, index: np.ndarray, corners: np.ndarray) -> None:
+    """Gather the slope of the four cells around a wheel."""
+    right, up = min(grid.columns - 1, 1), min(grid.rows - 1, 1) * grid.columns
+    find_numbers(corner, 2, index)
     for n in range(8):
         shift = np.int32(n % 2 + 2 * (right * (n // 2 % 2) + up * (n // 4)))
-        row = sight.slope[n * LANES : (n + 1) * LANES]
+        row = corners[n * LANES : (n + 1) * LANES]
         for i in range(LANES):
-            row[i] = ground.slope[np.uint64(sight.place[i] + shift)]
+            row[i] = slope[np.uint64(index[i] + shift)]
 
 
 @PLANNING.loop
-def read_costs(sight: Sight, cost_layers: CostLayers) -> None:
-    """Under a wheel."""
-    quarter = f4(0.25)
-    hazard, limit = sight.seen[HAZARD * LANES : (HAZARD + 1) * LANES], sight.seen[LIMIT * LANES : (LIMIT + 1) * LANES]
-    locate(sight.square, COST_NUMBERS, sight.place)
+def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, cell: np.ndarray) -> None:
+    """Add a quarter of a wheel's normal, from the slopes s; straight up where they are not known."""
+    quarter, zero, one = f4(0.25), f4(0), f4(1)
     for i in range(LANES):
-        found, other = cost_layers.layers[np.uint64(sight.place[i])], cost_layers.layers[np.uint64(sight.place[i] + 1)]
-        inside = sight.square[i] >= 0
-        hazard[i] += quarter * (found if inside else cost_layers.outside)
-        limit[i] = other if inside & (other < limit[i]) else limit[i]
-
-
-@PLANNING.loop
-def lean(w: np.ndarray, sight: Sight) -> None:
-    """Add a quarter of a wheel's normal; straight up where the slope is not known."""
-    s, quarter, zero, one = sight.slope, f4(0.25), f4(0), f4(1)
-    for i in range(LANES):
-        u, v = sight.u[i], sight.v[i]
-        rise_x = (s[i] * (one - u) + s[2 * LANES + i] * u) * (one - v)
-        rise_x += (s[4 * LANES + i] * (one - u) + s[6 * LANES + i] * u) * v
-        rise_y = (s[LANES + i] * (one - u) + s[3 * LANES + i] * u) * (one - v)
-        rise_y += (s[5 * LANES + i] * (one - u) + s[7 * LANES + i] * u) * v
-        known = (sight.cell[i] >= 0) & (rise_x - rise_x == zero) & (rise_y - rise_y == zero)
+        rise_x = bilinear(s[i], s[2 * LANES + i], s[4 * LANES + i], s[6 * LANES + i], u[i], v[i], one)
+        rise_y = bilinear(s[LANES + i], s[3 * LANES + i], s[5 * LANES + i], s[7 * LANES + i], u[i], v[i], one)
+        known = (cell[i] >= 0) & (rise_x - rise_x == zero) & (rise_y - rise_y == zero)
         rise_x, rise_y = rise_x if known else zero, rise_y if known else zero
         up = quarter / np.sqrt(one + rise_x * rise_x + rise_y * rise_y)
-        w[NORMAL_ROW * LANES + i] -= rise_x * up
-        w[(NORMAL_ROW + 1) * LANES + i] -= rise_y * up
-        w[(NORMAL_ROW + 2) * LANES + i] += up
+        normal[i] -= rise_x * up
+        normal[LANES + i] -= rise_y * up
+        normal[2 * LANES + i] += up
 
 
 @PLANNING.loop
+def find_cost_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
+    """Find where the numbers of cells of the cost map begin, on the map and off it."""
+    for i in range(LANES):
+        cell = cells[i]
+        index[i] = (cell if cell >= 0 else np.int32(-1) - cell) * np.int32(size)
+
+
+def read_layers(k: int, cost_cells: CostCells, cells: np.ndarray, index: np.ndarray, values: np.ndarray) -> None:
+    """Read the layers under wheel k, or at the pose point; `kernel_costs` puts compiled code in its place."""
+    raise NotImplementedError
+
+
 def sample_terrain(
-    w: np.ndarray, model_state: np.ndarray, sight: Sight, ground: Ground, cost_layers: CostLayers, codes: bool
+    w: np.ndarray,
+    model_state: np.ndarray,
+    samples: TerrainSamples,
+    ground: GroundCells,
+    cost_cells: CostCells,
+    codes: bool,
 ) -> None:
-    """Normals, and codes if wanted, under the wheels into the workspace, layers of the cost into `sight.seen`."""
-    seen = sight.seen
+    """Read normals, and codes if wanted, into the workspace, and the cost map into `samples.values`."""
     for i in range(LANES):
-        seen[COS * LANES + i] = cos(model_state[2 * LANES + i])
-        seen[SIN * LANES + i] = sin(model_state[2 * LANES + i])
-    w[NORMAL_ROW * LANES : (NORMAL_ROW + 3) * LANES] = f4(0)
-    seen[HAZARD * LANES : (HAZARD + 1) * LANES] = f4(0)
-    seen[LIMIT * LANES : (LIMIT + 1) * LANES] = f4(np.inf)
+        samples.values[COS * LANES + i] = cos(model_state[2 * LANES + i])
+        samples.values[SIN * LANES + i] = sin(model_state[2 * LANES + i])
+    cost_cell = samples.cost_cell
+    normal = w[NORMAL_ROW * LANES : (NORMAL_ROW + 3) * LANES]
+    normal[:] = f4(0)
     for k in range(4):
-        find(model_state, sight, ground, cost_layers, k)
-        read(w, sight, ground, cost_layers, k, codes)
-        lean(w, sight)
-    for i in range(LANES):
-        x, y, _ = cell_at(cost_layers.grid, model_state[i], model_state[LANES + i])
-        sight.square[i] = number(cost_layers.grid, x, y)
-    locate(sight.square, COST_NUMBERS, sight.place)
-    for k in range(DISTANCE, TARGET + 1):
-        for i in range(LANES):
-            seen[k * LANES + i] = cost_layers.layers[np.uint64(sight.place[i] + k)]
-    for i in range(LANES):
-        seen[DISTANCE * LANES + i] += (model_state[i] - model_state[i]) + (
-            model_state[LANES + i] - model_state[LANES + i]
-        )
+        find_cells(
+            model_state, samples.values, ground.wheels[k], ground.grid, cost_cells.grid, samples.cell, samples.corner,
+            samples.u, samples.v, samples.cost_cell,
+        )  # fmt: skip
+        read_slope(ground.grid, ground.slope, samples.corner, samples.first, samples.slope)
+        # Between slopes and normals: vectors are not loaded at once that were just stored number by number.
+        read_layers(k, cost_cells, cost_cell, samples.first, samples.values)
+        if codes:
+            read_codes(w, samples, ground, k)
+        add_normal(normal, samples.slope, samples.u, samples.v, samples.cell)
+    find_pose_cells(model_state, cost_cell, cost_cells.grid)
+    read_layers(POSE_POINT, cost_cells, cost_cell, samples.first, samples.values)

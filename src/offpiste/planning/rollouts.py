@@ -8,7 +8,8 @@ from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, HeldCodes, MapTerrain
-from offpiste.planning.costs import Situation, Weights, driving_cost
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import Situation, driving_cost
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState, TerrainSource, Trajectory
 
@@ -21,7 +22,7 @@ def model_costs(
     Args:
         model_state: the start, a batch of one.
         source: of the ground for K rollouts.
-        cost: from predicted trajectories and their controls [K, T, 3] to costs [K], e.g. `costs.driving_cost`.
+        cost: from predicted trajectories and their controls [K, T, 3] to costs [K], e.g. `driving_cost`.
     """
 
     def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
@@ -31,7 +32,11 @@ def model_costs(
 
 
 def driving_costs(
-    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: Weights, encode: Encode | None = None
+    dynamics: Dynamics,
+    model_state: ModelState,
+    situation: Situation,
+    weights: CostWeights,
+    encode: Encode | None = None,
 ) -> CostOf:
     """Costs of driving on the situation's map.
 
@@ -67,6 +72,7 @@ def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode:
 
 def spread_model_state(model_state: ModelState, samples: int) -> ModelState:
     """The model state of one rollout, for as many samples."""
+    """A model state of one, for as many samples."""
     return ModelState(
         *(
             part.expand(samples, -1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.planning.cost_map import Course, densified
+from offpiste.planning.course import Course
 
 SPACING = 0.25
 """Of the points that the vehicle's place is looked for among [m]."""
@@ -32,7 +32,7 @@ class Guide:
     """Keeps the vehicle's place on a course."""
 
     def __init__(self, course: Course, reach: Reach | None = None) -> None:
-        dense, self._reach = densified(course, SPACING), reach or Reach()
+        dense, self._reach = course.densified(SPACING), reach or Reach()
         self._course = _prolonged(dense, self._reach.ahead)
         step = np.linalg.norm(np.diff(self._course.path, axis=0), axis=1)
         self._arc = np.concatenate(([0.0], np.cumsum(step)))

@@ -16,7 +16,8 @@ from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_codes, stack_maps
-from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
 from offpiste.planning.rollouts import driving_costs
@@ -137,7 +138,7 @@ def model_state_after(
     return model_state
 
 
-def costs_from(model: Dynamics, model_state: ModelState, area: Area, at: Situation, weights: Weights) -> CostOf:
+def costs_from(model: Dynamics, model_state: ModelState, area: Area, at: Situation, weights: CostWeights) -> CostOf:
     """Costs of control sequences that begin at a state."""
     if _by_kernel(model, model_state):
         return fused_costs(model, model_state, at, weights, area.codes)
@@ -150,7 +151,7 @@ def predicted(
     controls: Float[Tensor, "T 3"],
     area: Area,
     at: Situation,
-    weights: Weights,
+    weights: CostWeights,
 ) -> Float[np.ndarray, "T 6"]:
     """The states that a plan leads through, in the world frame."""
     if _by_kernel(model, model_state):

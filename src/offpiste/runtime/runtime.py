@@ -18,8 +18,11 @@ from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.mapping.sensor_mapper import MapperSettings
 from offpiste.planning import mppi
-from offpiste.planning.cost_map import Course, Hazards, cost_map
-from offpiste.planning.costs import Situation, Weights
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.course import Course
+from offpiste.planning.driving_cost import Situation
 from offpiste.planning.pedal import PEDAL_AND_WHEEL, controls_of, pedals_of, with_pedal
 from offpiste.runtime.course_progress import Guide
 from offpiste.runtime.estimator import TrackRows, VehicleReading, VehicleTrack
@@ -80,7 +83,7 @@ class RuntimeSettings:
             rest=(0.4, 0.0),
         )
     )
-    weights: Weights = field(default_factory=lambda: Weights(path=5.0))
+    weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0))
     hazards: Hazards = field(default_factory=Hazards)
     replay: MapperSettings = field(default_factory=MapperSettings)
     timeouts: Timeouts = field(default_factory=Timeouts)

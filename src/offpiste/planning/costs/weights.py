@@ -1,0 +1,66 @@
+"""Weights and parameters of the cost terms, by name, as the terms declare them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from offpiste.errors import PlanningError
+from offpiste.planning.costs.declaration import Number, Parameter, cost_terms
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class CostWeights:
+    """How much each cost term counts: `CostWeights(path=5.0, lateral_limit=0.6).path`.
+
+    A number that is not given keeps the default of the term that declares it.
+
+    Raises:
+        PlanningError: no term declares a number of that name, or it has another shape.
+    """
+
+    changed: dict[str, Number]
+
+    def __init__(self, **changed: Number) -> None:
+        declared = declared_numbers()
+        for name, value in changed.items():
+            if name not in declared:
+                there = ", ".join(f"{known} [{number.unit}]" for known, number in declared.items())
+                raise PlanningError(f"no cost weight '{name}'", how=f"there are: {there}")
+            if _size(value) != _size(declared[name].default):
+                raise PlanningError(f"cost weight {name} is {value}", how=f"give one like {declared[name].default}")
+        object.__setattr__(self, "changed", changed)
+
+    def __getattr__(self, name: str) -> Any:
+        """The number of that name."""
+        if name.startswith("__") or name == "changed":  # copies and pickles ask before there is anything
+            raise AttributeError(name)
+        values = self.values()
+        if name not in values:
+            raise AttributeError(f"no cost weight '{name}'; there are: {', '.join(values)}")
+        return values[name]
+
+    def __repr__(self) -> str:
+        """Only what differs from the defaults."""
+        return f"CostWeights({', '.join(f'{name}={value}' for name, value in self.changed.items())})"
+
+    def values(self) -> dict[str, Number]:
+        """All numbers by name."""
+        return {name: number.default for name, number in declared_numbers().items()} | self.changed
+
+
+def declared_numbers() -> dict[str, Parameter]:
+    """Weights and parameters of all cost terms, by name.
+
+    Raises:
+        PlanningError: two terms declare the same name.
+    """
+    numbers: dict[str, Parameter] = {}
+    for term in cost_terms().values():
+        for name, number in term.numbers.items():
+            if name in numbers:
+                raise PlanningError(f"two cost terms declare a number '{name}'", how="rename the one of yours")
+            numbers[name] = number
+    return numbers
+
+
+def _size(value: Number) -> int:
+    return len(value) if isinstance(value, tuple) else 0

@@ -1,0 +1,122 @@
+"""The cost of driving along predicted trajectories: all declared terms in torch, the reference of the kernel."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.conventions import DT, GRAVITY
+from offpiste.mapping.terrain_sampler import MapStack, sample_maps
+from offpiste.mapping.wheel_positions import wheel_positions_of_states
+from offpiste.planning.cost_map import CostMap
+from offpiste.planning.costs.declaration import CostTerm, Scalar, cost_terms, evaluate
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.state import Trajectory
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Where and how a plan begins.
+
+    Attributes:
+        ground: a stack of one map, for the normals.
+        costs: hazards and course.
+        wheels: in the body frame, from the pose point [m].
+        offset: of the frame of the trajectories in the world frame [m] (float64).
+        state: at the start.
+        control: commanded in the step before it.
+    """
+
+    ground: MapStack
+    costs: CostMap
+    wheels: Float[Tensor, "4 2"]
+    offset: Float[Tensor, " 2"]
+    state: Float[Tensor, " 6"]
+    control: Float[Tensor, " 3"]
+
+
+def driving_cost(
+    trajectory: Trajectory, controls: Float[Tensor, "K T 3"], situation: Situation, weights: CostWeights
+) -> Float[Tensor, " K"]:
+    """Sum of all terms over time; not finite where a state is not."""
+    terms = driving_terms(trajectory, controls, situation, weights)
+    return DT * torch.stack(tuple(terms.values())).sum(dim=(0, 2))
+
+
+def driving_terms(
+    trajectory: Trajectory, controls: Float[Tensor, "K T 3"], situation: Situation, weights: CostWeights
+) -> dict[str, Float[Tensor, "K T"]]:
+    """Cost per second of each term after each step, by name."""
+    velocity = trajectory.state[..., 3:5]
+    velocity_before = torch.cat((situation.state[3:5].expand(len(velocity), 1, 2), velocity[:, :-1]), dim=1)
+    control_before = torch.cat((situation.control.expand(len(controls), 1, 3), controls[:, :-1]), dim=1)
+    return terms_after(trajectory.state, velocity_before, controls, control_before, situation, weights)
+
+
+def terms_after(
+    state: Float[Tensor, "*B 6"],
+    velocity_before: Float[Tensor, "*B 2"],
+    control: Float[Tensor, "*B 3"],
+    control_before: Float[Tensor, "*B 3"],
+    situation: Situation,
+    weights: CostWeights,
+) -> dict[str, Float[Tensor, "*B"]]:
+    """Cost per second of each term after single steps, for planners that go step by step.
+
+    Args:
+        state: after a step.
+        velocity_before: vx, vy before it [m/s].
+        control, control_before: commanded during it, and during the step before.
+        situation: its state and control are not read.
+    """
+    numbers, terms = weights.values(), cost_terms()
+    parameters = {name: numbers[name] for term in terms.values() for name in term.parameters}
+    motion = _motion(state, velocity_before, control, situation) | parameters
+    controls: dict[str, Scalar] = {"control": control, "control_before": control_before, "dt": DT, "maximum": _maximum}
+    controls |= {name: control.new_tensor(value) for name, value in parameters.items() if isinstance(value, tuple)}
+
+    def cost(term: CostTerm) -> Tensor:
+        weight = numbers.get(term.name)
+        if term.of_controls:
+            each = None if weight is None else control.new_tensor(weight)
+            value: Tensor = evaluate(term.function, controls | {"weight": each}).sum(dim=-1)
+            return value
+        motion["weight"] = weight
+        return evaluate(term.function, motion)
+
+    return {name: cost(term) for name, term in terms.items()}
+
+
+def _motion(state: Tensor, velocity_before: Tensor, control: Tensor, situation: Situation) -> dict[str, Scalar]:
+    """Base quantities of the motion, layers and elementary functions, by name."""
+    _, _, yaw, vx, vy, yaw_rate = state.unbind(-1)
+    wheels = wheel_positions_of_states(state, situation.wheels)
+    zeros = torch.zeros(wheels.shape[:-1], dtype=torch.long, device=wheels.device)
+    normal = sample_maps(situation.ground, zeros, wheels, situation.offset.expand_as(wheels)).normal.mean(dim=-2)
+    given: dict[str, Scalar] = dict(
+        zip(("world_normal_x", "world_normal_y", "world_normal_z"), normal.unbind(-1), strict=True)
+    )
+    given |= dict(zip(("throttle", "brake", "steer"), control.unbind(-1), strict=True))
+    given |= {"vx": vx, "vy": vy, "yaw_rate": yaw_rate, "cos_yaw": torch.cos(yaw), "sin_yaw": torch.sin(yaw)}
+    given |= {"vx_before": velocity_before[..., 0], "vy_before": velocity_before[..., 1], "dt": DT, "gravity": GRAVITY}
+    functions = {"maximum": _maximum, "sin": torch.sin, "cos": torch.cos, "tanh": torch.tanh, "atan": torch.atan}
+    return given | functions | _layers(state[..., :2], wheels, situation)
+
+
+def _layers(place: Float[Tensor, "*B 2"], wheels: Float[Tensor, "*B 4 2"], situation: Situation) -> dict[str, Tensor]:
+    """Layers of the cost map where each is read, by name."""
+    costs = situation.costs
+    under, here = costs.at(wheels, situation.offset), costs.at(place, situation.offset)
+    return {
+        layer.name: {
+            "mean of wheels": lambda column: under[..., column].mean(dim=-1),
+            "least of wheels": lambda column: under[..., column].amin(dim=-1),
+            "pose point": lambda column: here[..., column],
+        }[layer.read](column)
+        for column, layer in enumerate(costs.table)
+    }
+
+
+def _maximum(a: Tensor, b: Tensor | float) -> Tensor:
+    return torch.maximum(a, torch.as_tensor(b, dtype=a.dtype, device=a.device))
