@@ -14,7 +14,7 @@ from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
 from offpiste.mapping import map_cells, wheel_positions
 
-on_map, bilinear = PLANNING.inlined(map_cells.on_map), PLANNING.inlined(map_cells.bilinear)
+on_map = PLANNING.inlined(map_cells.on_map)
 wheel_position = PLANNING.inlined(wheel_positions.wheel_position)
 
 COS, SIN, FIRST_LAYER = range(3)
@@ -189,8 +189,12 @@ def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, 
     """Add a quarter of a wheel's normal, from the slopes s; straight up where they are not known."""
     quarter, zero, one = f4(0.25), f4(0), f4(1)
     for i in range(LANES):
-        rise_x = bilinear(s[i], s[2 * LANES + i], s[4 * LANES + i], s[6 * LANES + i], u[i], v[i], one)
-        rise_y = bilinear(s[LANES + i], s[3 * LANES + i], s[5 * LANES + i], s[7 * LANES + i], u[i], v[i], one)
+        # As `map_cells.bilinear`, but in two statements: in one LLVM rounds differently.
+        x, y = u[i], v[i]
+        rise_x = (s[i] * (one - x) + s[2 * LANES + i] * x) * (one - y)
+        rise_x += (s[4 * LANES + i] * (one - x) + s[6 * LANES + i] * x) * y
+        rise_y = (s[LANES + i] * (one - x) + s[3 * LANES + i] * x) * (one - y)
+        rise_y += (s[5 * LANES + i] * (one - x) + s[7 * LANES + i] * x) * y
         known = (cell[i] >= 0) & (rise_x - rise_x == zero) & (rise_y - rise_y == zero)
         rise_x, rise_y = rise_x if known else zero, rise_y if known else zero
         up = quarter / np.sqrt(one + rise_x * rise_x + rise_y * rise_y)
