@@ -22,7 +22,7 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.rollouts import driving_costs
 from offpiste.state import Trajectory
 from planning.test_kernel import commands, model, start
-from planning_grounds import layers, situation
+from planning_maps import layers, situation
 
 ground = layers()
 ground.roughness[:, 45:] = 0.05

@@ -11,7 +11,7 @@ from offpiste.errors import PlanningError
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards, hazard_layers, speed_limit
 from offpiste.planning.course import Course, Goal
-from planning_grounds import layers, straight
+from planning_maps import layers, straight
 
 HERE = torch.zeros(2, dtype=torch.float64)
 

@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from offpiste.planning.costs.layers import Hazards, hazard_layers
 from offpiste.planning.course import Course
 from offpiste.planning.nearest_path_point import BLOCK, NEAR, along_path
-from planning_grounds import layers
+from planning_maps import layers
 
 SIZE = 0.2
 
