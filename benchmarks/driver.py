@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from offpiste.conventions import DT, HORIZON_STEPS, MIN_EVALUATION_SPEED
-from offpiste.simulation.drive import FINAL_EVENTS, STUCK, drive, start_and_driver
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.simulate import FINAL_EVENTS, STUCK, drive, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

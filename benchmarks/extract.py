@@ -16,17 +16,15 @@ import numpy as np
 import tyro
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.open import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.mapping.replay import replay
-from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.replay import MapperSettings, replay
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig, load_rig
 

@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from offpiste.conventions import DT
-from offpiste.simulation.drive import drive, start_and_driver
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sample import Pose, VehicleSample, motionless
 from offpiste.simulation.sensors.camera import Camera, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar
 from offpiste.simulation.sensors.suite import full_suite
+from offpiste.simulation.simulate import drive, start_and_driver
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world

@@ -16,10 +16,9 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.logs.ros.writer import McapWriter
-from offpiste.simulation.drive import drive, start_and_driver
 from offpiste.simulation.recorder import Recorder
-from offpiste.simulation.sensors.sensing import Sensing
-from offpiste.simulation.sensors.suite import sensor_suite
+from offpiste.simulation.sensors.suite import Sensing, sensor_suite
+from offpiste.simulation.simulate import drive, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world

@@ -19,22 +19,21 @@ from rich.table import Table
 from experiments.command import run
 from experiments.perturbed_sensors import stretch
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.cells_under_wheels import Cells
 from offpiste.dataset.feature_coverage import HINDSIGHT, differences, feature_range, valid_rates, within_reach
-from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.wheel_passes import Passes, find_passes
 from offpiste.files import write_text
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
-from offpiste.logs.open import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.replay import MapperSettings
+from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.mapping.voxel_map import VoxelSettings
-from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig

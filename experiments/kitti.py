@@ -22,8 +22,8 @@ from experiments.command import run
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
+from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Cloud, Lidar
-from offpiste.logs.open import open_log
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.perception.backbones import open_backbone

@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.command import run
 from offpiste.inspection.misfit import turned
-from offpiste.inspection.mountings import CheckedSensor
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensors import camera_misfits, lidar_misfits
+from offpiste.inspection.sensors import CheckedSensor, camera_misfits, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.sensor_log import open_sensors

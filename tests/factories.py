@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dynamics import Hybrid, Vehicle
 from offpiste.dynamics.encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic

@@ -7,9 +7,8 @@ import numpy as np
 
 from factories import RIG
 from offpiste.logs import open_log
-from offpiste.logs.ros.messages import floats, header, make, quaternion, vector
-from offpiste.logs.ros.point_cloud import message_from_points
-from offpiste.logs.ros.writer import McapWriter
+from offpiste.logs.ros.sensor_messages import message_from_points
+from offpiste.logs.ros.writer import McapWriter, floats, header, make, quaternion, vector
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.rig.rig import Rig, parse_rig
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from offpiste.extras import MissingExtra, extra, is_installed, require
+from offpiste.errors import MissingExtra, extra, is_installed, require
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
-from offpiste.training.metrics import also_tensorboard
+from offpiste.training.optimise import also_tensorboard
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 

@@ -5,7 +5,7 @@ import threading
 import pytest
 import torch
 
-from offpiste.threads import single_threaded_torch, spread_blocks, spread_kernel
+from offpiste.compilation import single_threaded_torch, spread_blocks, spread_kernel
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])

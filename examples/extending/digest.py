@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 from offpiste.progress import show
 
 

@@ -5,6 +5,6 @@ Worlds that differ in numbers only need no Python: `offpiste simulate --world sa
 
 from pathlib import Path
 
-from offpiste.simulation.world.preset import WORLDS, read_world_preset
+from offpiste.simulation.world.world import WORLDS, read_world_preset
 
 WORLDS.register("salt-flat")(read_world_preset(Path(__file__).with_suffix(".toml")))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.report_figures import deciding_errors, report_figure, title_of
-from offpiste.evaluation.report_figures.start_speed import binned_plot
+from offpiste.evaluation.report_figures.distance_error import binned_plot
 
 CAPTION = "Mean distance error after 5 s by the yaw rate at the start; every bin holds as many windows."
 TURNING = 1e-3

@@ -11,8 +11,15 @@ from safetensors.numpy import load_file, save_file
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.files import write_whole
 from offpiste.progress import track
-from offpiste.simulation.drive import FINAL_EVENTS, Start, drive, on_other_ground, start_and_driver
-from offpiste.simulation.simulate import DriveSettings, record
+from offpiste.simulation.simulate import (
+    FINAL_EVENTS,
+    DriveSettings,
+    Start,
+    drive,
+    on_other_ground,
+    record,
+    start_and_driver,
+)
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world

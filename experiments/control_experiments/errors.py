@@ -10,8 +10,7 @@ from jaxtyping import Int
 
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
-from offpiste.evaluation.error_files import saved_errors
-from offpiste.evaluation.errors import Errors, pool
+from offpiste.evaluation.errors import Errors, pool, saved_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
 from offpiste.reproduction.runs import evaluation_windows, run_errors

@@ -19,7 +19,7 @@ from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.dataset.ground_truth_features import LAYERS, truth_map, with_ground_truth
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap

@@ -12,16 +12,15 @@ from torch.nn import functional
 
 from experiments.perturbed_sensors import Flaw, perturbed, stretch
 from offpiste.conventions import WHEELS
-from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.files import write_whole
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
-from offpiste.logs.open import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.mapping.sensor_mapper import MapperSettings
-from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.mapping.replay import MapperSettings
+from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents

@@ -24,8 +24,8 @@ from ._version import __version__ as __version__
 # Making datasets.
 from .dataset.extract import make_dataset as make_dataset
 from .dataset.fit_pca import fit_pca as fit_pca
+from .dataset.resample import Rows as Rows
 from .dataset.resample import extract_rows as extract_rows
-from .dataset.rows import Rows as Rows
 from .dataset.splits import parse_split as parse_split
 from .dataset.store import Dataset as Dataset
 from .dataset.store import open_dataset as open_dataset
@@ -45,7 +45,7 @@ from .evaluation.evaluate_runs import evaluate_runs as evaluate_runs
 # Inspecting and reading logs.
 from .inspection.draft_rig import draft_rig as draft_rig
 from .inspection.inspect import inspect_log as inspect_log
-from .inspection.render import render_text as render_text
+from .inspection.inspect import render_text as render_text
 from .logs import Drive as Drive
 from .logs import open_log as open_log
 from .logs import read_drive as read_drive

@@ -13,8 +13,7 @@ from offpiste.closed_loop.drive_course import CourseDrive, described, drive_cour
 from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.fit_pca import fit_pca
-from offpiste.dataset.image_list import write_image_list
+from offpiste.dataset.fit_pca import fit_pca, write_image_list
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset
@@ -24,8 +23,7 @@ from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.result_rows import REFERENCE
-from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.render import render
+from offpiste.inspection.inspect import inspect_log, render
 from offpiste.logs import open_log
 from offpiste.parallel import usable_cores
 from offpiste.perception.backbones import open_backbone

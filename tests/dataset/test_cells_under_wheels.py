@@ -6,10 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.dataset.array_reader import ArrayReader
-from offpiste.dataset.cells_under_wheels import Cells, CellTable
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.normals_under_wheels import NormalsUnderWheels
+from offpiste.dataset.under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
 from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2

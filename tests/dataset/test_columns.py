@@ -7,7 +7,7 @@ import pytest
 
 from factories import circle_rows, small_rig
 from offpiste.dataset.columns import COLUMNS, Column, RowGrid, channel_column
-from offpiste.dataset.rows import OWN_COLUMNS, Rows, rows_from_arrays
+from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig import channels

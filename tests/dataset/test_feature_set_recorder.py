@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.feature_set_recorder import TOLERANCE, FeatureSetRecorder, MapCellValues
+from offpiste.dataset.feature_sets import TOLERANCE, FeatureSetRecorder, MapCellValues
 from offpiste.dataset.wheel_passes import PAUSE, find_passes
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])

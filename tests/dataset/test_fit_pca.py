@@ -2,7 +2,7 @@
 
 import pytest
 
-from offpiste.dataset.image_list import ListedImage, read_image_list, write_image_list
+from offpiste.dataset.fit_pca import ListedImage, read_image_list, write_image_list
 from offpiste.errors import PerceptionError
 
 

@@ -13,8 +13,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.errors import DatasetError, RunError
-from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.training.run import build, vehicle_of
 from offpiste.training.terrain_sources import encoded, on_map
 

@@ -5,8 +5,7 @@ import pytest
 
 from factories import RIG, MemoryLog, small_rig
 from offpiste.conventions import DT
-from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.errors import LogError
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.rig import parse_rig

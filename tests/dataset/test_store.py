@@ -8,7 +8,7 @@ import zarr
 
 from factories import circle_rows, small_rig
 from offpiste.dataset import store
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.errors import DatasetError
 

@@ -15,11 +15,11 @@ from offpiste.dataset.store import Dataset, drive_names
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError, LogError
 from offpiste.logs.ground_truth import read_truth_map
-from offpiste.logs.open import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras, replay
+from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.mapping.terrain_sampler import MapTerrain
-from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.perception.pca import load_pca
 from offpiste.rig.rig import load_rig

@@ -8,7 +8,7 @@ import pytest
 
 from factories import circle_rows, small_rig
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import RunError
-from offpiste.evaluation.error_files import load_errors, save_errors, saved_errors
-from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.errors import Errors, load_errors, save_errors, saved_errors
 from window_errors import BASE
 
 

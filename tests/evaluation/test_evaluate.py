@@ -11,7 +11,7 @@ from rich.console import Console
 
 from factories import COMMANDED, RIG, circle_rows
 from offpiste.conventions import DT
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric

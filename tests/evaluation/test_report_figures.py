@@ -3,13 +3,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from offpiste.evaluation.box_plots import box_plot
+from offpiste.evaluation.box_plots import box_plot, styles
 from offpiste.evaluation.intervals import Statistics
 from offpiste.evaluation.metrics import ResultRow
-from offpiste.evaluation.model_colours import styles
-from offpiste.evaluation.report_figures.distribution import distribution_plot
-from offpiste.evaluation.report_figures.growth import growth_plot
-from offpiste.evaluation.report_figures.start_speed import binned_plot
+from offpiste.evaluation.report_figures.distance_error import binned_plot, distribution_plot, growth_plot
 from offpiste.evaluation.report_figures.worst_windows import WorstWindow, worst_plot
 
 VALUES = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 11.0, 30.0])

@@ -9,7 +9,7 @@ import pytest
 
 from offpiste.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
-from offpiste.simulation.world.preset import find_world_preset
+from offpiste.simulation.world.world import find_world_preset
 
 FOLDER = Path(__file__).parents[2] / "examples" / "extending"
 

@@ -8,7 +8,7 @@ import pytest
 from offpiste.cli import main
 from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.logs import open_log
-from offpiste.logs.ros.messages import quaternion
+from offpiste.logs.ros.writer import quaternion
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.rig import parse_rig
 from sensor_bags import IMAGE, cloud, compressed, info, odometry, record, sensor_rig, tree

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.inspection.misfit import Misfit
-from offpiste.inspection.mountings import CheckedSensor, check_mountings
+from offpiste.inspection.sensors import CheckedSensor, check_mountings
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource

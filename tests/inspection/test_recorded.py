@@ -6,8 +6,7 @@ import msgspec
 import pytest
 
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.result import Inspection
+from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.logs import open_log
 from offpiste.rig.rig import Rig, load_rig, parse_rig
 

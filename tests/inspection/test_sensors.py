@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.sensor_faults import planted
-from offpiste.inspection.mountings import check_mountings
 from offpiste.inspection.sensor_samples import gather, small_camera
 from offpiste.inspection.sensor_stamps import check_own_body, check_sensor_stamps
-from offpiste.inspection.sensors import camera_misfits, lidar_misfits
+from offpiste.inspection.sensors import camera_misfits, check_mountings, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.rig import load_rig

@@ -10,9 +10,8 @@ from offpiste.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.formats.tartandrive import TartanDriveLog
-from offpiste.logs.log import LOG_FORMATS
-from offpiste.logs.open import open_log
-from offpiste.rig.clock import Clock
+from offpiste.logs.log import LOG_FORMATS, open_log
+from offpiste.rig.channels import Clock
 
 
 @pytest.fixture

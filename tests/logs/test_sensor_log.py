@@ -247,7 +247,7 @@ def test_other_formats_have_no_sensors(tmp_path):
 
 
 def test_the_point_of_a_jpeg_is_near_enough(tmp_path):
-    from offpiste.logs.ros.messages import header, make
+    from offpiste.logs.ros.writer import header, make
     from sensor_bags import stamp
 
     smooth = np.dstack([np.tile(np.arange(8, dtype=np.uint8) * 20, (6, 1))] * 3)

@@ -5,7 +5,7 @@ import pytest
 
 from offpiste.logs.measurements import Image, Lidar
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.sensor_mapper import MapperSettings, SensorMapper
+from offpiste.mapping.replay import MapperSettings, SensorMapper
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.rig.sensors import LidarSource
 from offpiste.runtime.estimator import VehicleTrack

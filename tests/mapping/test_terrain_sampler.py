@@ -6,9 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.mapping.terrain_sampler import MapTerrain, sample_maps, stack_maps
-from offpiste.mapping.wheel_positions import wheel_positions
 
 WHEELS = np.array([[1.0, 0.7], [1.0, -0.7], [-1.2, 0.6], [-1.2, -0.6]])
 

@@ -6,8 +6,7 @@ import torch
 from scipy.ndimage import distance_transform_edt
 
 from offpiste.planning.costs.layers import Hazards, hazard_layers
-from offpiste.planning.course import Course
-from offpiste.planning.nearest_path_point import BLOCK, NEAR, along_path
+from offpiste.planning.course import BLOCK, NEAR, Course, along_path
 from planning_maps import layers
 
 SIZE = 0.2

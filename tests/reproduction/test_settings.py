@@ -18,7 +18,7 @@ from offpiste.reproduction.settings import (
     sized,
     standard_model,
 )
-from offpiste.simulation.world.preset import find_world_preset
+from offpiste.simulation.world.world import find_world_preset
 
 sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
 

@@ -11,7 +11,7 @@ from offpiste.dynamics.encoder import Compressor
 from offpiste.dynamics.hybrid import Hybrid
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning import mppi

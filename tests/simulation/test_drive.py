@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from offpiste.simulation.drive import Replay, Start, drive, on_other_ground, start_and_driver
+from offpiste.simulation.simulate import Replay, Start, drive, on_other_ground, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

@@ -11,13 +11,11 @@ from rosbags.highlevel import AnyReader
 
 from offpiste.conventions import GRAVITY
 from offpiste.errors import LogError
-from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.result import Inspection
+from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.logs import Drive, open_log, read_drive
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth
-from offpiste.logs.ros.messages import header
-from offpiste.logs.ros.writer import McapWriter
+from offpiste.logs.ros.writer import McapWriter, header
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.recorder import START_NS, Recorder, stamp_ns, vehicle_messages
 from offpiste.simulation.sample import VehicleSample

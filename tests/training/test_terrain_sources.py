@@ -7,7 +7,7 @@ import torch
 
 from factories import RIG, circle_rows
 from offpiste.conventions import DT
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows

@@ -16,10 +16,9 @@ from offpiste.dynamics import Hybrid
 from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training import optimise, prediction
 from offpiste.training.config import TrainConfig
-from offpiste.training.cross_validation import fold_folders, train_folds
 from offpiste.training.prediction import predict
 from offpiste.training.run import load_run, refuse_seen
-from offpiste.training.train import train
+from offpiste.training.train import fold_folders, train, train_folds
 
 QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
 

@@ -12,13 +12,13 @@ import pytest
 from factories import circle_rows, small_rig
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset import store
-from offpiste.dataset.cells_under_wheels import Cells
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
+from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.wheel_passes import find_passes
-from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.visualization.coverage_tables import measure_coverage, passes_of
-from offpiste.visualization.view_dataset import DRIVES_A_PAGE, pages
+from offpiste.visualization.view import DRIVES_A_PAGE, pages
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 SETS = len(FEATURE_SETS)

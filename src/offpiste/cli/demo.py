@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 
 
 @COMMANDS.register("demo")

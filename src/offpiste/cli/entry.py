@@ -1,13 +1,45 @@
-"""From arguments to a command, and from its outcome to an exit code."""
+"""The command line: which commands there are, from arguments to one of them, and from its outcome to an exit code."""
 
 import os
 import sys
+from collections.abc import Callable
+from typing import Final, Protocol
 
 import tyro
 
-from offpiste.cli.commands import commands_in_order
 from offpiste.errors import OffpisteError
 from offpiste.progress import log_to_terminal
+from offpiste.registry import Registry
+
+
+class Command(Protocol):
+    """A dataclass whose fields are the arguments; tyro makes the help of its docstrings."""
+
+    def run(self) -> int:
+        """Do it; the exit code: 0 done, 1 the input is unfit."""
+
+
+COMMANDS: Final[Registry[Callable[..., Command]]] = Registry("command", package=__package__)
+
+PIPELINE: Final = (
+    "demo",
+    "simulate",
+    "inspect",
+    "view",
+    "fit-pca",
+    "extract",
+    "train",
+    "evaluate",
+    "reproduce",
+    "drive",
+)
+"""Order of the commands in the help: as a log goes through them. Others follow."""
+
+
+def commands_in_order() -> dict[str, Callable[..., Command]]:
+    """All commands by name, those of `PIPELINE` first."""
+    order = {name: number for number, name in enumerate(PIPELINE)}
+    return dict(sorted(COMMANDS.items(), key=lambda named: order.get(named[0], len(order))))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 
 
 @COMMANDS.register("extract")
@@ -44,7 +44,7 @@ class Extract:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
-        from offpiste.mapping.sensor_mapper import MapperSettings
+        from offpiste.mapping.replay import MapperSettings
         from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig)

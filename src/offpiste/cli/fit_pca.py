@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 from offpiste.progress import show
 
 
@@ -37,8 +37,7 @@ class FitPca:
 
     def run(self) -> int:
         """Choose images, fit, write."""
-        from offpiste.dataset.fit_pca import fit_pca
-        from offpiste.dataset.image_list import read_image_list, write_image_list
+        from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
         from offpiste.perception.backbones import open_backbone
         from offpiste.perception.pca import save_pca

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 from offpiste.progress import show
 
 
@@ -29,8 +29,7 @@ class Inspect:
         from json import dumps
 
         from offpiste.inspection.draft_rig import write_draft
-        from offpiste.inspection.inspect import inspect_log
-        from offpiste.inspection.render import render
+        from offpiste.inspection.inspect import inspect_log, render
         from offpiste.logs import open_log
         from offpiste.rig.rig import load_rig
 

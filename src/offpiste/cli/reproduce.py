@@ -6,7 +6,7 @@ from typing import Literal
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 
 
 @COMMANDS.register("reproduce")

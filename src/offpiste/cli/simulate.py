@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 
 
 @COMMANDS.register("simulate")

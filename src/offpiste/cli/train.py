@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
 
@@ -34,9 +34,8 @@ class Train:
     def run(self) -> int:
         """Open, train, save."""
         from offpiste.dataset.store import open_dataset
-        from offpiste.training.cross_validation import train_folds
         from offpiste.training.distributed import ALONE, joined
-        from offpiste.training.train import train
+        from offpiste.training.train import train, train_folds
 
         dataset = open_dataset(self.dataset)
         if self.folds:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from offpiste.cli.commands import COMMANDS
+from offpiste.cli.entry import COMMANDS
 from offpiste.progress import show
 
 

@@ -10,7 +10,7 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDrive, Driven, drive_course
 from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
-from offpiste.extras import require
+from offpiste.errors import require
 from offpiste.runtime.runtime import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
 

@@ -11,8 +11,8 @@ from offpiste.conventions import GRAVITY
 from offpiste.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.course import Course
-from offpiste.simulation.drive import Start
 from offpiste.simulation.driver.lookahead import VisibleTerrain
+from offpiste.simulation.simulate import Start
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World
 

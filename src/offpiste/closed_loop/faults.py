@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.mapping.sensor_mapper import ExtractFeatures
+from offpiste.mapping.replay import ExtractFeatures
 from offpiste.runtime.runtime import Runtime
 
 Kind = Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"]

@@ -14,20 +14,19 @@ from offpiste.conventions import ACTUATORS, DT
 from offpiste.geometry import yaw_rate_from_body_rates
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
-from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.runtime import Runtime
-from offpiste.simulation.drive import Start, drive
 from offpiste.simulation.recorder import START_NS, Recorder, events_message, stamp_ns
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sample import Pose, VehicleSample
 from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
-from offpiste.simulation.sensors.sensing import Sensing
-from offpiste.simulation.sensors.suite import SensorSuite
+from offpiste.simulation.sensors.suite import Sensing, SensorSuite
+from offpiste.simulation.simulate import Start, drive
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.world import World
 

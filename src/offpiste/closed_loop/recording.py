@@ -11,7 +11,7 @@ from offpiste.closed_loop.drive_course import Driven
 from offpiste.closed_loop.lockstep import time_of
 from offpiste.closed_loop.pictures import SLIP_COLOURS, SLIP_LIMIT
 from offpiste.conventions import DT
-from offpiste.extras import extra
+from offpiste.errors import extra
 from offpiste.files import write_whole
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.runtime.modes import Mode

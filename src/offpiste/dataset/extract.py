@@ -14,17 +14,16 @@ from jaxtyping import Bool
 from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
-from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
 from offpiste.logs.drive import drive_from_log, drive_name
-from offpiste.logs.open import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.replay import MapperSettings
 from offpiste.parallel import Report, run_all, usable_cores
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig

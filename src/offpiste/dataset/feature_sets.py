@@ -1,12 +1,13 @@
-"""Which feature set each trajectory reads, and how training draws it (paper, "Distance-Independent Training")."""
+"""Feature sets: what the map held of passed cells by viewing distance, and which set each trajectory reads."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
+from offpiste.dataset.wheel_passes import Passes
 from offpiste.errors import DatasetError
 
 
@@ -61,3 +62,103 @@ def per_step(rng: np.random.Generator, count: int, horizon: int, stored: int) ->
 def masked(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
     """`cf-masked`: what would be missing from a drawn distance is, but the rest is as in hindsight."""
     return FeatureSetChoice(rng.integers(0, stored, (count, 1)), flags_only=True)
+
+
+TOLERANCE = 5.0
+"""Largest difference between a feature set's distance and the vehicle's when it is recorded [m]."""
+
+DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
+"""Distances of the feature sets besides hindsight [m]."""
+
+
+@dataclass(frozen=True)
+class MapCellValues:
+    """Values of some cells of a map at one moment.
+
+    Attributes:
+        features: NaN where not `valid`.
+        valid: whether the map has features there that still lie on the ground.
+        distance: from sensor to point when they were observed [m].
+        elevation: NaN where unknown [m].
+        normal: unit surface normal in the world frame; straight up where unknown.
+    """
+
+    features: Float[np.ndarray, "K F"]
+    valid: Bool[np.ndarray, " K"]
+    distance: Float[np.ndarray, " K"]
+    elevation: Float[np.ndarray, " K"]
+    normal: Float[np.ndarray, "K 3"]
+
+
+Read = Callable[[Int[np.ndarray, "K 2"]], MapCellValues]
+"""Reads cells (column, row on the world-aligned grid) of the map as it is now."""
+
+
+class FeatureSetRecorder:
+    """Keeps, for every pass, the values of a growing map that each feature set asks for.
+
+    The set of distance d holds the map's value at the update when the horizontal distance from the pose point to the
+    cell's centre, negative after first contact, was nearest to d, if within `TOLERANCE`: whether that was valid or not.
+    Hindsight is the last valid value before the cell leaves the map or the next pass over it begins.
+
+    Args:
+        passes: of the drive.
+        resolution: size of a cell [m].
+        reach: half the side of the map around the vehicle [m].
+        features: F, how many.
+    """
+
+    def __init__(self, passes: Passes, *, resolution: float, reach: float, features: int) -> None:
+        count, sets = len(passes.contact), len(FEATURE_SETS)
+        self._passes, self._reach = passes, reach
+        self._centre = (passes.cell + 0.5) * resolution
+        self._left = np.zeros(count, bool)
+        self._nearest = np.full((sets, count), np.inf)
+        self.features = np.full((sets, count, features), np.nan, np.float16)
+        self.valid = np.zeros((sets, count), bool)
+        self.distance = np.full((sets, count), np.nan, np.float32)
+        self.elevation = np.full((sets, count), np.nan, np.float32)
+        self.normal = np.zeros((sets, count, 3), np.float32)
+        self.normal[..., 2] = 1
+
+    def update(self, time: float, xy: Float[np.ndarray, " 2"], read: Read) -> None:
+        """Take in the map after a scan.
+
+        Args:
+            time: [s].
+            xy: of the pose point [m].
+            read: what the map holds now.
+        """
+        p = self._passes
+        offset = np.abs(self._centre - xy)
+        inside = (offset <= self._reach).all(axis=1)
+        open_ = (time >= p.approach) & (time < p.end)
+        # A cell that left the map after it was passed has had its hindsight.
+        self._left |= open_ & ~inside & (time > p.contact)
+        active = np.flatnonzero(open_ & inside & ~self._left)
+        if not len(active):
+            return
+        away = np.hypot(*(self._centre[active] - xy).T)
+        signed = np.where(time > p.contact[active], -away, away)
+        miss = np.abs(signed - DISTANCES[:, None])
+        better = (miss <= TOLERANCE) & (miss < self._nearest[1:, active])
+        values = read(p.cell[active])
+        for number in range(1, len(FEATURE_SETS)):
+            chosen = better[number - 1]
+            self._nearest[number, active[chosen]] = miss[number - 1, chosen]
+            self._keep(number, active, values, chosen)
+        self._keep(0, active, values, values.valid)
+
+    def _keep(
+        self,
+        number: int,
+        active: Int[np.ndarray, " K"],
+        values: MapCellValues,
+        chosen: Bool[np.ndarray, " K"],
+    ) -> None:
+        where = active[chosen]
+        self.features[number, where] = values.features[chosen]
+        self.valid[number, where] = values.valid[chosen]
+        self.distance[number, where] = values.distance[chosen]
+        self.elevation[number, where] = values.elevation[chosen]
+        self.normal[number, where] = values.normal[chosen]

@@ -1,7 +1,7 @@
-"""The PCA of patch features, fitted on the training stretches of logs only (paper, "Dimensionality Reduction")."""
+"""Fits the PCA of patch features on images of the training stretches of logs (paper, "Dimensionality Reduction")."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -10,14 +10,13 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from offpiste.dataset.image_list import ListedImage
-from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import Split
 from offpiste.errors import PerceptionError
+from offpiste.files import write_text
 from offpiste.logs.drive import drive_from_log, drive_name
+from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Image
-from offpiste.logs.open import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
 from offpiste.parallel import Report
@@ -26,6 +25,55 @@ from offpiste.perception.keyframes import image_statistics, keyframes_by_travel,
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
 from offpiste.progress import jobs_bar
 from offpiste.rig.rig import Rig
+
+
+class ListedImage(NamedTuple):
+    """An image of a log.
+
+    Attributes:
+        drive: name of the log.
+        camera: in the rig.
+        time: the image's stamp [s].
+    """
+
+    drive: str
+    camera: str
+    time: float
+
+
+def read_image_list(path: Path) -> list[ListedImage]:
+    """Images of a list; blank lines and lines that begin with # are passed over.
+
+    Raises:
+        PerceptionError: no such file, a line of another form, or no image.
+    """
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise PerceptionError(
+            "no list of images can be read", where=path, how="give --images a number, or a file"
+        ) from error
+    found = []
+    for number, line in enumerate(lines, start=1):
+        words = line.rsplit(maxsplit=2)
+        if not words or line.startswith("#"):
+            continue
+        try:
+            drive, camera, seconds = words
+            found.append(ListedImage(drive.strip(), camera, float(seconds)))
+        except ValueError as error:
+            raise PerceptionError(
+                f"line {number}: '{line}' names no image", where=path, how="write DRIVE CAMERA SECONDS"
+            ) from error
+    if not found:
+        raise PerceptionError("lists no image", where=path, how="write DRIVE CAMERA SECONDS, a line an image")
+    return found
+
+
+def write_image_list(path: Path, images: Iterable[ListedImage]) -> None:
+    """Write a list."""
+    write_text(path, "".join(f"{image.drive} {image.camera} {image.time:.6f}\n" for image in images))
+
 
 logger = logging.getLogger(__name__)
 

@@ -8,13 +8,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from offpiste.dataset.cells_under_wheels import Cells
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.under_wheels import Cells
 from offpiste.errors import LogError
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
-from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
-from offpiste.mapping.wheel_positions import wheel_positions
 from offpiste.rig.rig import Rig
 
 REACH = 75.0

@@ -1,14 +1,83 @@
-"""From a drive to rows at 50 Hz: what every model reads, with nothing guessed and nothing filled."""
+"""Rows at 50 Hz: the columns of a drive on an even grid of time, with nothing guessed and nothing filled."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.conventions import DT
 from offpiste.dataset.columns import COLUMNS, RowGrid
-from offpiste.dataset.rows import Rows, rows_from_arrays
+from offpiste.dataset.under_wheels import Cells
 from offpiste.errors import LogError
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.poses import find_jumps
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A drive on an even grid of `conventions.DT` (docs/formats.md).
+
+    Attributes:
+        time: [s], by the pose's clock.
+        origin: what was subtracted from px, py [m], so that float32 is fine.
+        state, state_causal: targets, and the estimate from the past only (`conventions.STATE`).
+        actuators, control: in the columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
+        normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel.
+        valid: rows where nothing that the log should have is missing.
+        cells: the ground cells under the wheels and their features, where a map gave them.
+        extra: columns of `COLUMNS` beyond these, by name.
+    """
+
+    time: Float[np.ndarray, " N"]
+    origin: Float[np.ndarray, " 2"]
+    state: Float[np.ndarray, "N 6"]
+    state_causal: Float[np.ndarray, "N 6"]
+    actuators: Float[np.ndarray, "N A"]
+    control: Float[np.ndarray, "N U"]
+    normal: Float[np.ndarray, "D N 4 3"]
+    valid: Bool[np.ndarray, " N"]
+    cells: Cells | None = None
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def distance(self) -> float:
+        """Metres driven over the valid rows."""
+        return float(np.hypot(*self.state[self.valid, 3:5].T).sum() * DT)
+
+    def column(self, name: str) -> np.ndarray:
+        """A column of `COLUMNS`; NaN where these rows were made without it."""
+        if name in OWN_COLUMNS:
+            return np.asarray(getattr(self, name))
+        if name in self.extra:
+            return self.extra[name]
+        return np.full((len(self.time), *COLUMNS[name].shape), np.nan, np.float32)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All that there is for each row, by name."""
+        return {"time": self.time, **{name: self.column(name) for name in COLUMNS}, "valid": self.valid}
+
+    def cut(self, window: slice) -> "Rows":
+        """Some of the rows; their cells keep their numbers."""
+        cells = None if self.cells is None else replace(self.cells, index=self.cells.index[window])
+        arrays = self.arrays()
+        for name, values in arrays.items():
+            by_set = name in COLUMNS and COLUMNS[name].by_feature_set
+            arrays[name] = values[:, window] if by_set else values[window]
+        return rows_from_arrays(arrays, self.origin, cells)
+
+
+OWN_COLUMNS = frozenset(f.name for f in fields(Rows)) - {"time", "origin", "valid", "cells", "extra"}
+"""Columns that are attributes of `Rows`, as every model reads them."""
+
+
+def rows_from_arrays(
+    arrays: Mapping[str, np.ndarray], origin: Float[np.ndarray, " 2"], cells: Cells | None = None
+) -> Rows:
+    """Rows from what `Rows.arrays` gives."""
+    own = {name: arrays[name] for name in ("time", *OWN_COLUMNS, "valid")}
+    extra = {name: values for name, values in arrays.items() if name not in own}
+    return Rows(origin=origin, cells=cells, extra=extra, **own)
 
 
 def extract_rows(drive: Drive) -> Rows:

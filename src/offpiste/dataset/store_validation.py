@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from offpiste.dataset.columns import COLUMNS
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
 from offpiste.errors import DatasetError
 from offpiste.rig.rig import Rig
 

@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from offpiste.conventions import DT
-from offpiste.dataset.cells_under_wheels import Cells
-from offpiste.dataset.feature_set_recorder import FeatureSetRecorder, MapCellValues
+from offpiste.dataset.feature_sets import FeatureSetRecorder, MapCellValues
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotWriter, crop
-from offpiste.dataset.rows import Rows
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.sensor_log import SensorLog
-from offpiste.mapping.replay import Moment, pinhole_cameras, replay
-from offpiste.mapping.sensor_mapper import MapperSettings
-from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
+from offpiste.mapping.terrain_map import TerrainLayers, wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 

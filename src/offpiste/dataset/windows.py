@@ -11,13 +11,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
-from offpiste.dataset.cells_under_wheels import CellTable, FeaturesUnderWheels
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.normals_under_wheels import NormalsUnderWheels
-from offpiste.dataset.rows import OWN_COLUMNS
+from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
+from offpiste.dataset.under_wheels import CellTable, FeaturesUnderWheels, NormalsUnderWheels
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import DatasetError

@@ -1,17 +1,22 @@
-"""Errors of predictions, window by window, after every whole second."""
+"""Errors of predictions after every whole second, and the files that keep them."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
 from offpiste.conventions import DT
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
+from offpiste.errors import RunError
+from offpiste.files import write_whole
 from offpiste.geometry import wrap_angle
 from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import Lookup, MapSource, in_parts, roll_out
@@ -178,3 +183,33 @@ def _infinite_if_failed(values: Tensor) -> np.ndarray:
     if array.ndim == 3:
         finite = np.broadcast_to(finite.all(axis=2, keepdims=True), array.shape)
     return np.where(finite, array, np.inf)
+
+
+def save_errors(path: Path, errors: Errors) -> None:
+    """Write errors as safetensors, whole or not at all."""
+    arrays = {"drive": errors.drive, "row": errors.row, "values": errors.values, "loss": errors.loss}
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    write_whole(path, lambda partial: save_file(contiguous, partial))
+
+
+def load_errors(path: Path) -> Errors:
+    """Read errors that `save_errors` wrote.
+
+    Raises:
+        RunError: there is no such file, or it is damaged.
+    """
+    try:
+        return Errors(**load_file(path))
+    except (OSError, SafetensorError, TypeError) as error:
+        raise RunError(f"cannot be read: {error}", where=path, how="delete it and run again") from error
+
+
+def saved_errors(path: Path, compute: Callable[[], Errors]) -> Errors:
+    """Errors from a file; without one, they are computed and written first.
+
+    Raises:
+        RunError: the file is damaged.
+    """
+    if not path.exists():
+        save_errors(path, compute())
+    return load_errors(path)

@@ -14,9 +14,9 @@ from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
 from offpiste.progress import track
-from offpiste.training.cross_validation import fold_folders
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
+from offpiste.training.train import fold_folders
 
 logger = logging.getLogger(__name__)
 

@@ -5,20 +5,18 @@ from dataclasses import dataclass
 from typing import Final
 
 from offpiste.inspection.clocks import check_clocks
-from offpiste.inspection.controls import check_controls
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.pedals import check_pedals
+from offpiste.inspection.pedals import check_controls, check_pedals
 from offpiste.inspection.pose import heading_fits
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signals import channel_signals, check_signals, recorded_signals
 from offpiste.inspection.stamps import check_stamps
-from offpiste.inspection.steering import check_steering
-from offpiste.inspection.steering_copies import check_copies
+from offpiste.inspection.steering import check_copies, check_steering
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
 from offpiste.logs.drive import Drive
-from offpiste.rig.clock import Clock
+from offpiste.rig.channels import Clock
 from offpiste.rig.rig import Rig
 
 

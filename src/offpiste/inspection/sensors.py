@@ -1,22 +1,194 @@
-"""All checks of cameras and LiDARs, in turn."""
+"""Checks of cameras and LiDARs: from misfits of mountings and stamps to findings."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.camera import check_camera
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, number
 from offpiste.inspection.lidar import check_lidar
-from offpiste.inspection.mountings import CheckedSensor, check_mountings
+from offpiste.inspection.misfit import Misfit, turned
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
 from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, refused, untimed_points
 from offpiste.logs.log import Log
-from offpiste.logs.measurements import Lidar
+from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
+
+TURN: Final = np.deg2rad(0.5)
+"""Clean drives show turns up to this, poses' own errors among them (KITTI's Velodyne: 0.44 degrees of yaw); one voxel
+of 0.2 m at 23 m [rad]."""
+LATE: Final = 0.010
+"""Clean drives show lateness up to this; 0.1 m at 10 m/s [s]."""
+SURE: Final = 3.0
+"""Standard deviations by which a misfit must exceed those."""
+KNOWN_TURN: Final = np.deg2rad(0.5)
+"""A turn about an axis that is less certain than this says nothing [rad]."""
+KNOWN_LATE: Final = 0.020
+"""A delay that is less certain than this says nothing [s]."""
+APART: Final = 0.2
+"""Scans whose points stay further than this from each other's planes show no common world [m]; clean: 0.02 to 0.04."""
+_AXES: Final = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class CheckedSensor:
+    """A sensor and what its measurements say against the poses.
+
+    Attributes:
+        misfit: None where it could not be estimated.
+        untimed: a field with the time of its points that the rig does not name, if there is one.
+    """
+
+    sensor: Camera | Lidar
+    misfit: Misfit | None
+    untimed: str = ""
+
+    @property
+    def key(self) -> str:
+        """Name of its table in the rig."""
+        return f"{'cameras' if isinstance(self.sensor, Camera) else 'lidars'}.{self.sensor.name}"
+
+    @property
+    def turn(self) -> tuple[float, float]:
+        """Angle about those axes that are known, and its standard deviation [rad]."""
+        if self.misfit is None:
+            return 0.0, np.inf
+        known = self.misfit.sigma[:3] < KNOWN_TURN
+        turn, sigma = self.misfit.parameters[:3][known], self.misfit.sigma[:3][known]
+        angle = float(np.linalg.norm(turn))
+        return angle, float(np.linalg.norm(turn * sigma) / angle) if angle > 0 else np.inf
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether it is surely turned, by more than clean drives show."""
+        angle, sigma = self.turn
+        return bool(angle - SURE * sigma > TURN)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether it is surely late or early, by more than clean drives show."""
+        if self.misfit is None or not self.misfit.sigma[3] < KNOWN_LATE:
+            return False
+        return bool(abs(self.misfit.parameters[3]) - SURE * self.misfit.sigma[3] > LATE)
+
+
+def check_mountings(checked: Sequence[CheckedSensor]) -> list[Finding]:
+    """Warnings for sensors that are turned or late, and notes for what could not be checked."""
+    found: list[Finding] = []
+    for one in checked:
+        if one.misfit is None:
+            found.append(_unseen(one))
+            continue
+        if isinstance(one.sensor, Lidar) and one.misfit.scale > APART:
+            found.append(_apart(one, one.misfit))
+            continue
+        if one.is_turned:
+            alike = _alike([other for other in checked if other.is_turned], slice(0, 3), TURN, len(checked))
+            found.append(_turned(one, one.misfit, alike))
+        if one.is_late:
+            alike = _alike([other for other in checked if other.is_late], slice(3, 4), LATE, len(checked))
+            found.append(_late(one, one.misfit, alike))
+        found += _unknown(one, one.misfit)
+    return found
+
+
+def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
+    sensor = one.sensor
+    given = sensor.body_from_camera if isinstance(sensor, Camera) else sensor.body_from_lidar
+    # What is not known stays as the rig has it.
+    known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
+    matrix = turned(given, np.where(known, misfit.parameters, 0.0))
+    place = ", ".join(str(round(v, 4)) for v in matrix[:3, 3].tolist())
+    reading = ", ".join(str(round(v, 6)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
+    key = "body_from_camera" if isinstance(sensor, Camera) else "body_from_lidar"
+    remedy = f"calibrate it again; or {one.key}.{key} = {{ position = [{place}], orientation = [{reading}] }}"
+    if alike:
+        remedy += "; as all sensors say the same, the pose's orientation or [frames] body may be what is turned"
+    elif isinstance(sensor, Camera) and sensor.source.rectified:
+        remedy += " (of the camera before rectification, if its CameraInfo has a rotation R)"
+    angle, sigma = one.turn
+    what = f"looks {np.rad2deg(angle):.1f} degrees away from where its mounting says"
+    evidence = f"{_axes(misfit)}; {_basis(one, misfit)}"
+    return Finding("warning", sensor.name, what, evidence, remedy, float(min(1.0, (angle - sigma) / np.deg2rad(5))))
+
+
+def _late(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
+    late, sigma = float(misfit.parameters[3]), float(misfit.sigma[3])
+    what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
+    evidence = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
+    remedy = f"{one.key}.delay = {number(round(one.sensor.source.delay + late, 3))}"
+    if one.untimed:
+        field = f'{one.key}.time_field = "{one.untimed}", with its time_unit'
+        remedy = f"{field}; only if its scans are compensated: {remedy}"
+    elif alike:
+        remedy += "; as all sensors say the same, the pose's stamps may be what is off: fix its delay instead"
+    return Finding("warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2))
+
+
+def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int) -> bool:
+    """Whether these are all sensors of the log, more than one, and agree with each other."""
+    misfits = [one.misfit for one in checked if one.misfit is not None]
+    if len(misfits) < 2 or len(misfits) < of:
+        return False
+    first = misfits[0]
+    return all(
+        (
+            np.abs(other.parameters[part] - first.parameters[part])
+            < SURE * np.hypot(other.sigma[part], first.sigma[part]) + floor
+        ).all()
+        for other in misfits[1:]
+    )
+
+
+def _apart(one: CheckedSensor, misfit: Misfit) -> Finding:
+    evidence = (
+        f"points of one scan lie {misfit.scale:.2f} m from the planes of another (median, scaled), {misfit.pairs} pairs"
+    )
+    remedy = f"check {one.key}: frame, mounting, time_field, time_unit and delay"
+    return Finding("warning", one.sensor.name, "its scans show no common world", evidence, remedy, 1.0)
+
+
+def _unseen(one: CheckedSensor) -> Finding:
+    kind = "squares of ground are not found again in the next image" if isinstance(one.sensor, Camera) else "scans"
+    evidence = f"too few {kind}" if isinstance(one.sensor, Lidar) else kind
+    remedy = "nothing if it is at a standstill or sees little; else check the mounting, which may be far off, and"
+    remedy += " [frames] body"
+    return Finding("note", one.sensor.name, "could not be checked against the poses", evidence, remedy)
+
+
+def _unknown(one: CheckedSensor, misfit: Misfit) -> list[Finding]:
+    vague = [
+        f"{axis} (± {np.rad2deg(sigma):.1f} degrees)"
+        for axis, sigma in zip(_AXES, misfit.sigma[:3], strict=True)
+        if not sigma < KNOWN_TURN
+    ]
+    vague += [f"delay (± {misfit.sigma[3] * 1e3:.0f} ms)"] if not misfit.sigma[3] < KNOWN_LATE else []
+    if not vague:
+        return []
+    remedy = "nothing; a drive over rough ground, with turns and changes of speed, would tell"
+    return [Finding("note", one.sensor.name, "was checked in part", f"not known: {', '.join(vague)}", remedy)]
+
+
+def _axes(misfit: Misfit) -> str:
+    known = misfit.sigma[:3] < KNOWN_TURN
+    parts = [
+        f"{axis} {np.rad2deg(turn):+.2f} (standard deviation {np.rad2deg(sigma):.2f})"
+        for axis, turn, sigma, sure in zip(_AXES, misfit.parameters, misfit.sigma, known, strict=False)
+        if sure
+    ]
+    return "should be turned by " + ", ".join(parts) + " degrees about the body's axes"
+
+
+def _basis(one: CheckedSensor, misfit: Misfit) -> str:
+    return f"{misfit.pairs} pairs of {'images' if isinstance(one.sensor, Camera) else 'scans'}"
 
 
 def check_sensors(log: Log, rig: Rig) -> list[Finding]:

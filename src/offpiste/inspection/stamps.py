@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.clock import Clock
+from offpiste.rig.channels import Clock
 
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""

@@ -2,7 +2,6 @@
 
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive, read_drive
-from offpiste.logs.log import Log, Samples, Topic
-from offpiste.logs.open import open_log
+from offpiste.logs.log import Log, Samples, Topic, open_log
 
 __all__ = ["Channel", "Drive", "Log", "Samples", "Topic", "open_log", "read_drive"]

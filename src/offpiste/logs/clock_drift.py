@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from offpiste.geometry import local_polynomial
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.log import Log
-from offpiste.rig.clock import Alignment
+from offpiste.rig.channels import Alignment
 from offpiste.rig.rig import Rig
 
 _BIN: Final = 0.1

@@ -7,8 +7,7 @@ from pathlib import Path
 from offpiste.errors import LogError
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.clock_drift import align_clock
-from offpiste.logs.log import Log
-from offpiste.logs.open import open_log
+from offpiste.logs.log import Log, open_log
 from offpiste.rig.rig import Rig
 
 

@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log
-from offpiste.logs.open import open_log
+from offpiste.logs.log import Log, open_log
 from offpiste.logs.ros.grid_map import MapLayers, layers_from_grid_map
-from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.logs.ros.sensor_messages import points_from_message
 
 GROUND_PROPERTIES: Final = ("friction", "cornering_stiffness", "rolling_resistance", "sinkage_drag")
 """What simulated ground does to a tyre: largest horizontal force over load [1], lateral force over load at small slip

@@ -1,4 +1,4 @@
-"""A recorded log in any format: topics with numbers, images and point clouds, each sample with its stamp.
+"""A recorded log as the rest sees it: topics with numbers, cameras and LiDARs, whatever its format; opening one.
 
 A format is one class: a subclass of `Log` that registers itself in `LOG_FORMATS`. `offpiste.logs.formats` has those
 that ship, `examples/extending/euroc.py` shows one added from outside.
@@ -17,7 +17,7 @@ from offpiste.errors import LogError
 from offpiste.logs.transforms import Transform
 from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
-from offpiste.rig.clock import Clock
+from offpiste.rig.channels import Clock
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
 """Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
@@ -225,3 +225,26 @@ class Log(ABC):
 
 def _formats(capability: str) -> str:
     return " or ".join(kind.description for _, kind in sorted(LOG_FORMATS.items()) if getattr(kind, capability))
+
+
+def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
+    """Open a recorded drive of any registered format.
+
+    Args:
+        path: file or folder; a message lists the formats when none fits.
+        clock: time column of a table and its unit; without one the column is guessed.
+
+    Raises:
+        LogError: no such path, unknown format, or a file that cannot be read.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise LogError("no such file or folder", where=path)
+    formats = [kind for _, kind in sorted(LOG_FORMATS.items())]
+    # Formats from outside come first, and bags last: a folder of another format may hold a bag as well.
+    shipped = [kind for kind in formats if kind.__module__.startswith("offpiste.")]
+    for kind in (*(kind for kind in formats if kind not in shipped), *reversed(shipped)):
+        if kind.recognises(path):
+            return kind.open(path, clock or Clock())
+    how = f"give {', '.join(kind.description for kind in formats)}"
+    raise LogError("no known log format", where=path, how=how)

@@ -1,10 +1,71 @@
-"""The ground as a 2D map of cells on a world-aligned grid: what models sample, and all layers that planners read."""
+"""The terrain map: layers on a world-aligned grid, the indices of its cells, and where wheels stand on it.
+
+Plain arithmetic on numbers or arrays; loops compile it (`MAPPING.inlined(bilinear)`), the sampler calls it as it is.
+Coordinates are in cells: cell [j, i] has its centre at x = i, y = j.
+"""
 
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
+from torch import Tensor
+
+Number = Any
+"""A float, a NumPy array or a tensor; constants are handed in so that float32 stays float32."""
+
+
+def on_map(x: Number, y: Number, last_x: Number, last_y: Number, half: Number) -> Number:
+    """Whether a place is nearest to one of the map's cells; false where it is not a number.
+
+    Args:
+        last_x, last_y: coordinates of the last column and row.
+        half: 0.5.
+    """
+    return (x > -half) & (x < last_x + half) & (y > -half) & (y < last_y + half)
+
+
+def bilinear(v00: Number, v01: Number, v10: Number, v11: Number, u: Number, v: Number, one: Number) -> Number:
+    """Value between four cells, v[row][column]; NaN if one of them is.
+
+    Args:
+        u, v: from the first column and row, 0 to 1.
+        one: 1.
+    """
+    return (v00 * (one - u) + v01 * u) * (one - v) + (v10 * (one - u) + v11 * u) * v
+
+
+def wheel_position(px: Number, py: Number, cos: Number, sin: Number, x: Number, y: Number) -> tuple[Number, Number]:
+    """Horizontal position of a wheel [m].
+
+    Args:
+        px, py: of the pose point [m].
+        cos, sin: of the yaw.
+        x, y: of the wheel in the body frame, from the pose point [m].
+    """
+    return px + cos * x - sin * y, py + sin * x + cos * y
+
+
+def wheel_positions(
+    xy: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"], wheels: Float[np.ndarray, "4 2"]
+) -> Float[np.ndarray, "N 4 2"]:
+    """Horizontal positions of the wheels in the frame of the poses [m].
+
+    Args:
+        xy, yaw: of the pose point [m, rad].
+        wheels: in the body frame, from the pose point (`Rig.wheel_positions`) [m].
+    """
+    x, y = wheels.T
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    return np.stack(wheel_position(xy[:, :1], xy[:, 1:], cos, sin, x, y), axis=-1)
+
+
+def wheel_positions_of_states(state: Float[Tensor, "*B 6"], wheels: Float[Tensor, "4 2"]) -> Float[Tensor, "*B 4 2"]:
+    """The same for states (`conventions.STATE`), as tensors of their type."""
+    px, py, yaw = (column[..., None] for column in state[..., :3].unbind(dim=-1))
+    x, y = wheels.to(state.dtype).unbind(dim=-1)
+    return torch.stack(wheel_position(px, py, torch.cos(yaw), torch.sin(yaw), x, y), dim=-1)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The one sampler of terrain maps: nearest cell for features, bilinear slopes for normals (docs/method.md).
 
 Off the map, or where nothing is known: flat ground, and features marked missing. Its kernel twin, for planners that
-sample one map a million times, is `planning.kernel_terrain`; both use `map_cells` and `wheel_positions`.
+sample one map a million times, is `planning.kernel_terrain`; both use the cells and wheel positions of `terrain_map`.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,9 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.mapping.map_cells import bilinear, on_map
-from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.mapping.wheel_positions import wheel_positions_of_states
+from offpiste.mapping.terrain_map import TerrainMap, bilinear, on_map, wheel_positions_of_states
 from offpiste.state import Terrain
 
 Encode = Callable[[Float[Tensor, "M F"], Bool[Tensor, " M"]], Float[Tensor, "M E"]]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from offpiste.compilation import spread_blocks
 from offpiste.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.voxel_kernels import (
@@ -22,7 +23,6 @@ from offpiste.mapping.voxel_kernels import (
     forget_left_behind,
     point_inserter,
 )
-from offpiste.threads import spread_blocks
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from offpiste.compilation import spread_blocks
 from offpiste.errors import MapError
 from offpiste.mapping.ground import drop_overhangs, read_columns, see_columns
 from offpiste.mapping.infill import fill_gaps, write_layers
 from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
 from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers
 from offpiste.mapping.voxel_map import VoxelMap, check_positive
-from offpiste.threads import spread_blocks
 
 
 @dataclass(frozen=True)

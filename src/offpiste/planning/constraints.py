@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.channels import CONTROLS
-from offpiste.compilation import PLANNING
-from offpiste.threads import spread_kernel
+from offpiste.compilation import PLANNING, spread_kernel
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.mapping.map_cells import on_map
-from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.terrain_map import TerrainLayers, on_map
 from offpiste.planning.costs.layers import CostLayer, Hazards, computed, layer_sources
 from offpiste.planning.course import Course, Goal
 

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import DT, GRAVITY
+from offpiste.mapping.terrain_map import wheel_positions_of_states
 from offpiste.mapping.terrain_sampler import MapStack, sample_maps
-from offpiste.mapping.wheel_positions import wheel_positions_of_states
 from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CostTerm, Scalar, cost_terms, evaluate
 from offpiste.planning.costs.weights import CostWeights

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.encoder import FeatureEncoder
@@ -27,7 +28,6 @@ from offpiste.planning.kernel_costs import kernel_costs
 from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState
-from offpiste.threads import spread_kernel
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Of the cells of a map, and of a cell without features."""

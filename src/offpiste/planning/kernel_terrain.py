@@ -12,10 +12,10 @@ from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
-from offpiste.mapping import map_cells, wheel_positions
+from offpiste.mapping import terrain_map
 
-on_map = PLANNING.inlined(map_cells.on_map)
-wheel_position = PLANNING.inlined(wheel_positions.wheel_position)
+on_map = PLANNING.inlined(terrain_map.on_map)
+wheel_position = PLANNING.inlined(terrain_map.wheel_position)
 
 COS, SIN, FIRST_LAYER = range(3)
 """Rows of `TerrainSamples.values`: the heading, then the layers of the cost map."""
@@ -189,7 +189,7 @@ def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, 
     """Add a quarter of a wheel's normal, from the slopes s; straight up where they are not known."""
     quarter, zero, one = f4(0.25), f4(0), f4(1)
     for i in range(LANES):
-        # As `map_cells.bilinear`, but in two statements: in one LLVM rounds differently.
+        # As `terrain_map.bilinear`, but in two statements: in one LLVM rounds differently.
         x, y = u[i], v[i]
         rise_x = (s[i] * (one - x) + s[2 * LANES + i] * x) * (one - y)
         rise_x += (s[4 * LANES + i] * (one - x) + s[6 * LANES + i] * x) * y

@@ -11,8 +11,7 @@ from jaxtyping import Bool
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.error_files import load_errors
-from offpiste.evaluation.errors import HORIZONS, Errors, pool
+from offpiste.evaluation.errors import HORIZONS, Errors, load_errors, pool
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import LossUnits, Provenance, ResultRow

@@ -12,8 +12,7 @@ from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.error_files import save_errors
-from offpiste.evaluation.errors import Errors, prediction_errors
+from offpiste.evaluation.errors import Errors, prediction_errors, save_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.files import write_bytes
 from offpiste.progress import track

@@ -1,4 +1,4 @@
-"""Channels of a rig: which there can be, and which topic or column feeds each, in what unit, sign and frame."""
+"""Which topics and fields feed which channel, in what unit, sign and frame, by which clock."""
 
 from collections.abc import Collection, Mapping
 from typing import Literal
@@ -153,3 +153,33 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
                 f"channel '{name}' is neither given nor declared absent",
                 how=f"add [channels.{name}], or '{name}' to absent",
             )
+
+
+class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Stamps of a log, and what counts as a gap.
+
+    Attributes:
+        stamps: of messages in bags: their headers', or their arrival.
+        column: a table's time column.
+        unit: of that column: s, ms, us or ns.
+        max_gap: no interpolation between samples further apart; a drive is cut there [s].
+    """
+
+    stamps: Literal["header", "receive"] = "header"
+    column: str = ""
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    max_gap: float = 0.5
+
+
+class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics whose common clock drifts against the poses'; the wheels' speed shows by how much.
+
+    Attributes:
+        topics: all topics stamped by that clock.
+        speed: the vehicle's speed by the wheels, among them; several fields are averaged [m/s after conversion].
+        max_lag: lags from minus half of it to all of it are tried [s].
+    """
+
+    topics: tuple[str, ...]
+    speed: ChannelSource
+    max_lag: float = 2.0

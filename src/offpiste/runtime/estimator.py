@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import DT, HISTORY_STEPS
 from offpiste.dataset.columns import COLUMNS
-from offpiste.dataset.rows import OWN_COLUMNS
+from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.geometry import planar_body_from_world
 from offpiste.logs.channel import Channel
 from offpiste.logs.poses import Poses

@@ -16,7 +16,7 @@ from jaxtyping import Float32, UInt8
 from offpiste.dynamics.encoder import FeatureEncoder
 from offpiste.errors import PerceptionError
 from offpiste.logs.measurements import Cloud, Image, Lidar
-from offpiste.mapping.sensor_mapper import ExtractFeatures, MapperSettings, SensorMapper
+from offpiste.mapping.replay import ExtractFeatures, MapperSettings, SensorMapper
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera
 from offpiste.runtime.estimator import VehicleTrack

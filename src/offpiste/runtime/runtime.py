@@ -12,11 +12,12 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from offpiste.compilation import single_threaded_torch
 from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.mapping.sensor_mapper import MapperSettings
+from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
@@ -41,7 +42,6 @@ from offpiste.runtime.prediction import (
 )
 from offpiste.runtime.schedule import Launch, LaunchSettings, Schedule, TimedPlan
 from offpiste.state import ModelState
-from offpiste.threads import single_threaded_torch
 
 
 @dataclass(frozen=True)

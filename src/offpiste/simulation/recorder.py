@@ -13,9 +13,8 @@ from offpiste.conventions import GRAVITY
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, MAP_TOPIC, WHEEL, WHEELS_TOPIC
 from offpiste.logs.ros.grid_map import grid_map_from_layers
-from offpiste.logs.ros.messages import header, make, quaternion, vector
-from offpiste.logs.ros.point_cloud import message_from_points
-from offpiste.logs.ros.writer import McapWriter
+from offpiste.logs.ros.sensor_messages import message_from_points
+from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.sensors.imperfections import Drift, Imperfections, Noise, misaligned, with_noise
 from offpiste.simulation.sensors.messages import Mounting, mountings_message

@@ -1,5 +1,7 @@
-"""One stage of training: Adam on a multi-step loss, a checkpoint after each epoch, the best epoch by validation."""
+"""One stage of training: Adam on a multi-step loss, metrics and a checkpoint an epoch, the best epoch by validation."""
 
+import json
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -14,12 +16,51 @@ from torch import Tensor, nn
 
 from offpiste.dataset.feature_sets import Draw, FeatureSetChoice
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.errors import TrainingError
+from offpiste.errors import TrainingError, extra
 from offpiste.progress import track
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
-from offpiste.training.metrics import Record
+
+logger = logging.getLogger(__name__)
+
+Record = Callable[[dict[str, float | int | str]], None]
+"""Takes the metrics of one epoch."""
+
+
+def metrics_writer(path: Path) -> Record:
+    """A record that appends each epoch to a file of JSON lines and logs it."""
+
+    def record(line: dict[str, float | int | str]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        logger.info(
+            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
+            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
+        )
+
+    return record
+
+
+def also_tensorboard(record: Record, folder: Path) -> Record:
+    """A record that also writes scalars for TensorBoard.
+
+    Raises:
+        MissingExtra: TensorBoard is not installed.
+    """
+    with extra("tensorboard"):
+        from torch.utils.tensorboard import SummaryWriter
+    writer = SummaryWriter(folder)
+
+    def both(line: dict[str, float | int | str]) -> None:
+        record(line)
+        for key in ("train_loss", "validation_loss", "seconds"):
+            writer.add_scalar(f"{line['stage']}/{key}", float(line[key]), int(line["epoch"]))
+        writer.flush()
+
+    return both
+
 
 REMEDY: Final = "lower the learning rate; the last good checkpoint is kept, and --resume continues from it"
 

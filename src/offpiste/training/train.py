@@ -1,4 +1,4 @@
-"""Train a model on a dataset: actuators, then the bicycle's constants, then everything along the whole horizon."""
+"""Trains a model on a dataset, once or by blocked cross-validation: actuators, bicycle, then the whole horizon."""
 
 import json
 import logging
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
 from offpiste.dataset.feature_sets import Draw
+from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
@@ -25,8 +26,7 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
-from offpiste.training.metrics import also_tensorboard, metrics_writer
-from offpiste.training.optimise import REMEDY, Stage, run_stage
+from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import predict
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 from offpiste.training.terrain_sources import encoded
@@ -208,3 +208,29 @@ def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
             how=REMEDY,
         )
     return trajectory
+
+
+def train_folds(
+    dataset: Dataset,
+    config: TrainConfig,
+    folder: Path,
+    *,
+    folds: int,
+    resume: bool = False,
+) -> None:
+    """Train one run a fold, in `folder/fold-0`, `folder/fold-1`, ...
+
+    Raises:
+        RunError: fewer than three folds, which leave no row for each part.
+    """
+    if folds < 3:
+        raise RunError(f"{folds} folds", how="cross-validation takes 3 or more")
+    for number in range(folds):
+        logger.info(f"fold {number + 1} of {folds}")
+        relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))
+        train(relabelled, config, folder / f"fold-{number}", resume=resume)
+
+
+def fold_folders(folder: Path) -> list[Path]:
+    """The runs of a cross-validation, in the order of the folds; empty if the folder is a single run."""
+    return sorted(folder.glob("fold-*"), key=lambda path: int(path.name.removeprefix("fold-")))

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.feature_coverage import PAPER_DIFFERENCE, PAPER_RATES
-from offpiste.dataset.feature_set_recorder import DISTANCES, TOLERANCE
+from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
 from offpiste.report.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain, png
 from offpiste.report.page import Picture, Section, table_section
 from offpiste.visualization.coverage_tables import FeatureCoverage, tables

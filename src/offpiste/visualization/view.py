@@ -1,21 +1,145 @@
-"""View a log or a dataset, whichever a path is."""
+"""Shows a log or a dataset, whichever a path is."""
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Colormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from offpiste.dataset.store import open_dataset
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.errors import DatasetError, LogError, RigError
-from offpiste.logs.log import Log
-from offpiste.logs.open import open_log
+from offpiste.logs.log import Log, open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
-from offpiste.rig.clock import Clock
+from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain, png
+from offpiste.report.page import Page, Picture, Section, write_page
+from offpiste.rig.channels import Clock
 from offpiste.rig.rig import load_rig
-from offpiste.visualization.view_dataset import view_dataset
+from offpiste.visualization.coverage_figures import coverage_sections
+from offpiste.visualization.coverage_tables import (
+    FeatureCoverage,
+    headline,
+    measure_coverage,
+    path_of,
+    seconds_of,
+    tables,
+)
 from offpiste.visualization.view_log import view_log
 
 logger = logging.getLogger(__name__)
+
+PART_COLOURS = {-1: SOFT, 0: BLUE, 1: ORANGE, 2: PURPLE}
+"""Colours of the split's parts, by label; -1 is in no part."""
+
+DRIVES_A_PAGE = 6
+"""Number of drives in one picture."""
+
+
+def pages(drives: Sequence[StoredDrive]) -> list[list[StoredDrive]]:
+    """Drives in groups that one picture can show."""
+    return [list(drives[first : first + DRIVES_A_PAGE]) for first in range(0, len(drives), DRIVES_A_PAGE)]
+
+
+def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
+    """Paths of drives, a row of panels each: by part of the split, and by speed."""
+    figure = Figure(figsize=(11, 0.4 + 4.6 * len(drives)), dpi=120, layout="constrained")
+    panels = figure.subplots(len(drives), 2, squeeze=False)
+    for drive, (left, right) in zip(drives, panels, strict=True):
+        path = path_of(drive)
+        _draw_parts(left, drive)
+        speed = np.hypot(*drive.rows.state[:, 3:5].T).astype(np.float64)
+        pieces = coloured_path(right, path, speed, "plasma")
+        figure.colorbar(pieces, ax=right, shrink=0.8, label="speed [m/s]")
+        right.set_title(f"median {np.nanmedian(speed):.1f} m/s", loc="left", fontsize=10)
+        known = path[np.isfinite(path).all(axis=1)]
+        for axes in (left, right):
+            if len(known):
+                axes.plot(*known[0], marker="o", markersize=6, color="white", markeredgecolor=INK, zorder=5)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.autoscale_view()
+            axes.set(xlabel="x [m]", ylabel="y [m]")
+            axes.grid(color="#eeeeee", linewidth=0.6)
+    return figure
+
+
+def _draw_parts(axes: Axes, drive: StoredDrive) -> None:
+    path, part = path_of(drive), drive.part
+    plain(axes, f"{drive.name}: {seconds_of(drive):.0f} s, {drive.rows.distance / 1000:.2f} km")
+    present = [label for label in PART_COLOURS if (part == label).any()]
+    for label in present:
+        mine = np.where((part == label)[:, None], path, np.nan)
+        axes.plot(*mine.T, color=PART_COLOURS[label], linewidth=2.0 if label >= 0 else 1.2)
+    missing = np.where(drive.rows.valid[:, None], np.nan, path)
+    axes.plot(*missing.T, ".", color="#cc0000", markersize=2)
+    shares = [f"{PARTS[k] if k >= 0 else 'gap'} {np.mean(part == k):.0%}" for k in present]
+    handles = [Line2D([], [], color=PART_COLOURS[k], linewidth=2) for k in present]
+    if not drive.rows.valid.all():
+        handles.append(Line2D([], [], color="#cc0000", marker=".", linestyle=""))
+        shares.append(f"incomplete {np.mean(~drive.rows.valid):.1%}")
+    axes.legend(handles, shares, frameon=False, fontsize=8)
+
+
+def coloured_path(
+    axes: Axes, path: Float[np.ndarray, "N 2"], value: Float[np.ndarray, " N"], cmap: str | Colormap, **kwargs: float
+) -> LineCollection:
+    """Draw a path whose colour follows a value; broken where places are unknown."""
+    pieces = LineCollection(list(np.stack((path[:-1], path[1:]), axis=1)), cmap=cmap, linewidths=1.8)
+    pieces.set_array(value[:-1])
+    if kwargs:
+        pieces.set_clim(kwargs["low"], kwargs["high"])
+    axes.add_collection(pieces)
+    return pieces
+
+
+def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
+    """Write paths*.png, for visual features rates.png, distances.png, differences.png, and report.html.
+
+    Returns:
+        Paths of the files, each written whole or not at all.
+    """
+    found = measure_coverage(dataset)
+    if found is not None:
+        for table in tables(found):
+            logger.info(table.text())
+        logger.info(headline(found))
+    return write_page(dataset_page(dataset, found), out)
+
+
+def dataset_page(dataset: Dataset, found: FeatureCoverage | None) -> Page:
+    """Report of a dataset.
+
+    Args:
+        found: None for a dataset without visual features.
+    """
+    without = "no visual features by distance: extract with --pca for a report on them"
+    caption = "Left: parts of the split. Right: speed. Drives start at the white dot."
+    sheets = pages(dataset.drives)
+    names = [f"paths-{number}" for number in range(1, len(sheets) + 1)] if len(sheets) > 1 else ["paths"]
+    paths = [Picture(name, png(draw_paths(drives)), caption) for name, drives in zip(names, sheets, strict=True)]
+    sections = [*(coverage_sections(found) if found else []), Section("Drives from above", pictures=paths)]
+    notes = [f"{drive.name}: {note}" for drive in dataset.drives for note in drive.notes]
+    if notes:
+        sections.append(Section("Notes", notes=notes))
+    title = f"dataset {dataset.path.resolve().name}"
+    return Page(title, [headline(found) if found else without], _facts(dataset), sections)
+
+
+def _facts(dataset: Dataset) -> dict[str, str]:
+    drives = dataset.drives
+    return {
+        "dataset": str(dataset.path),
+        "rig": dataset.rig.name,
+        "split": dataset.split.text,
+        "drives": f"{len(drives)}, {sum(map(seconds_of, drives)):.0f} s, "
+        f"{sum(drive.rows.distance for drive in drives) / 1000:.2f} km",
+        "features": f"{len(dataset.features)}: {', '.join(dataset.features)}" if dataset.features else "none",
+    }
 
 
 def parse_stretch(text: str) -> tuple[float, float]:

@@ -10,14 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from offpiste.errors import LogError, RigError
-from offpiste.extras import is_installed
+from offpiste.errors import LogError, RigError, is_installed
 from offpiste.files import write_bytes
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.mapping.replay import Moment, pinhole_cameras, replay
-from offpiste.mapping.sensor_mapper import MapperSettings
-from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
+from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.progress import track
 from offpiste.report.figure import png

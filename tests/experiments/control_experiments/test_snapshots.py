@@ -13,8 +13,7 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.mapping.wheel_positions import wheel_positions
+from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 
 ROWS = (20, 75, 300, 880)
 """The last one is too near the end for a window."""

@@ -5,7 +5,7 @@ import pytest
 
 from offpiste.errors import LogError
 from offpiste.logs.ros.grid_map import grid_map_from_layers, layers_from_grid_map
-from offpiste.logs.ros.messages import message_types
+from offpiste.logs.ros.writer import message_types
 
 NY, NX = 3, 5
 ORIGIN, RESOLUTION = (-2.0, 10.0), 0.5

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from offpiste.errors import LogError
-from offpiste.logs.ros.messages import header, make, message_types
-from offpiste.logs.ros.point_cloud import message_from_points, points_from_message
+from offpiste.logs.ros.sensor_messages import message_from_points, points_from_message
+from offpiste.logs.ros.writer import header, make, message_types
 
 PACKED = np.dtype([("x", "<f4"), ("ring", "<u2"), ("y", "<f8"), ("flag", "i1")])
 

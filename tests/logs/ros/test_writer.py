@@ -15,8 +15,7 @@ from rosbags.highlevel import AnyReader
 from offpiste.errors import LogError
 from offpiste.logs import open_log
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.ros.messages import header, make, message_types
-from offpiste.logs.ros.writer import McapWriter
+from offpiste.logs.ros.writer import McapWriter, header, make, message_types
 
 START = 1_700_000_000 * 10**9
 PERIOD = 20_000_000

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.simulation.drive import drive, on_other_ground, start_and_driver
 from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.simulate import drive, on_other_ground, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings

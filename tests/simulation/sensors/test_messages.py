@@ -1,8 +1,8 @@
 import cv2
 import numpy as np
 
-from offpiste.logs.ros.messages import message_types
-from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.logs.ros.sensor_messages import points_from_message
+from offpiste.logs.ros.writer import message_types
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.sensors.messages import camera_info_message, image_message, points_message
 

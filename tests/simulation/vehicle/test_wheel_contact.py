@@ -3,7 +3,7 @@ import pytest
 
 from offpiste.simulation.vehicle.forces import suspension_force
 from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.simulation.vehicle.wheel_contact import contact_axes, ground_under, normal_load, touch
+from offpiste.simulation.vehicle.tyre import contact_axes, ground_under, normal_load, touch
 
 P = load_vehicle().as_record()
 

@@ -7,11 +7,10 @@ from offpiste.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.ground import property_table
-from offpiste.simulation.world.preset import WORLDS, find_world_preset
 from offpiste.simulation.world.surface import read_grid
-from offpiste.simulation.world.trails import HALF_WIDTH, SPACING, curvature, distance_to_trails
+from offpiste.simulation.world.terrain import HALF_WIDTH, SPACING, curvature, distance_to_trails
 from offpiste.simulation.world.vegetation import BUSH_DRAG, CLEARANCE
-from offpiste.simulation.world.world import WorldSettings
+from offpiste.simulation.world.world import WORLDS, WorldSettings, find_world_preset
 
 SMALL = WorldSettings(size=100.0, resolution=0.5)
 

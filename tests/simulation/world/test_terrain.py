@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from offpiste.simulation.world.preset import find_world_preset
-from offpiste.simulation.world.terrain import _slump, carve_trails
-from offpiste.simulation.world.trails import distance_to_trails
+from offpiste.simulation.world.terrain import _slump, carve_trails, distance_to_trails
+from offpiste.simulation.world.world import find_world_preset
 
 
 def test_a_cliff_slumps_to_the_allowed_rise():

@@ -4,8 +4,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.world.preset import find_world_preset
 from offpiste.simulation.world.vegetation import _apart, grow_grass, plant_bushes, plant_trees
+from offpiste.simulation.world.world import find_world_preset
 
 X = np.arange(-100.0, 101.0, 1.0)
 FLAT = np.zeros((len(X), len(X)), np.float32)

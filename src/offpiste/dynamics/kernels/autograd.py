@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.inputs import drive_train
@@ -26,7 +27,6 @@ from offpiste.dynamics.kernels.model_arrays import (
 )
 from offpiste.dynamics.kernels.rollout import backward, forward
 from offpiste.state import ModelState, Terrain, Trajectory
-from offpiste.threads import spread_kernel
 
 
 def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:

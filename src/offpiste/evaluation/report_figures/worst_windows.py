@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
+from offpiste.evaluation.box_plots import RECORDED, styles
 from offpiste.evaluation.errors import Errors, in_start_frame, trajectories
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.model_colours import RECORDED, styles
 from offpiste.evaluation.report_figures import report_figure, title_of
 from offpiste.evaluation.result_rows import REFERENCE, Case
 

@@ -13,18 +13,20 @@ from jaxtyping import Float
 from offpiste.errors import LogError
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
-from offpiste.logs.ros.bag_files import MAGIC, open_readers, reported, storage_files
-from offpiste.logs.ros.decoding import (
+from offpiste.logs.ros.bag_files import (
+    MAGIC,
     MakeDecoder,
     field_getter,
     fields_of,
     headers_only,
+    open_readers,
+    reported,
     stamp_of,
+    storage_files,
     typestore_of,
     whole_messages,
 )
-from offpiste.logs.ros.image import decompressed, raw_pixels
-from offpiste.logs.ros.point_cloud import points_from_message
+from offpiste.logs.ros.sensor_messages import decompressed, points_from_message, raw_pixels
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel, model_from_message
 

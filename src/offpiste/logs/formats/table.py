@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
-from offpiste.rig.clock import Clock
+from offpiste.rig.channels import Clock
 
 _SECONDS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units of time per second."""

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.ros.messages import header, make, quaternion, vector
+from offpiste.logs.ros.writer import header, make, quaternion, vector
 
 
 @dataclass(frozen=True)

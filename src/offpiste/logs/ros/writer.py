@@ -1,14 +1,77 @@
-"""Write MCAP files of ROS 2 messages that any tool reads, and that survive an interruption."""
+"""Writes MCAP files of ROS 2 messages that any tool reads, and that survive an interruption."""
 
+import functools
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
-from offpiste.logs.ros.messages import message_types
+
+_GRID_MAP_INFO = """
+float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+"""
+_GRID_MAP = """
+std_msgs/Header header
+GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+"""
+"""Fields of grid_map_msgs for ROS 2 (ANYbotics/grid_map, branch ros2)."""
+
+
+@functools.cache
+def message_types() -> Typestore:
+    """All message types that offpiste writes; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"))
+    store.register(get_types_from_msg(_GRID_MAP, "grid_map_msgs/msg/GridMap"))
+    return store
+
+
+def make(msgtype: str, **fields: Any) -> Any:
+    """A message; `msgtype` without the middle part: `nav_msgs/Odometry`."""
+    return _class(msgtype)(**fields)
+
+
+@functools.cache
+def _class(msgtype: str) -> Any:
+    return message_types().types[msgtype.replace("/", "/msg/")]
+
+
+def header(stamp_ns: int, frame: str) -> Any:
+    """A std_msgs/Header."""
+    seconds, rest = divmod(stamp_ns, 10**9)
+    return make("std_msgs/Header", stamp=make("builtin_interfaces/Time", sec=seconds, nanosec=rest), frame_id=frame)
+
+
+def vector(xyz: Any, kind: str = "geometry_msgs/Vector3") -> Any:
+    """A geometry_msgs/Vector3 or Point."""
+    x, y, z = np.asarray(xyz, dtype=np.float64).tolist()
+    return make(kind, x=x, y=y, z=z)
+
+
+def quaternion(xyzw: Any) -> Any:
+    """A geometry_msgs/Quaternion."""
+    x, y, z, w = np.asarray(xyzw, dtype=np.float64).tolist()
+    return make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def floats(values: Any) -> Any:
+    """An array for a float64 sequence of a message."""
+    return np.atleast_1d(np.asarray(values, dtype=np.float64))
+
 
 _CHUNK_TIME = 10**9
 """Longest time that a chunk spans before it reaches the operating system [ns]: what a killed recorder loses."""
@@ -64,7 +127,7 @@ class McapWriter:
         self.close()
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        """Append a message (of `offpiste.logs.ros.messages`), stamped [ns since 1970]; it is serialised at once."""
+        """Append a message (of `offpiste.logs.ros.writer`), stamped [ns since 1970]; it is serialised at once."""
         msgtype = message.__msgtype__
         data = bytes(message_types().serialize_cdr(message, msgtype, little_endian=True))
         self._batch.append(_Entry(topic, msgtype, stamp_ns, data))

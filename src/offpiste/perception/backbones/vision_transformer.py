@@ -13,8 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.errors import PerceptionError
-from offpiste.extras import extra
+from offpiste.errors import PerceptionError, extra
 from offpiste.perception.backbones import DINOV2_SMALL, Backbone, Precision
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from offpiste.compilation import PHYSICS
 from offpiste.simulation.driver.lookahead import VisibleTerrain
-from offpiste.simulation.world.trails import SPACING
+from offpiste.simulation.world.terrain import SPACING
 
 _STRETCH = (40.0, 140.0)
 """Shortest and longest stretch of a trail that is followed at a time [m]."""

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.rendering.own_body import BOXES
-from offpiste.simulation.rendering.scene import Scene
+from offpiste.simulation.rendering.scene import BOXES, Scene
 from offpiste.simulation.rendering.shading import (
     BLADES,
     CHANNELS,

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from offpiste.compilation import RAYS
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
-from offpiste.simulation.rendering.own_body import body_hits
-from offpiste.simulation.rendering.scene import Hits, Scene, cast_rays, nearest
+from offpiste.simulation.rendering.scene import Hits, Scene, body_hits, cast_rays, nearest
 from offpiste.simulation.rendering.shading import shade_rays
 from offpiste.simulation.rendering.texture_noise import hashed
 from offpiste.simulation.sample import Pose

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.simulation.rendering.own_body import body_hits
-from offpiste.simulation.rendering.scene import Scene, cast_rays, nearest
+from offpiste.simulation.rendering.scene import Scene, body_hits, cast_rays, nearest
 from offpiste.simulation.sample import Motion, Pose
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from offpiste.logs.ros.messages import floats, header, make, quaternion, vector
-from offpiste.logs.ros.point_cloud import message_from_points
+from offpiste.logs.ros.sensor_messages import message_from_points
+from offpiste.logs.ros.writer import floats, header, make, quaternion, vector
 from offpiste.rig.camera import CameraModel
 
 _JPEG_QUALITY = 90

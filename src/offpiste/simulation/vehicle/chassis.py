@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.compilation import PHYSICS
-from offpiste.simulation.vehicle.vectors import add, cross, dot, turned
+from offpiste.simulation.vehicle.tyre import add, cross, dot, turned
 from offpiste.simulation.world.surface import height
 from offpiste.simulation.world.world import World
 

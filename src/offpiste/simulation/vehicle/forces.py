@@ -12,9 +12,22 @@ from offpiste.compilation import PHYSICS
 from offpiste.conventions import GRAVITY
 from offpiste.simulation.vehicle.chassis import chassis_forces
 from offpiste.simulation.vehicle.drivetrain import braked_pressure, shifted_ratio, spin, steered, wheel_angles
-from offpiste.simulation.vehicle.tyre import brush_force, limit_deflection, limit_force, relax, standstill_fade
-from offpiste.simulation.vehicle.vectors import add, axes, cross, dot, turned
-from offpiste.simulation.vehicle.wheel_contact import contact_axes, ground_under, normal_load, touch
+from offpiste.simulation.vehicle.tyre import (
+    add,
+    axes,
+    brush_force,
+    contact_axes,
+    cross,
+    dot,
+    ground_under,
+    limit_deflection,
+    limit_force,
+    normal_load,
+    relax,
+    standstill_fade,
+    touch,
+    turned,
+)
 from offpiste.simulation.world.surface import properties_at
 
 RATIO, PRESSURE, STEER, STEER_RATE = range(4)

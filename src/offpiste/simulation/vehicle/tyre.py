@@ -1,4 +1,4 @@
-"""Combined slip of a tyre: a brush of elastic bristles on ground of one friction (compiled scalars).
+"""Tyres: where a wheel meets the ground, how hard, and the combined slip of a brush model (compiled scalars).
 
 Pacejka, Tire and Vehicle Dynamics, 3rd ed.: the brush model with parabolic pressure (ch. 3.2, 3.3; Fiala 1954 in its
 lateral part) and its transient form with a relaxation length (ch. 7.2, 8.6). Forces stay on a plateau beyond full
@@ -8,6 +8,51 @@ sliding, as they do on soft ground; a tyre on asphalt would lose force again.
 import numpy as np
 
 from offpiste.compilation import PHYSICS
+from offpiste.simulation.world.surface import height
+
+
+@PHYSICS.entry
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@PHYSICS.entry
+def cross(a, b):  # type: ignore[no-untyped-def]
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@PHYSICS.entry
+def add(a, b, scale):  # type: ignore[no-untyped-def]
+    """The vector a + scale b."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
+
+
+@PHYSICS.entry
+def unit(a):  # type: ignore[no-untyped-def]
+    """The vector at length 1."""
+    scale = 1.0 / np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + 1e-300)
+    return a[0] * scale, a[1] * scale, a[2] * scale
+
+
+@PHYSICS.entry
+def axes(w, x, y, z):  # type: ignore[no-untyped-def]
+    """Forward, left and up of a body with the quaternion (w, x, y, z), MuJoCo's order, in the world frame."""
+    forward = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)
+    left = 2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)
+    up = 2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)
+    return forward, left, up
+
+
+@PHYSICS.entry
+def turned(v, forward, left, up):  # type: ignore[no-untyped-def]
+    """A body-frame vector in the world frame."""
+    return (
+        v[0] * forward[0] + v[1] * left[0] + v[2] * up[0],
+        v[0] * forward[1] + v[1] * left[1] + v[2] * up[1],
+        v[0] * forward[2] + v[1] * left[2] + v[2] * up[2],
+    )
 
 
 @PHYSICS.entry
@@ -75,3 +120,67 @@ def limit_force(x, y, limit):  # type: ignore[no-untyped-def]
     if size <= limit or size == 0.0:
         return x, y
     return x * limit / size, y * limit / size
+
+
+@PHYSICS.entry
+def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ignore[no-untyped-def]
+    """Effective plane under a tyre: five heights, averaged as the tyre envelops unevenness.
+
+    Args:
+        elevation, x0, y0, resolution: as in `surface.height`.
+        centre: centre of the wheel, world frame [m].
+        forward: heading of the wheel, world frame.
+
+    Returns:
+        height of the plane under the centre [m]; its unit normal, world frame.
+    """
+    length = np.sqrt(forward[0] * forward[0] + forward[1] * forward[1]) + 1e-9
+    c, s = forward[0] / length, forward[1] / length
+    a, b = p.envelope_length, 0.5 * p.tyre_width
+    x, y = centre[0], centre[1]
+    middle = height(elevation, x0, y0, resolution, x, y)
+    front = height(elevation, x0, y0, resolution, x + a * c, y + a * s)
+    back = height(elevation, x0, y0, resolution, x - a * c, y - a * s)
+    left = height(elevation, x0, y0, resolution, x - b * s, y + b * c)
+    right = height(elevation, x0, y0, resolution, x + b * s, y - b * c)
+    along, across = (front - back) / (2.0 * a), (left - right) / (2.0 * b)
+    normal = unit((-along * c + across * s, -along * s - across * c, 1.0))
+    return (2.0 * middle + front + back + left + right) / 6.0, normal
+
+
+@PHYSICS.entry
+def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
+    """Compression of the tyre along its plane [m], negative in the air, and the point of contact, world frame.
+
+    Args:
+        centre: centre of the wheel [m].
+        ground: height of the plane under the centre [m].
+        normal: unit normal of that plane.
+        axle: unit vector of the wheel's spin, to the left.
+        radius: free radius of the tyre [m].
+    """
+    radial = unit(add(normal, axle, -dot(normal, axle)))
+    upright = max(dot(radial, normal), 0.2)  # a wheel that lies flat has no tread on the ground
+    reach = (centre[2] - ground) * normal[2] / upright
+    return radius - reach, add(centre, radial, -reach)
+
+
+@PHYSICS.entry
+def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
+    """Load of a tyre: spring, damper and rim, never pulling [N].
+
+    Args:
+        compression: compression of the tyre [m].
+        closing: rate of the compression [m/s].
+    """
+    if compression <= 0.0:
+        return 0.0
+    rim = p.rim_stiffness * max(compression - p.rim_deflection, 0.0)
+    return max(p.tyre_stiffness * compression + p.tyre_damping * closing + rim, 0.0)
+
+
+@PHYSICS.entry
+def contact_axes(normal, axle):  # type: ignore[no-untyped-def]
+    """Forward and left of a tyre in the contact plane, world frame."""
+    forward = unit(cross(axle, normal))
+    return forward, cross(normal, forward)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from offpiste.conventions import DT, GRAVITY
-from offpiste.extras import extra
+from offpiste.errors import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.chassis import nearby_obstacles
 from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep

@@ -6,11 +6,9 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.simulation.world.ground import lay_grounds, mix_properties
-from offpiste.simulation.world.preset import find_world_preset
-from offpiste.simulation.world.terrain import carve_trails, make_hills
-from offpiste.simulation.world.trails import distance_to_trails, make_trails
+from offpiste.simulation.world.terrain import carve_trails, distance_to_trails, make_hills, make_trails
 from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
-from offpiste.simulation.world.world import World, WorldSettings
+from offpiste.simulation.world.world import World, WorldSettings, find_world_preset
 
 MIN_SIZE = 60.0
 """Smallest side of a world [m]: a smaller one has no room for a trail."""

@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter
 
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
-from offpiste.simulation.world.preset import WorldPreset
-from offpiste.simulation.world.trails import HALF_WIDTH
+from offpiste.simulation.world.terrain import HALF_WIDTH
+from offpiste.simulation.world.world import WorldPreset
 
 PATCH_GRAIN = 13.0
 """Grain of the patches [m]: the ground changes every 8 to 25 m."""

@@ -7,10 +7,9 @@ from scipy.spatial import cKDTree
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.ground import weighted_sum
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
-from offpiste.simulation.world.preset import WorldPreset
 from offpiste.simulation.world.surface import read_grid
-from offpiste.simulation.world.trails import HALF_WIDTH
-from offpiste.simulation.world.world import Bushes, Trees
+from offpiste.simulation.world.terrain import HALF_WIDTH
+from offpiste.simulation.world.world import Bushes, Trees, WorldPreset
 
 CLEARANCE = 3.0
 """Distance of tree trunks from the trail's edge [m]."""

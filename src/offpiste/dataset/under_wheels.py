@@ -1,5 +1,7 @@
-"""Features of the ground under the wheels, stored once a cell instead of once a row."""
+"""Features and surface normals under the wheels, by feature set; read from disk in pieces."""
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,8 +9,44 @@ import torch
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from torch import Tensor
 
-from offpiste.dataset.array_reader import ArrayReader
 from offpiste.dataset.feature_sets import FeatureSetChoice
+
+
+class ArrayReader:
+    """Reads pieces [d, first:end] of an array [D, M, ...].
+
+    Pieces of a memory-mapped array are read from its file with `preadv`, past the mapping: pages of a mapping that were
+    touched would count as resident, and in the end all of them are.
+    """
+
+    def __init__(self, array: np.ndarray) -> None:
+        self._array = array
+        self._row = array.strides[1] if array.ndim > 1 else 0
+        self._file = -1
+        if isinstance(array, np.memmap) and array.flags.c_contiguous and array.filename is not None:
+            self._file = os.open(array.filename, os.O_RDONLY)
+
+    def __del__(self) -> None:
+        if getattr(self, "_file", -1) >= 0:
+            os.close(self._file)
+
+    def read(self, lead: int, first: int, out: np.ndarray) -> None:
+        """Fill `out` [end - first, ...] with rows from `first` on of the part `lead`.
+
+        Raises:
+            EOFError: the file is cut short.
+        """
+        if self._file < 0 or not out.flags.c_contiguous or not out.size:
+            out[...] = self._array[lead, first : first + len(out)]
+            return
+        assert isinstance(self._array, np.memmap)
+        view = out.data.cast("B")
+        place = self._array.offset + lead * self._array.strides[0] + first * self._row
+        while len(view):
+            count = os.preadv(self._file, [view], place)
+            if not count:
+                raise EOFError(f"{self._array.filename} is cut short")
+            view, place = view[count:], place + count
 
 
 @dataclass(frozen=True)
@@ -147,3 +185,47 @@ def _merged(
     place[window[order], chosen[order]] = (first - starts % cells)[group]
     ranges = zip((starts // cells).tolist(), first.tolist(), (starts % cells).tolist(), sizes.tolist(), strict=True)
     return place, list(ranges), int(sizes.sum())
+
+
+class NormalsUnderWheels:
+    """Surface normals of all drives; those of a map are many, and are read when windows need them.
+
+    Args:
+        normals: [D, N, 4, 3] of the drives, in the order of their rows.
+        device: where what is read goes.
+    """
+
+    def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
+        self._device = device
+        self._first = np.cumsum([0, *(n.shape[1] for n in normals)])
+        self._readers = [ArrayReader(n) for n in normals]
+        self._arrays = normals
+        self._sets = normals[0].shape[0]
+        self._whole = self.whole() if self._sets == 1 else None
+
+    def whole(self) -> Float[Tensor, "N 4 3"]:
+        """Normals of the first feature set at every row."""
+        return torch.as_tensor(np.concatenate([n[0] for n in self._arrays]), device=self._device)
+
+    def at(
+        self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice
+    ) -> Float[Tensor, "B R 4 3"]:
+        """Normals at R = `count` rows from `start`; each window lies in one drive."""
+        if self._whole is not None:
+            rows = torch.as_tensor(start[:, None] + np.arange(count), device=self._device)
+            return self._whole[rows]
+        found = np.empty((len(start), count, 4, 3), np.float32)
+        every = np.empty((self._sets, count, 4, 3), np.float32)
+        drive = np.searchsorted(self._first, start, side="right") - 1
+        first = (start - self._first[drive]).tolist()
+        one = feature_set_choice.flags_only or feature_set_choice.sets.shape[1] == 1
+        for window, number in enumerate(drive.tolist()):
+            reader = self._readers[number]
+            if one:
+                chosen = 0 if feature_set_choice.flags_only else int(feature_set_choice.sets[window, 0])
+                reader.read(chosen, first[window], found[window])
+                continue
+            for chosen in np.unique(feature_set_choice.sets[window]).tolist():
+                reader.read(chosen, first[window], every[chosen])
+            found[window] = every[feature_set_choice.sets[window], np.arange(count)]
+        return torch.from_numpy(found).to(self._device)
