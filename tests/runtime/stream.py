@@ -21,7 +21,8 @@ from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.perception import Sight
-from offpiste.runtime.runtime import Runtime, RuntimeSettings
+from offpiste.runtime.runtime import Runtime
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState, Terrain
 
 WHEELS = np.array([[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]])

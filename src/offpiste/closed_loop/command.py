@@ -11,7 +11,7 @@ from offpiste.closed_loop.drive_course import CourseDrive, Driven, drive_course
 from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import require
-from offpiste.runtime.runtime import RuntimeSettings
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
 
 logger = logging.getLogger(__name__)

@@ -21,7 +21,8 @@ from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import Sight
 from offpiste.runtime.prediction import KnownGround
-from offpiste.runtime.runtime import Runtime, RuntimeSettings
+from offpiste.runtime.runtime import Runtime
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
 from offpiste.simulation.vehicle.parameters import load_vehicle

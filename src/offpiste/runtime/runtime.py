@@ -6,7 +6,7 @@ it starts from the state that the model predicts through the controls committed 
 """
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -17,17 +17,14 @@ from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.cost_map import cost_map
-from offpiste.planning.costs.layers import Hazards
-from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.pedal import PEDAL_AND_WHEEL, controls_of, pedals_of, with_pedal
+from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
 from offpiste.runtime.course_progress import Guide
 from offpiste.runtime.estimator import TrackRows, VehicleReading, VehicleTrack
-from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, Timeouts, judge
+from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, judge
 from offpiste.runtime.perception import Seeing, Sight, Stopwatch
 from offpiste.runtime.prediction import (
     Area,
@@ -40,73 +37,9 @@ from offpiste.runtime.prediction import (
     model_state_of,
     predicted,
 )
-from offpiste.runtime.schedule import Launch, LaunchSettings, Schedule, TimedPlan
+from offpiste.runtime.schedule import Launch, Schedule, TimedPlan
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState
-
-
-@dataclass(frozen=True)
-class RuntimeSettings:
-    """How the vehicle is driven.
-
-    Attributes:
-        plan_rate: plans made a second [Hz].
-        latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
-        sampling: of pedal and steer (`one_foot`).
-        weights, hazards: of the planner.
-        replay: of images and scans, as the dataset was extracted with.
-        patience: with late inputs.
-        launch: where the plan's throttle does not move the vehicle.
-        slow: speed while scans are late [m/s].
-        stop: brake of a controlled stop [0..1].
-        forget: plans that ended their latency so long ago are not gone on from [s].
-        standstill: slower than this the vehicle stands [m/s].
-        arrived: so far before its end the course counts as driven [m].
-        margin: the map is read so far beyond what the plan can reach [m].
-        remember: predictions of so long are kept, 120 kB a second [s].
-
-    Raises:
-        PlanningError: rate and latency do not fit the steps of the controls.
-    """
-
-    plan_rate: float = 10.0
-    latency: float = 0.1
-    sampling: mppi.Settings = field(
-        default_factory=lambda: mppi.Settings(
-            PEDAL_AND_WHEEL,
-            (0.15, 0.15),
-            samples=512,
-            temperature=3.0,
-            iterations=2,
-            wide=0.3,
-            fresh=0.1,
-            fresh_width=5.0,
-            rest=(0.4, 0.0),
-        )
-    )
-    weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0))
-    hazards: Hazards = field(default_factory=Hazards)
-    replay: MapperSettings = field(default_factory=MapperSettings)
-    timeouts: Timeouts = field(default_factory=Timeouts)
-    launch: LaunchSettings = field(default_factory=LaunchSettings)
-    slow: float = 3.0
-    stop: float = 0.5
-    forget: float = 1.0
-    standstill: float = 0.3
-    arrived: float = 2.0
-    margin: float = 8.0
-    remember: float = 600.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
-            raise PlanningError(f"a latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
-        longest = self.timeouts.plan
-        if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
-            how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (patience.plan)"
-            raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
-
-
-def _is_steps(seconds: float) -> bool:
-    return abs(seconds / DT - round(seconds / DT)) < 1e-6
 
 
 class Runtime:

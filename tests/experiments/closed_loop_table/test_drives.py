@@ -14,7 +14,7 @@ from offpiste.closed_loop.drive_course import CourseDrive, settings_of
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import OffpisteError, RunError
 from offpiste.planning.costs.layers import Hazards
-from offpiste.runtime.runtime import RuntimeSettings
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from runtime.stream import parametric

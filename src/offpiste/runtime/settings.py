@@ -1,0 +1,78 @@
+"""Settings of the run time: rate and latency of plans, how they are sampled, and what counts as stopped or arrived."""
+
+from dataclasses import dataclass, field
+
+from offpiste.conventions import DT
+from offpiste.errors import PlanningError
+from offpiste.mapping.replay import MapperSettings
+from offpiste.planning import mppi
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.runtime.modes import Timeouts
+from offpiste.runtime.schedule import LaunchSettings
+
+
+@dataclass(frozen=True)
+class RuntimeSettings:
+    """Settings of the run time.
+
+    Attributes:
+        plan_rate: plans per second [Hz].
+        latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
+        sampling: of pedal and steering (`planning.pedal`).
+        weights, hazards: of the planner's costs.
+        replay: how images and scans enter the map, as in the model's dataset.
+        timeouts: how old inputs may be before the mode changes.
+        launch: more throttle than planned, where the planned one does not move the vehicle.
+        slow: speed limit while scans are late [m/s].
+        stop: brake of a controlled stop [0..1].
+        forget: plans that began to act longer ago than this are not continued [s].
+        standstill: the vehicle is at a standstill below this speed [m/s].
+        arrived: distance from its end at which the course counts as driven [m].
+        margin: the map is read this far beyond what a plan can reach [m].
+        remember: how long predictions are kept, at 120 kB a second [s].
+
+    Raises:
+        PlanningError: rate and latency do not fit the steps of the controls.
+    """
+
+    plan_rate: float = 10.0
+    latency: float = 0.1
+    sampling: mppi.Settings = field(
+        default_factory=lambda: mppi.Settings(
+            PEDAL_AND_WHEEL,
+            (0.15, 0.15),
+            samples=512,
+            temperature=3.0,
+            iterations=2,
+            wide=0.3,
+            fresh=0.1,
+            fresh_width=5.0,
+            rest=(0.4, 0.0),
+        )
+    )
+    weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0))
+    hazards: Hazards = field(default_factory=Hazards)
+    replay: MapperSettings = field(default_factory=MapperSettings)
+    timeouts: Timeouts = field(default_factory=Timeouts)
+    launch: LaunchSettings = field(default_factory=LaunchSettings)
+    slow: float = 3.0
+    stop: float = 0.5
+    forget: float = 1.0
+    standstill: float = 0.3
+    arrived: float = 2.0
+    margin: float = 8.0
+    remember: float = 600.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
+            raise PlanningError(f"a latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
+        longest = self.timeouts.plan
+        if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
+            how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (timeouts.plan)"
+            raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
+
+
+def _is_steps(seconds: float) -> bool:
+    return abs(seconds / DT - round(seconds / DT)) < 1e-6
