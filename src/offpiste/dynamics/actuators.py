@@ -13,7 +13,7 @@ from offpiste.dynamics.bicycle import Elementary
 from offpiste.dynamics.lags import Constants, lagging_of
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import History
+from offpiste.state import History, ModelState
 
 TORCH = Elementary(torch.sin, torch.cos, torch.tanh, torch.atan, torch.maximum)
 
@@ -119,6 +119,31 @@ class Actuators(nn.Module):
                 name: value + DT * change for name, value, change in zip(one.columns, values, changes, strict=True)
             }
         return torch.stack([measured[name] for name in self._columns], dim=-1), hidden, cell
+
+    def advance(
+        self,
+        constants: LagConstants,
+        model_state: ModelState,
+        control: Float[Tensor, "B U"],
+        state: Float[Tensor, "B 6"],
+        hidden: Float[Tensor, "B H"],
+        cell: Float[Tensor, "B H"],
+    ) -> ModelState:
+        """The model state one step later, of a model that keeps the actuators' recurrent state behind its own.
+
+        Args:
+            state, hidden, cell: of the model itself, one step later.
+        """
+        own = hidden.shape[-1]
+        actuators, hidden_lags, cell_lags = self.step(
+            constants,
+            model_state.actuators,
+            control,
+            model_state.state[:, 3],
+            model_state.hidden[:, own:],
+            model_state.cell[:, own:],
+        )
+        return ModelState(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
 
     def _residuals(
         self, actuators: Tensor, control: Tensor, vx: Tensor, hidden: Tensor, cell: Tensor

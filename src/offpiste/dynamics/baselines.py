@@ -97,18 +97,14 @@ class Recurrent(Dynamics):
     def stepper(self) -> Step:
         """Accelerations from the network, pose by integration."""
         lags = self.actuators.constants()
-        sizes = [self.network.hidden, self.actuators.hidden]
+        own = self.network.hidden
 
         def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
-            hidden, hidden_lags = model_state.hidden.split(sizes, dim=-1)
-            cell, cell_lags = model_state.cell.split(sizes, dim=-1)
+            hidden, cell = model_state.hidden[:, :own], model_state.cell[:, :own]
             seen = self._inputs(model_state.state, model_state.actuators, control, terrain)
             acceleration, hidden, cell = self.network(seen, hidden, cell)
             state = _moved(model_state.state, model_state.state[:, 3:] + DT * acceleration)
-            actuators, hidden_lags, cell_lags = self.actuators.step(
-                lags, model_state.actuators, control, model_state.state[:, 3], hidden_lags, cell_lags
-            )
-            return ModelState(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
+            return self.actuators.advance(lags, model_state, control, state, hidden, cell)
 
         return step
 

@@ -98,11 +98,10 @@ class Hybrid(Dynamics):
     def stepper(self) -> Step:
         """Parametric forces, their compensation, then rates and forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
-        sizes = [self.compensator.hidden, self.actuators.hidden]
+        own = self.compensator.hidden
 
         def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
-            hidden, hidden_lags = model_state.hidden.split(sizes, dim=-1)
-            cell, cell_lags = model_state.cell.split(sizes, dim=-1)
+            hidden, cell = model_state.hidden[:, :own], model_state.cell[:, :own]
             normal = body_normal(terrain, model_state.state[:, 2])
             force = parametric_forces(
                 self.vehicle, constants, model_state.state, model_state.actuators, control, normal
@@ -111,10 +110,7 @@ class Hybrid(Dynamics):
             correction, hidden, cell = self.compensator(seen, hidden, cell)
             force = force + correction * self.force_scale
             state = advance(self.vehicle, constants, model_state.state, model_state.actuators, control, normal, force)
-            actuators, hidden_lags, cell_lags = self.actuators.step(
-                lags, model_state.actuators, control, model_state.state[:, 3], hidden_lags, cell_lags
-            )
-            return ModelState(state, actuators, torch.cat((hidden, hidden_lags), -1), torch.cat((cell, cell_lags), -1))
+            return self.actuators.advance(lags, model_state, control, state, hidden, cell)
 
         return step
 

@@ -26,7 +26,27 @@ class Minus(msgspec.Struct, frozen=True):
     loss: PairedDifference
 
 
-class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
+class Labelled:
+    """Labels of a result in tables and figures."""
+
+    __slots__ = ()
+    model: str
+    variant: str
+    lookup: Literal["recorded", "map"] | None
+    feature_set: str | None
+
+    @property
+    def label(self) -> str:
+        """The model's name, and its variant if it has one."""
+        return label(self.model, self.variant)
+
+    @property
+    def reading_label(self) -> str:
+        """The model's label, and where it reads the terrain."""
+        return reading_label(self.label, self.lookup, self.feature_set)
+
+
+class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     """Results of one model, start, terrain lookup and horizon.
 
     Attributes:
@@ -57,16 +77,6 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     yaw_rate_error_radps: Statistics
     loss: Statistics
     minus: dict[str, Minus]
-
-    @property
-    def label(self) -> str:
-        """The model's name, and its variant if it has one."""
-        return label(self.model, self.variant)
-
-    @property
-    def reading_label(self) -> str:
-        """The model's label, and where it reads the terrain."""
-        return reading_label(self.label, self.lookup, self.feature_set)
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, pool, positions
 from offpiste.evaluation.intervals import Sampling, paired, relative, summary
-from offpiste.evaluation.metrics import Headline, Minus, ResultRow, label, reading_label
+from offpiste.evaluation.metrics import Headline, Labelled, Minus, ResultRow
 from offpiste.training.prediction import Lookup
 
 REFERENCE = "kinematic"
@@ -16,7 +16,8 @@ REFERENCE = "kinematic"
 Start = Literal["causal", "smoothed"]
 
 
-class Case(NamedTuple):
+@dataclass(frozen=True)
+class Case(Labelled):
     """A model with the start of its predictions and the terrain that it reads."""
 
     model: str
@@ -24,16 +25,6 @@ class Case(NamedTuple):
     start: Start
     lookup: Lookup | None
     feature_set: str | None = None
-
-    @property
-    def label(self) -> str:
-        """The model's name, and its variant if it has one."""
-        return label(self.model, self.variant)
-
-    @property
-    def reading_label(self) -> str:
-        """The model's label, and where it reads the terrain."""
-        return reading_label(self.label, self.lookup, self.feature_set)
 
 
 @dataclass(frozen=True)

@@ -136,12 +136,12 @@ def _open(log: Log, rig: Rig, extractor: FeatureExtractor | None, stretch: tuple
         raise LogError(
             f"no scan from {stretch[0]:g} to {stretch[1]:g} s; its poses last {last - first:.1f} s",
             where=log.path,
-            how="mend --seconds",
+            how="change --seconds",
         )
     start, end = float(scans.min()), float(scans.max())
     poses = sensors.poses.at(np.append(np.arange(start, end, PATH_STEP), end))
     if not np.isfinite(poses).all(axis=(1, 2)).any():
-        raise LogError("no pose in that stretch", where=log.path, how="mend --seconds")
+        raise LogError("no pose in that stretch", where=log.path, how="change --seconds")
     spread = None if extractor is None else 2 * np.sqrt(extractor.pca.variance[:3].astype(np.float64))
     limits = None if spread is None else np.stack((-_three(spread), _three(spread)))
     return _Drive(sensors, extractor, start, end, len(scans), limits, poses, _wheels(poses, rig))
@@ -194,7 +194,7 @@ def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None
         if recorder is not None:
             recorder.add(moment, log.poses.at(np.array([moment.time]))[0])
     if moment is None:
-        raise LogError("no scan in that stretch whose pose is known", where=log.path, how="mend --seconds")
+        raise LogError("no scan in that stretch whose pose is known", where=log.path, how="change --seconds")
     mosaic.add(moment.layers)
     if recorder is not None:
         recorder.add_map(moment)

@@ -8,7 +8,7 @@ from offpiste.errors import OffpisteError
 from offpiste.simulation.world.ground import lay_grounds, mix_properties
 from offpiste.simulation.world.terrain import carve_trails, distance_to_trails, make_hills, make_trails
 from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
-from offpiste.simulation.world.world import World, WorldSettings, find_world_preset
+from offpiste.simulation.world.world import BareTerrain, World, WorldSettings, find_world_preset
 
 MIN_SIZE = 60.0
 """Smallest side of a world [m]: a smaller one has no room for a trail."""
@@ -40,7 +40,8 @@ def make_world(settings: WorldSettings) -> World:
     elevation = carve_trails(random["carving"], preset, x, y, hills, trails, trail_distance)
 
     # Kinds of ground, and their properties.
-    kinds, wetness = lay_grounds(random["grounds"], preset, x, y, elevation, trail_distance)
+    bare = BareTerrain(x, y, elevation, trail_distance)
+    kinds, wetness = lay_grounds(random["grounds"], preset, bare)
     properties = mix_properties(kinds, wetness, settings.grip_contrast * preset.grip)
 
     # Plants.
@@ -52,9 +53,9 @@ def make_world(settings: WorldSettings) -> World:
         kinds=kinds,
         wetness=wetness,
         properties=properties,
-        grass_height=grow_grass(random["grass"], preset, x, y, kinds, trail_distance),
-        trees=plant_trees(random["trees"], preset, x, y, elevation, trail_distance),
-        bushes=plant_bushes(random["bushes"], preset, x, y, elevation, trail_distance),
+        grass_height=grow_grass(random["grass"], preset, bare, kinds),
+        trees=plant_trees(random["trees"], preset, bare),
+        bushes=plant_bushes(random["bushes"], preset, bare),
         trails=trails,
     )
 

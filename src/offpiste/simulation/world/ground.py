@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
 from offpiste.simulation.world.terrain import HALF_WIDTH
-from offpiste.simulation.world.world import WorldPreset
+from offpiste.simulation.world.world import BareTerrain, WorldPreset
 
 PATCH_GRAIN = 13.0
 """Grain of the patches [m]: the ground changes every 8 to 25 m."""
@@ -72,16 +72,14 @@ def colour_table() -> Float[np.ndarray, "2 K 3"]:
 def lay_grounds(
     rng: np.random.Generator,
     preset: WorldPreset,
-    x: Float[np.ndarray, " nx"],
-    y: Float[np.ndarray, " ny"],
-    elevation: Float[np.ndarray, "ny nx"],
-    trail_distance: Float[np.ndarray, "ny nx"],
+    bare: BareTerrain,
 ) -> tuple[Float[np.ndarray, "K ny nx"], Float[np.ndarray, "ny nx"]]:
     """Shares of the kinds at each node (they sum to 1), and wetness 0..1.
 
     Every kind has its own smooth noise; at each place the strongest wins, softly. Open ground and trails differ in how
     often a kind wins, not in where its patches lie.
     """
+    x, y, elevation, trail_distance = bare
     water = _water(rng, preset, x, y, elevation)
     edge = trail_distance + 0.35 * smooth_noise(rng, x, y, 1.5)
     on_trail = smooth_step(edge, HALF_WIDTH + 0.6, HALF_WIDTH - 0.4)

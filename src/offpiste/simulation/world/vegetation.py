@@ -9,7 +9,7 @@ from offpiste.simulation.world.ground import weighted_sum
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.terrain import HALF_WIDTH
-from offpiste.simulation.world.world import Bushes, Trees, WorldPreset
+from offpiste.simulation.world.world import BareTerrain, Bushes, Trees, WorldPreset
 
 CLEARANCE = 3.0
 """Distance of tree trunks from the trail's edge [m]."""
@@ -26,12 +26,10 @@ _GRASSY = {"dry_grass": 1.0, "wet_grass": 1.0, "loose_sand": 0.15, "packed_sand"
 def plant_trees(
     rng: np.random.Generator,
     preset: WorldPreset,
-    x: Float[np.ndarray, " nx"],
-    y: Float[np.ndarray, " ny"],
-    elevation: Float[np.ndarray, "ny nx"],
-    trail_distance: Float[np.ndarray, "ny nx"],
+    bare: BareTerrain,
 ) -> Trees:
     """Trees in groves, at least `CLEARANCE` from trails and 3 m from each other."""
+    x, y, elevation, trail_distance = bare
     place = _scatter(rng, preset.trees, x, y, grain=14.0, clumping=1.2)
     away = _read(trail_distance, x, y, place) - (HALF_WIDTH + CLEARANCE)
     place = place[away > 0.05 + (x[1] - x[0])]
@@ -49,12 +47,10 @@ def plant_trees(
 def plant_bushes(
     rng: np.random.Generator,
     preset: WorldPreset,
-    x: Float[np.ndarray, " nx"],
-    y: Float[np.ndarray, " ny"],
-    elevation: Float[np.ndarray, "ny nx"],
-    trail_distance: Float[np.ndarray, "ny nx"],
+    bare: BareTerrain,
 ) -> Bushes:
     """Bushes in thickets; a few grow into the edges of trails, none on their middle."""
+    x, y, elevation, trail_distance = bare
     place = _scatter(rng, preset.bushes, x, y, grain=9.0, clumping=0.9)
     tolerated = smooth_step(_read(trail_distance, x, y, place), 0.6 * HALF_WIDTH, 2.0 * HALF_WIDTH)
     place = place[rng.uniform(size=len(place)) < tolerated]
@@ -72,12 +68,11 @@ def plant_bushes(
 def grow_grass(
     rng: np.random.Generator,
     preset: WorldPreset,
-    x: Float[np.ndarray, " nx"],
-    y: Float[np.ndarray, " ny"],
+    bare: BareTerrain,
     kinds: Float[np.ndarray, "K ny nx"],
-    trail_distance: Float[np.ndarray, "ny nx"],
 ) -> Float[np.ndarray, "ny nx"]:
     """Height of tall grass, in patches, mostly on grassy ground; trails are worn short [m]."""
+    x, y, _, trail_distance = bare
     grassy = weighted_sum(kinds, np.array([_GRASSY.get(kind, 0.0) for kind in GROUND_KINDS]))
     threshold = 1.2 - 2.4 * preset.grass  # of normal noise: the share above it is about `grass`
     patches = smooth_step(smooth_noise(rng, x, y, 5.0) + 0.3 * smooth_noise(rng, x, y, 1.0), threshold, threshold + 1.0)

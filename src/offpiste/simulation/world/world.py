@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -44,6 +44,21 @@ class WorldSettings:
     def name(self) -> str:
         """The world's name: that of its preset, or its file's without folder and suffix."""
         return Path(self.preset).stem if self.preset.endswith(".toml") else self.preset
+
+
+class BareTerrain(NamedTuple):
+    """Terrain before anything grows on it.
+
+    Attributes:
+        x, y: places of the nodes [m].
+        elevation: of each node [m].
+        trail_distance: from each node to the middle of the nearest trail [m].
+    """
+
+    x: Float[np.ndarray, " nx"]
+    y: Float[np.ndarray, " ny"]
+    elevation: Float[np.ndarray, "ny nx"]
+    trail_distance: Float[np.ndarray, "ny nx"]
 
 
 @dataclass(frozen=True)
