@@ -304,10 +304,10 @@ def fast(_: int, sample: VehicleSample) -> VehicleSample:
     ],
 )  # fmt: skip
 def test_inspect_finds_each_planted_fault_in_its_channel(
-    tmp_path: Path, fault: dict, where: str, what: str, mend: str
+    tmp_path: Path, fault: dict, where: str, what: str, remedy: str
 ) -> None:
     found = faulty(tmp_path / "drive.mcap", **fault).findings
-    assert [f for f in found if f.where == where and what in f.what and mend in f.mend], found
+    assert [f for f in found if f.where == where and what in f.what and remedy in f.remedy], found
     # Nothing else is accused, but for the other commands of a late message.
     beside = {"throttle", "brake"} if "late" in fault else set()
     assert {f.where for f in found if f.severity != "note"} <= {where} | beside, found

@@ -205,6 +205,8 @@ def test_kernels_stay_inside_their_arrays(tmp_path: Path) -> None:
         "NUMBA_BOUNDSCHECK": "1",
         "NUMBA_OPT": "1",
         "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join((str(Path(__file__).parent), str(Path(__file__).parents[2]))),
+        "PYTHONPATH": os.pathsep.join(
+            (str(Path(__file__).parent), str(Path(__file__).parents[2]), *filter(None, sys.path))
+        ),
     }
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
