@@ -271,7 +271,7 @@ def fast(_: int, sample: VehicleSample) -> VehicleSample:
 
 
 @pytest.mark.parametrize(
-    ("fault", "where", "what", "mend"),
+    ("fault", "where", "what", "remedy"),
     [
         ({"edit": partial(steered, -1)}, "steer", "is positive to the right", "channels.steer.sign = -1"),
         (
