@@ -212,11 +212,11 @@ def encoding(model: Hybrid, at: Situation) -> None:
 
 def cycle(run: Path, pca: Path | None, seconds: float) -> None:
     """Drive a course and print the stages of the run time; the simulator's own sensors are listed too."""
-    from offpiste.closed_loop.drive_course import CourseDrive, drive_course
+    from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
     from offpiste.closed_loop.planner import load_planner
 
     with TemporaryDirectory() as folder:
-        driven = drive_course(load_planner(run, pca), CourseDrive(seconds=seconds), Path(folder) / "drive")
+        driven = drive_course(load_planner(run, pca), CourseDriveSettings(seconds=seconds), Path(folder) / "drive")
     print("stage of the run time: how often, median, 95th percentile [ms]")
     for name, stage in driven.result["stages"].items():
         print(f"  {name:18} {stage['count']:5} {stage['median_ms']:8.1f} {stage['p95_ms']:8.1f}")

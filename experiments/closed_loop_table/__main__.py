@@ -12,7 +12,7 @@ from experiments.closed_loop_table.drives import DEVELOPMENT, TEST, drive_all, e
 from experiments.closed_loop_table.table import write_table
 from experiments.command import run
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDrive
+from offpiste.closed_loop.drive_course import CourseDriveSettings
 from offpiste.closed_loop.faults import KINDS, Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import OffpisteError
@@ -60,7 +60,9 @@ class ClosedLoop:
         if self.courses < 1:
             raise OffpisteError(f"{self.courses} courses", where="--courses", how="give 1 or more")
         planners = [load_planner(run, self.pca) for run in self.runs]
-        settings = CourseDrive(seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs)
+        settings = CourseDriveSettings(
+            seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs
+        )
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
         drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores())
         if not self.faults:

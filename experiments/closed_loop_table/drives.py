@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from experiments.closed_loop_table.table import COUNTED, MEASURES
 from offpiste.closed_loop.drive_course import (
-    CourseDrive,
+    CourseDriveSettings,
     check_folder,
     check_settings,
     described,
@@ -81,7 +81,7 @@ def drive_all(
     rows: Sequence[Entry],
     worlds: Sequence[WorldSettings],
     out: Path,
-    settings: CourseDrive | None = None,
+    settings: CourseDriveSettings | None = None,
     *,
     processes: int = 1,
 ) -> list[dict[str, Any]]:
@@ -95,7 +95,7 @@ def drive_all(
         OffpisteError: a setting is out of range, the folder is a file, or a result in it is broken: nothing is driven
             then. Or a course cannot be driven; the others are.
     """
-    settings = settings or CourseDrive()
+    settings = settings or CourseDriveSettings()
     check_folder(out)
     for row in rows:
         check_settings(_at_latency(settings, row))
@@ -112,7 +112,11 @@ def drive_all(
 
 
 def _drive_rows(
-    course: tuple[WorldSettings, list[Entry]], report: Callable[[float], None], *, out: Path, settings: CourseDrive
+    course: tuple[WorldSettings, list[Entry]],
+    report: Callable[[float], None],
+    *,
+    out: Path,
+    settings: CourseDriveSettings,
 ) -> str:
     """Drive a course with several planners, one after the other."""
     (place, rows), said = course, []
@@ -125,14 +129,14 @@ def _drive_rows(
     return "\n".join(said)
 
 
-def _driven(row: Entry, drive: CourseDrive, folder: Path, world: World, scene: Scene) -> str:
+def _driven(row: Entry, drive: CourseDriveSettings, folder: Path, world: World, scene: Scene) -> str:
     shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
     with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
         result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
     return f"{row.name}: {described(result)}"
 
 
-def _at_latency(settings: CourseDrive, row: Entry) -> CourseDrive:
+def _at_latency(settings: CourseDriveSettings, row: Entry) -> CourseDriveSettings:
     return replace(settings, runtime=replace(settings.runtime, latency=row.latency))
 
 
@@ -140,7 +144,9 @@ def _folder(row: Entry, place: WorldSettings, out: Path) -> Path:
     return out / row.name / f"{place.preset}-{place.seed}"
 
 
-def _finished_result(row: Entry, place: WorldSettings, out: Path, settings: CourseDrive) -> dict[str, Any] | None:
+def _finished_result(
+    row: Entry, place: WorldSettings, out: Path, settings: CourseDriveSettings
+) -> dict[str, Any] | None:
     """The result of a drive that is there already."""
     folder = _folder(row, place, out)
     path = folder / "result.json"

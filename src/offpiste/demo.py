@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDrive, described, drive_course
+from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
 from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
@@ -261,7 +261,7 @@ def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
         shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
         course = CourseSettings(speed=settings.course_speed)
-        drive = CourseDrive(world, settings.course_seconds, course=course)
+        drive = CourseDriveSettings(world, settings.course_seconds, course=course)
         drive_course(load_planner(run, pca), drive, folder)
     logger.info(described(json.loads((folder / "result.json").read_text("utf-8"))))
     logger.info(f"picture: {folder / 'drive.png'}")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from experiments.closed_loop_table.drives import NEEDED
-from offpiste.closed_loop.courses import CourseSettings, lay_course, surprise_along, traction_along
-from offpiste.closed_loop.drive_course import CourseDrive, drive_course
+from offpiste.closed_loop.courses import CourseSettings, choose_course, surprise_along, traction_along
+from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.errors import OffpisteError, RunError
 from offpiste.logs.drive import read_drive
@@ -20,14 +20,16 @@ from offpiste.simulation.world.world import WorldSettings
 from runtime.stream import parametric, settings
 
 WORLD = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
-ASKED = CourseDrive(WORLD, seconds=5.6, course=CourseSettings(speed=5.0, length=60.0, candidates=6), runtime=settings())
+SETTINGS = CourseDriveSettings(
+    WORLD, seconds=5.6, course=CourseSettings(speed=5.0, length=60.0, candidates=6), runtime=settings()
+)
 PLANNER = Planner("parametric", Path("nowhere"), parametric())
 
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
     out = tmp_path_factory.mktemp("closed-loop") / "drive"
-    return drive_course(PLANNER, ASKED, out), out
+    return drive_course(PLANNER, SETTINGS, out), out
 
 
 def test_it_drives_along_the_course(driven):
@@ -52,20 +54,20 @@ def test_what_is_written_can_be_read(driven):
     given = np.array([c.command[0] for c in driven[0].driving.controls])
     np.testing.assert_allclose(recorded.values[:, 0], given, atol=1e-6)
     with pytest.raises(OffpisteError, match="exists already"):
-        drive_course(PLANNER, ASKED, out)
+        drive_course(PLANNER, SETTINGS, out)
 
 
 def test_a_course_is_on_a_trail_and_the_same_for_a_seed(driven):
-    world, laid = driven[0].world, driven[0].laid
-    again = lay_course(world, 3, ASKED.course)
-    np.testing.assert_array_equal(laid.course.path, again.course.path)
+    world, chosen = driven[0].world, driven[0].chosen
+    again = choose_course(world, 3, SETTINGS.course)
+    np.testing.assert_array_equal(chosen.course.path, again.course.path)
     trails = np.concatenate(world.trails)
-    away = np.linalg.norm(laid.course.path[:, None] - trails[None], axis=-1).min(axis=1)
+    away = np.linalg.norm(chosen.course.path[:, None] - trails[None], axis=-1).min(axis=1)
     assert away.max() < 0.5
-    assert np.linalg.norm(np.diff(laid.course.path, axis=0), axis=1) == pytest.approx(1.0, abs=0.05)
-    assert laid.surprise == pytest.approx(surprise_along(world, laid.course.driven, ASKED.course.speed))
-    assert laid.course.end == pytest.approx(driven[0].result["course_m"], abs=0.5)
-    assert len(laid.course.driven) < len(laid.course.path) - 30, "what lies beyond the end is known"
+    assert np.linalg.norm(np.diff(chosen.course.path, axis=0), axis=1) == pytest.approx(1.0, abs=0.05)
+    assert chosen.surprise == pytest.approx(surprise_along(world, chosen.course.driven, SETTINGS.course.speed))
+    assert chosen.course.end == pytest.approx(driven[0].result["course_m"], abs=0.5)
+    assert len(chosen.course.driven) < len(chosen.course.path) - 30, "what lies beyond the end is known"
 
 
 def test_the_surprise_by_hand():
@@ -95,10 +97,10 @@ def test_the_traction_by_hand():
 
 
 def test_no_course_where_nobody_could_drive_off_again(driven):
-    laid, world = driven[0].laid, driven[0].world
-    assert traction_along(world, laid.course.driven).min() >= ASKED.course.traction
+    chosen, world = driven[0].chosen, driven[0].world
+    assert traction_along(world, chosen.course.driven).min() >= SETTINGS.course.traction
     with pytest.raises(OffpisteError, match="no course can be laid"):
-        lay_course(world, 3, replace(ASKED.course, traction=1.0))
+        choose_course(world, 3, replace(SETTINGS.course, traction=1.0))
 
 
 @pytest.mark.parametrize(
@@ -116,18 +118,18 @@ def test_no_course_where_nobody_could_drive_off_again(driven):
 )
 def test_what_cannot_be_driven_is_told_at_once(changed, message, tmp_path):
     with pytest.raises(OffpisteError, match=message):
-        drive_course(PLANNER, replace(ASKED, **changed), tmp_path)
+        drive_course(PLANNER, replace(SETTINGS, **changed), tmp_path)
 
 
 def test_a_latency_between_steps_is_told_at_once(tmp_path):
     with pytest.raises(OffpisteError, match=r"a latency of 0\.03 s"):
-        drive_course(PLANNER, replace(ASKED, runtime=settings(latency=0.03)), tmp_path)
+        drive_course(PLANNER, replace(SETTINGS, runtime=settings(latency=0.03)), tmp_path)
 
 
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OffpisteError, match="file: is a file"):
-        drive_course(PLANNER, ASKED, tmp_path / "file")
+        drive_course(PLANNER, SETTINGS, tmp_path / "file")
 
 
 def test_no_run_no_planner(tmp_path):
@@ -137,4 +139,4 @@ def test_no_run_no_planner(tmp_path):
 
 def test_a_fault_that_would_never_begin_is_refused(tmp_path):
     with pytest.raises(OffpisteError, match=r"a fault from 10 s on.*before the drive's end"):
-        drive_course(PLANNER, replace(ASKED, fault="late-image"), tmp_path)
+        drive_course(PLANNER, replace(SETTINGS, fault="late-image"), tmp_path)

@@ -6,30 +6,30 @@ from unittest.mock import Mock
 
 import numpy as np
 
-from offpiste.closed_loop.lockstep import PlannerCommander
+from offpiste.closed_loop.lockstep import PlannerController
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.runtime import Runtime
 from synthetic_drive import samples
 
 
 def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0):
-    """A commander after so long; mode and place on the course are made up."""
-    guide, readings = SimpleNamespace(progress=0.0), []
+    """A controller after so long; mode and place on the course are made up."""
+    tracker, readings = SimpleNamespace(progress=0.0), []
 
     def command(now):
         return Controls(now, np.array((0.3, 0.0, 0.1)), mode, why)
 
-    runtime = Mock(spec=Runtime, guide=guide, vehicle=readings.append, command=command)
-    commander = PlannerCommander(runtime, np.random.default_rng(0))
-    assert not commander.stuck
-    assert not commander.arrived
+    runtime = Mock(spec=Runtime, course_tracker=tracker, vehicle=readings.append, command=command)
+    controller = PlannerController(runtime, np.random.default_rng(0))
+    assert not controller.stuck
+    assert not controller.arrived
     like = samples(1.0)[0]
     for row in range(round(seconds / 0.02) + 1):
-        guide.progress = progress(0.02 * row)
-        given = commander.command(replace(like, time=0.02 * row))
+        tracker.progress = progress(0.02 * row)
+        given = controller.command(replace(like, time=0.02 * row))
         np.testing.assert_array_equal(given, (0.3, 0.0, 0.1))
-    assert [c.time for c in commander.controls] == [reading.time for reading in readings]
-    return commander
+    assert [c.time for c in controller.controls] == [reading.time for reading in readings]
+    return controller
 
 
 def test_who_makes_no_way_for_8_s_is_stuck():

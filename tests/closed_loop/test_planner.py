@@ -36,7 +36,7 @@ def pca_file(path, seed):
     return pca.identity
 
 
-def run_folder(folder, model, features, dataset_pca, **told):
+def run_folder(folder, model, features, dataset_pca, **more):
     """An untrained run, of which model.json tells something more, and as much of its dataset as is read."""
     vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(features))
     save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
@@ -48,7 +48,7 @@ def run_folder(folder, model, features, dataset_pca, **told):
         "dataset": str(folder / "dataset.zarr"),
         "split": "blocks:0.7,0.1,0.2",
         "seen": [],
-        **told,
+        **more,
     }
     save_json(folder / "model.json", about)
     (folder / "dataset.zarr").mkdir()
@@ -67,7 +67,7 @@ def test_a_run_of_visual_features_wants_its_own_pca(tmp_path):
     with pytest.raises(RunError, match="was trained with another PCA"):
         load_planner(run, others)
     planner = load_planner(run, mine)
-    assert (planner.name, planner.told) == ("dc", False)
+    assert (planner.name, planner.knows_ground) == ("dc", False)
     assert planner.extractor.channels == 4
     (run / "dataset.zarr" / "zarr.json").unlink()
     with pytest.raises(RunError, match="cannot be read"):
@@ -83,14 +83,14 @@ def test_a_run_that_names_its_pca_needs_no_dataset(tmp_path):
 
 def test_an_oracle_is_known_by_its_features(tmp_path):
     ceiling = load_planner(run_folder(tmp_path / "df", "df", GROUND_PROPERTIES, None))
-    assert (ceiling.name, ceiling.told) == ("ceiling", True)
+    assert (ceiling.name, ceiling.knows_ground) == ("ceiling", True)
     with pytest.raises(RunError, match="no camera gives"):
         load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel"), None))
 
 
 def test_models_without_features_need_nothing(tmp_path):
     planner = load_planner(run_folder(tmp_path / "b", "b", [f"pca_{i}" for i in range(4)], "abc"))
-    assert (planner.name, planner.told, planner.extractor) == ("b", False, None)
+    assert (planner.name, planner.knows_ground, planner.extractor) == ("b", False, None)
 
 
 def test_a_planner_tells_its_weights_from_others(tmp_path):

@@ -8,13 +8,13 @@ import pytest
 
 from offpiste.closed_loop import recording
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDrive, drive_course
+from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner
 from offpiste.simulation.world.world import WorldSettings
 from runtime.stream import parametric, settings
 
 WORLD = WorldSettings("dunes", seed=3, size=120.0, resolution=0.5)
-ASKED = CourseDrive(
+SETTINGS = CourseDriveSettings(
     WORLD,
     seconds=1.0,
     course=CourseSettings(speed=5.0, length=60.0, candidates=2),
@@ -34,7 +34,7 @@ def entities(path: Path) -> dict[str, str]:
 
 def test_a_recording_has_world_plans_vehicle_and_numbers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rerun")
-    driven = drive_course(PLANNER, ASKED, tmp_path / "drive")
+    driven = drive_course(PLANNER, SETTINGS, tmp_path / "drive")
     capfd.readouterr()
     recording.record_drive(driven, tmp_path / "drive.rrd")
     assert "WARN" not in capfd.readouterr().err

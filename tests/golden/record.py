@@ -29,7 +29,7 @@ from mcap.reader import make_reader
 from factories import COMMANDED, VEHICLE, Situation
 from feature_datasets import dataset_with_features
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDrive, drive_course
+from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner
 from offpiste.conventions import ACTUATORS, CONTROL, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
@@ -714,7 +714,7 @@ def trained(label: str, dynamics: Dynamics, folder: Path) -> Results:
 
 def closed_loop() -> Results:
     """A drive of 2.4 s by the planner, in lockstep: controls, path, predictions, messages."""
-    asked = CourseDrive(
+    asked = CourseDriveSettings(
         WORLD,
         seconds=2.4,
         course=CourseSettings(speed=5.0, length=60.0, candidates=6),
@@ -725,8 +725,8 @@ def closed_loop() -> Results:
     found = messages("log", out / "drive.mcap")
     found |= told("controls", np.stack([c.command for c in driven.driving.controls]))
     found["modes"] = json.dumps([c.mode for c in driven.driving.controls])
-    found |= parts("course", driven.laid.course, keep=100)
-    found["surprise"] = np.array(driven.laid.surprise)
+    found |= parts("course", driven.chosen.course, keep=100)
+    found["surprise"] = np.array(driven.chosen.surprise)
     found |= parts("trace", driven.trace, keep=100)
     for number, prediction in enumerate(driven.runtime.predictions[:6]):
         found |= parts(f"prediction.{number}", prediction, keep=60)

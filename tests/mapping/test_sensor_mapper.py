@@ -9,7 +9,7 @@ from offpiste.mapping.replay import MapperSettings, SensorMapper
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.rig.sensors import LidarSource
 from offpiste.runtime.estimator import VehicleTrack
-from runtime.stream import FEATURES, camera, look, reading, scan
+from runtime.stream import FEATURES, camera, extract_features, reading, scan
 
 SETTINGS = MapperSettings(0.5, map=MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1)))
 MEMORY = SETTINGS.memory
@@ -30,7 +30,7 @@ def mapper() -> SensorMapper:
     mounting = np.eye(4)
     mounting[2, 3] = 2.0
     lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
-    return SensorMapper({"eye": camera()}, lidars, look, FEATURES, SETTINGS)
+    return SensorMapper({"eye": camera()}, lidars, extract_features, FEATURES, SETTINGS)
 
 
 def test_an_image_is_due_after_some_way_or_some_time(mapper):

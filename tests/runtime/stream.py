@@ -20,7 +20,7 @@ from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
 from offpiste.runtime.estimator import VehicleReading
-from offpiste.runtime.perception import Sight
+from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState, Terrain
@@ -34,7 +34,7 @@ def parametric():
     return Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ())).eval()
 
 
-def seeing_model():
+def feature_model():
     """A hybrid that reads features, its network untrained and quiet."""
     torch.manual_seed(0)
     return Hybrid(Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=FEATURES), encoder=Compressor(FEATURES)).eval()
@@ -55,7 +55,7 @@ def camera():
     return make_pinhole_camera(Camera("eye", model, mounting, CameraSource("/eye")), 14)
 
 
-def look(pixels):
+def extract_features(pixels):
     rows, columns = pixels.shape[0] // 14, pixels.shape[1] // 14
     return np.full((rows, columns, FEATURES), pixels.mean() / 255, np.float32)
 
@@ -129,11 +129,11 @@ def scan(t, height=0.0):
     return Cloud(t, "lidar", ground, None, np.ones(len(ground)))
 
 
-def sight(*, eyes=False, extractor=look):
+def sensor_setup(*, with_camera=False, extractor=extract_features):
     mounting = np.eye(4)
     mounting[2, 3] = 2.0
     lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
-    return Sight(lidars, {"eye": camera()}, extractor) if eyes else Sight(lidars)
+    return SensorSetup(lidars, {"eye": camera()}, extractor) if with_camera else SensorSetup(lidars)
 
 
 def course(length=60.0, speed=5.0):
@@ -142,10 +142,18 @@ def course(length=60.0, speed=5.0):
 
 
 def straight_drive(
-    *, eyes=False, dynamics=None, extractor=look, length=60.0, wanted=5.0, seed=0, stream=None, **changed
+    *,
+    with_camera=False,
+    dynamics=None,
+    extractor=extract_features,
+    length=60.0,
+    wanted=5.0,
+    seed=0,
+    stream=None,
+    **changed,
 ):
     """A stream for a run time on a straight course."""
-    model = dynamics or (seeing_model() if eyes else parametric())
-    seen, there = sight(eyes=eyes, extractor=extractor), course(length, wanted)
+    model = dynamics or (feature_model() if with_camera else parametric())
+    seen, there = sensor_setup(with_camera=with_camera, extractor=extractor), course(length, wanted)
     runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed)
     return Stream(runtime, **(stream or {}))

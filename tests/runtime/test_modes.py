@@ -5,7 +5,7 @@ from math import inf
 
 import pytest
 
-from offpiste.runtime.modes import Ages, ModeDecision, Timeouts, judge
+from offpiste.runtime.modes import Ages, ModeDecision, Timeouts, decide_mode
 
 WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
 
@@ -26,10 +26,10 @@ WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
     ],
 )
 def test_the_worst_trouble_decides(changed, mode, why, slow):
-    found = judge(replace(WELL, **changed), Timeouts(), map_empty=False, finished=False)
+    found = decide_mode(replace(WELL, **changed), Timeouts(), map_empty=False, finished=False)
     assert found == ModeDecision(mode, why, slow)
 
 
 def test_an_empty_map_and_the_end_of_the_course_stop():
-    assert judge(WELL, Timeouts(), map_empty=True, finished=False).why == "empty map"
-    assert judge(WELL, Timeouts(), map_empty=True, finished=True) == ModeDecision("stopping", "end of the course")
+    assert decide_mode(WELL, Timeouts(), map_empty=True, finished=False).why == "empty map"
+    assert decide_mode(WELL, Timeouts(), map_empty=True, finished=True) == ModeDecision("stopping", "end of the course")

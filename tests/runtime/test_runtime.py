@@ -13,7 +13,7 @@ from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
 from offpiste.runtime import prediction, runtime
 from offpiste.runtime.schedule import LaunchSettings
-from runtime.stream import Held, look, reading, scan, seeing_model, settings, straight_drive
+from runtime.stream import Held, extract_features, feature_model, reading, scan, settings, straight_drive
 
 
 def speed(stream):
@@ -143,7 +143,7 @@ def test_settings_that_do_not_fit_the_steps_are_refused():
 
 def test_a_model_of_features_needs_a_feature_extractor():
     with pytest.raises(PlanningError, match="nothing extracts them"):
-        straight_drive(dynamics=seeing_model())
+        straight_drive(dynamics=feature_model())
 
 
 def test_predictions_step_by_step_are_those_of_the_kernel(monkeypatch):
@@ -262,9 +262,9 @@ def test_it_stops_at_the_end_of_its_course():
 
 
 def test_without_images_it_goes_on_and_says_so():
-    stream = straight_drive(eyes=True, stream={"images": lambda t: t < 1.2})
+    stream = straight_drive(with_camera=True, stream={"images": lambda t: t < 1.2})
     stream.run(1.5)
-    layers = stream.runtime._seeing.layers()
+    layers = stream.runtime._mapper.layers()
     assert layers.features.shape[2] == 4  # codes of 3 features
     assert layers.valid.sum() > 100
     codes = layers.features[layers.valid]
@@ -272,7 +272,7 @@ def test_without_images_it_goes_on_and_says_so():
     assert stream.modes()[-1] == ("degraded", "no image")
     assert speed(stream) > 2.0
     # The map holds codes, not features: those of the one colour that was seen.
-    features = look(np.full((98, 140, 3), 120, np.uint8))[:1, 0]
+    features = extract_features(np.full((98, 140, 3), 120, np.uint8))[:1, 0]
     expected = stream.runtime._encoder(torch.from_numpy(features), torch.ones(1, dtype=torch.bool)).numpy()
     np.testing.assert_allclose(codes, np.broadcast_to(expected, codes.shape), atol=1e-5)
 
@@ -281,34 +281,34 @@ def test_features_that_are_not_finite_count_as_no_image():
     broken = []
 
     def extractor(pixels):
-        return np.full_like(look(pixels), np.nan) if broken else look(pixels)
+        return np.full_like(extract_features(pixels), np.nan) if broken else extract_features(pixels)
 
-    stream = straight_drive(eyes=True, extractor=extractor)
+    stream = straight_drive(with_camera=True, extractor=extractor)
     stream.run(1.0)
     broken.append(True)
     stream.run(2.2)
     assert stream.modes()[-1] == ("degraded", "no image")
     assert stream.runtime.dropped["images without finite features"] >= 3
     assert np.isfinite(commands(stream)).all()
-    assert np.isfinite(stream.runtime._seeing.layers().features[stream.runtime._seeing.layers().valid]).all()
+    assert np.isfinite(stream.runtime._mapper.layers().features[stream.runtime._mapper.layers().valid]).all()
 
 
 def test_what_is_no_use_is_dropped_and_counted():
-    stream = straight_drive(eyes=True)
+    stream = straight_drive(with_camera=True)
     stream.run(2.0)
     driver, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
     driver.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
     driver.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
-    assert driver._seeing.image_time == 1.9
+    assert driver._mapper.image_time == 1.9
     driver.image(Image(2.05, "eye", pixels))  # a little ahead of poses
     driver.image(Image(7.0, "eye", pixels))  # from the future
-    before = driver._seeing.scan_time
+    before = driver._mapper.scan_time
     broken = scan(1.95)
     driver.scan(type(broken)(1.95, "lidar", np.full_like(broken.points, np.nan), None, broken.intensity))
-    assert driver._seeing.scan_time == before
+    assert driver._mapper.scan_time == before
     points = np.where(broken.points[:, :1] > 0, np.nan, broken.points)  # only what lies behind is finite
     driver.scan(type(broken)(1.96, "lidar", points, None, broken.intensity))
-    assert driver._seeing.scan_time == 1.96
+    assert driver._mapper.scan_time == 1.96
     driver.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
     driver.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
     assert driver.dropped == {
@@ -326,13 +326,13 @@ def test_what_is_no_use_is_dropped_and_counted():
 def test_a_pose_that_jumps_begins_the_map_anew():
     stream = straight_drive()
     stream.run(1.5)
-    assert stream.runtime._seeing.layers().known.any()
+    assert stream.runtime._mapper.layers().known.any()
     stream.scans = lambda t: False
     stream.model_state = replace(
         stream.model_state, state=stream.model_state.state + torch.tensor([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
     )
     stream.run(DT)
-    assert not stream.runtime._seeing.layers().known.any()
+    assert not stream.runtime._mapper.layers().known.any()
     assert stream.modes()[-1] == ("stopping", "no scan")
     stream.scans = lambda t: True
     stream.run(4.0)

@@ -39,9 +39,9 @@ class Drive:
 
     def run(self) -> int:
         """Load, drive, evaluate, draw."""
-        from offpiste.closed_loop.command import drive_and_show
+        from offpiste.closed_loop.command import run_drive
 
-        drive_and_show(
+        run_drive(
             self.run_folder,
             self.out,
             world=self.world,

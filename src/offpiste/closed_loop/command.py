@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDrive, Driven, drive_course
+from offpiste.closed_loop.drive_course import CourseDriveSettings, Driven, drive_course
 from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import require
@@ -17,7 +17,7 @@ from offpiste.simulation.world.world import WorldSettings
 logger = logging.getLogger(__name__)
 
 
-def drive_and_show(
+def run_drive(
     run: Path,
     out: Path,
     *,
@@ -39,7 +39,7 @@ def drive_and_show(
     if recording:
         require("view", "rerun", otherwise="leave out --recording")
     planner = load_planner(run, pca)
-    asked = CourseDrive(
+    settings = CourseDriveSettings(
         WorldSettings(world, seed),
         seconds,
         course=CourseSettings(speed=speed),
@@ -47,7 +47,7 @@ def drive_and_show(
         fault=fault,
         fault_start=fault_start,
     )
-    driven = drive_course(planner, asked, out)
+    driven = drive_course(planner, settings, out)
     logger.info(modes_table(driven.result))
     logger.info(stages_table(driven.result))
     written = ["drive.mcap", "drive.png", "result.json"]

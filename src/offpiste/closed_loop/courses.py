@@ -56,7 +56,7 @@ class CourseSettings:
 
 
 @dataclass(frozen=True)
-class LaidCourse:
+class ChosenCourse:
     """A course and where it begins.
 
     Attributes:
@@ -68,14 +68,14 @@ class LaidCourse:
     surprise: float
 
 
-def lay_course(world: World, seed: int, settings: CourseSettings | None = None) -> LaidCourse:
+def choose_course(world: World, seed: int, settings: CourseSettings | None = None) -> ChosenCourse:
     """The best of some stretches of the world's trails; the same seed lays the same course.
 
     Raises:
         OffpisteError: none of them can be driven.
     """
     settings, terrain = settings or CourseSettings(), VisibleTerrain.of(world)
-    found: list[LaidCourse] = []
+    found: list[ChosenCourse] = []
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
         length = (len(path) - 1) * STEP  # a closed trail may be shorter than what was asked for
@@ -85,7 +85,7 @@ def lay_course(world: World, seed: int, settings: CourseSettings | None = None) 
         if holds and _drivable(world, terrain, path, settings):
             heading = np.arctan2(*(path[2] - path[0])[::-1])
             start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
-            found.append(LaidCourse(course, start, surprise_along(world, course.driven, settings.speed)))
+            found.append(ChosenCourse(course, start, surprise_along(world, course.driven, settings.speed)))
     if not found:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
         raise OffpisteError("no course can be laid along its trails", where=place, how="take another seed")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.closed_loop.courses import CourseSettings, LaidCourse, lay_course
+from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
@@ -19,7 +19,7 @@ from offpiste.errors import OffpisteError
 from offpiste.files import write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.rig import Rig, load_rig
-from offpiste.runtime.perception import Sight
+from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.prediction import KnownGround
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
@@ -37,7 +37,7 @@ FASTEST = 30.0
 
 
 @dataclass(frozen=True)
-class CourseDrive:
+class CourseDriveSettings:
     """A drive of a course; the same settings and planner give the same drive.
 
     Attributes:
@@ -67,7 +67,7 @@ class Driven:
     """
 
     world: World
-    laid: LaidCourse
+    chosen: ChosenCourse
     driving: Driving
     trace: Trace
     runtime: Runtime
@@ -76,7 +76,7 @@ class Driven:
 
 def drive_course(
     planner: Planner,
-    asked: CourseDrive,
+    settings: CourseDriveSettings,
     out: Path,
     *,
     world: World | None = None,
@@ -85,51 +85,51 @@ def drive_course(
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
 
     Args:
-        world, scene: of `asked.world`, where they are made already.
+        world, scene: of `settings.world`, where they are made already.
 
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
     """
-    check_settings(asked)
+    check_settings(settings)
     check_folder(out)
     for name in ("drive.mcap", "result.json"):
         if (out / name).exists():
             raise OffpisteError("exists already", where=out / name, how="give another --out, or remove it")
-    remember = max(asked.seconds, asked.runtime.remember)
-    rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(asked.world)
-    laid, suite = lay_course(world, asked.world.seed, asked.course), sensor_suite(asked.sensors)
-    if planner.extractor is None and not asked.keep_log:
+    remember = max(settings.seconds, settings.runtime.remember)
+    rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(settings.world)
+    chosen, suite = choose_course(world, settings.world.seed, settings.course), sensor_suite(settings.sensors)
+    if planner.extractor is None and not settings.keep_log:
         suite = SensorSuite((), suite.lidars)
-    fault = Fault(asked.fault, asked.fault_start)
+    fault = Fault(settings.fault, settings.fault_start)
     runtime = Runtime(
         planner.dynamics,
-        _sight(planner, suite, rig, fault),
+        _sensor_setup(planner, suite, rig, fault),
         rig.wheel_positions(),
-        laid.course,
-        replace(asked.runtime, remember=remember),
-        ground=_truth(world) if planner.told else None,
-        seed=asked.world.seed,
+        chosen.course,
+        replace(settings.runtime, remember=remember),
+        ground=_truth(world) if planner.knows_ground else None,
+        seed=settings.world.seed,
     )
     out.mkdir(parents=True, exist_ok=True)
     driving = drive_planned(
-        runtime, world, parameters, laid.start, suite, rig, out / "drive.mcap",
-        seconds=asked.seconds, seed=asked.world.seed, fault=fault, scene=scene,
+        runtime, world, parameters, chosen.start, suite, rig, out / "drive.mcap",
+        seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene,
     )  # fmt: skip
-    trace = trace_of(driving, laid.course)
-    result = _result(planner, asked, laid, runtime, driving, trace)
-    title = f"{asked.world.preset}, seed {asked.world.seed}: {planner.name}, {result['time_s']:.1f} s"
-    figure = course_picture(world, laid.course, trace, runtime.predictions, title)
+    trace = trace_of(driving, chosen.course)
+    result = _result(planner, settings, chosen, runtime, driving, trace)
+    title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
+    figure = course_picture(world, chosen.course, trace, runtime.predictions, title)
     write_whole(out / "drive.png", lambda partial: figure.savefig(partial, format="png"))
-    if not asked.keep_log:
+    if not settings.keep_log:
         (out / "drive.mcap").unlink()
     write_text(out / "result.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
     logger.info(described(result))
-    return Driven(world, laid, driving, trace, runtime, result)
+    return Driven(world, chosen, driving, trace, runtime, result)
 
 
 def described(result: dict[str, Any]) -> str:
     """A drive in one line."""
-    told = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
+    incidents = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     error = result["plan_error_5s_m"]["mean"]
     return (
@@ -137,28 +137,28 @@ def described(result: dict[str, Any]) -> str:
         f"{result['mean_speed_mps']:.1f} m/s, {result['mean_path_error_m']:.2f} m off the course "
         f"({result['worst_path_error_m']:.2f} at worst)"
         + (f", plans {error:.1f} m off after 5 s" if error is not None else "")
-        + (f"; {', '.join(told)}" if told else "")
+        + (f"; {', '.join(incidents)}" if incidents else "")
     )
 
 
-def check_settings(asked: CourseDrive) -> None:
+def check_settings(settings: CourseDriveSettings) -> None:
     """Refuse what could only fail after minutes.
 
     Raises:
         OffpisteError: a setting is out of range.
     """
-    if not 1.0 <= asked.seconds <= 3600:
-        raise OffpisteError(f"a drive of {asked.seconds:g} s", how="give --seconds from 1 to 3600")
-    if not 0 < asked.course.speed <= FASTEST:
+    if not 1.0 <= settings.seconds <= 3600:
+        raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds from 1 to 3600")
+    if not 0 < settings.course.speed <= FASTEST:
         raise OffpisteError(
-            f"a wanted speed of {asked.course.speed:g} m/s", how=f"give --speed above 0, and at most {FASTEST:g}"
+            f"a wanted speed of {settings.course.speed:g} m/s", how=f"give --speed above 0, and at most {FASTEST:g}"
         )
-    if asked.fault not in KINDS:
-        raise OffpisteError(f"no fault is called {asked.fault!r}", how=f"choose one of {', '.join(KINDS)}")
-    if not 0 <= asked.fault_start < (asked.seconds if asked.fault != "none" else math.inf):
-        how = f"give --fault-start of 0 or more, before the drive's end at {asked.seconds:g} s"
-        raise OffpisteError(f"a fault from {asked.fault_start:g} s on", how=how)
-    sensor_suite(asked.sensors)  # complains itself
+    if settings.fault not in KINDS:
+        raise OffpisteError(f"no fault is called {settings.fault!r}", how=f"choose one of {', '.join(KINDS)}")
+    if not 0 <= settings.fault_start < (settings.seconds if settings.fault != "none" else math.inf):
+        how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
+        raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)
+    sensor_suite(settings.sensors)  # complains itself
 
 
 def check_folder(out: Path) -> None:
@@ -172,13 +172,13 @@ def check_folder(out: Path) -> None:
             raise OffpisteError("is a file", where=place, how="give a folder as --out")
 
 
-def _sight(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> Sight:
+def _sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> SensorSetup:
     lidars = lidars_of(suite, rig)
     if planner.extractor is None:
-        return Sight(lidars)
+        return SensorSetup(lidars)
     patch = planner.extractor.patch
     cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
-    return Sight(lidars, cameras, fault.extractor(planner.extractor.extract))
+    return SensorSetup(lidars, cameras, fault.extractor(planner.extractor.extract))
 
 
 def _truth(world: World) -> KnownGround:
@@ -189,19 +189,24 @@ def _truth(world: World) -> KnownGround:
 
 
 def _result(
-    planner: Planner, asked: CourseDrive, laid: LaidCourse, runtime: Runtime, driving: Driving, trace: Trace
+    planner: Planner,
+    settings: CourseDriveSettings,
+    chosen: ChosenCourse,
+    runtime: Runtime,
+    driving: Driving,
+    trace: Trace,
 ) -> dict[str, Any]:
     errors = prediction_errors(runtime.predictions, trace.place)
     began = runtime.events[0].time if runtime.events else 0.0
     return {
         "schema": 1,
-        "world": asked.world.preset,
-        "seed": asked.world.seed,
+        "world": settings.world.preset,
+        "seed": settings.world.seed,
         "planner": planner.name,
-        "latency_s": asked.runtime.latency,
-        "target_mps": asked.course.speed,
-        "surprise_mps": laid.surprise,
-        **summary(driving, trace, runtime.guide.length, asked.seconds, asked.runtime.weights),
+        "latency_s": settings.runtime.latency,
+        "target_mps": settings.course.speed,
+        "surprise_mps": chosen.surprise,
+        **summary(driving, trace, runtime.course_tracker.length, settings.seconds, settings.runtime.weights),
         "plan_error_5s_m": {
             "mean": float(errors.mean()) if len(errors) else None,
             "median": float(np.median(errors)) if len(errors) else None,
@@ -211,23 +216,23 @@ def _result(
         "dropped": runtime.dropped,
         "failed_plans": len(runtime.failures),
         "stages": runtime.watch.summary(),
-        **settings_of(planner, asked),
+        **settings_of(planner, settings),
     }
 
 
-def settings_of(planner: Planner, asked: CourseDrive) -> dict[str, Any]:
+def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, Any]:
     """What tells a drive from others on the same course, as a result holds it: all but the noise, a function."""
-    runtime = asdict(asked.runtime)
+    runtime = asdict(settings.runtime)
     runtime["sampling"].pop("noise")
-    runtime["weights"] = asked.runtime.weights.values()
+    runtime["weights"] = settings.runtime.weights.values()
     given = {
         "run": str(planner.folder.resolve()),
-        "limit_s": asked.seconds,
-        "fault": asked.fault,
-        "fault_start": asked.fault_start,
-        "sensors": asked.sensors,
+        "limit_s": settings.seconds,
+        "fault": settings.fault,
+        "fault_start": settings.fault_start,
+        "sensors": settings.sensors,
         "weights_sha256": planner.weights,
         "runtime": runtime,
-        "course": asdict(asked.course),
+        "course": asdict(settings.course),
     }
     return dict(json.loads(json.dumps(given, default=str)))

@@ -34,17 +34,17 @@ PLANNER_EVENTS = "/planner/events"
 
 
 @dataclass
-class PlannerCommander:
+class PlannerController:
     """Hands readings to the run time and its controls to the vehicle (`simulation.drive.Controller`).
 
     Attributes:
         rng: of the noise of the readings.
-        patience: without progress for so long, though driving, the vehicle is stuck [s].
+        timeout: without progress for so long, though driving, the vehicle is stuck [s].
     """
 
     runtime: Runtime
     rng: np.random.Generator
-    timeouts: float = 8.0
+    timeout: float = 8.0
     controls: list[Controls] = field(default_factory=list)
     _best: float = 0.0
     _since: float = 0.0
@@ -58,14 +58,14 @@ class PlannerCommander:
     @property
     def stuck(self) -> bool:
         """Whether it makes no way any more."""
-        return bool(self.controls) and self.controls[-1].time - self._since > self.timeouts
+        return bool(self.controls) and self.controls[-1].time - self._since > self.timeout
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
         """Throttle, brake and steering for the next `conventions.DT`."""
         self.runtime.vehicle(reading_of(with_noise(sample, Noise(), Imperfections(), self.rng)))
         controls = self.runtime.command(time_of(sample.time))
-        if not self.controls or controls.mode == "stopped" or self.runtime.guide.progress > self._best + 1.0:
-            self._best, self._since = self.runtime.guide.progress, controls.time
+        if not self.controls or controls.mode == "stopped" or self.runtime.course_tracker.progress > self._best + 1.0:
+            self._best, self._since = self.runtime.course_tracker.progress, controls.time
         self.controls.append(controls)
         return controls.command
 
@@ -106,19 +106,19 @@ def drive_planned(
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
     sensing, lidars = Sensing(world, suite, light, scene=scene), lidars_of(suite, rig)
-    commander, told, samples = PlannerCommander(runtime, own), 0, list[VehicleSample]()
+    controller, written, samples = PlannerController(runtime, own), 0, list[VehicleSample]()
     fault = fault or Fault()
     with McapWriter(out) as writer:
         recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=noise)
         recorder.start(world, suite.mountings())
-        drives = drive(world, parameters, start, commander, steps=round(seconds / DT))
+        drives = drive(world, parameters, start, controller, steps=round(seconds / DT))
         for _, sample in zip(track(range(round(seconds / DT)), f"drive {out.name}"), drives, strict=False):
             samples.append(sample)
             recorder.vehicle(sample)
-            for event in runtime.events[told:]:
+            for event in runtime.events[written:]:
                 stamp = stamp_ns(sample.time)
                 writer.write(PLANNER_EVENTS, events_message((f"{event.mode}: {event.why}",), stamp), stamp)
-            told = len(runtime.events)
+            written = len(runtime.events)
             with runtime.watch.of("simulated sensors"):
                 messages = list(sensing.observe(sample, recorder.sensor_stamp_ns))
             for topic, message in messages:
@@ -126,9 +126,9 @@ def drive_planned(
                 for measured in fault.passed(measurement_of(message, lidars), sample.time):
                     runtime.image(measured) if isinstance(measured, Image) else runtime.scan(measured)
             fault.strike(runtime, sample.time)
-            if commander.arrived:
+            if controller.arrived:
                 break
-    return Driving(samples, commander.controls)
+    return Driving(samples, controller.controls)
 
 
 def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud | None:

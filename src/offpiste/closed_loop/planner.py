@@ -32,7 +32,7 @@ class Planner:
     weights: str = ""
 
     @property
-    def told(self) -> bool:
+    def knows_ground(self) -> bool:
         """Whether it knows the ground's true properties."""
         return self.extractor is None and self.dynamics.encoder is not None
 

@@ -96,7 +96,7 @@ def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
 
 def _add_paths(stream: Any, rr: Any, driven: Driven) -> None:
     """The course, and the driven path in colours of slip."""
-    course = rr.LineStrips3D([_lifted(driven, driven.laid.course.driven)], radii=0.06, colors=[255, 255, 255])
+    course = rr.LineStrips3D([_lifted(driven, driven.chosen.course.driven)], radii=0.06, colors=[255, 255, 255])
     stream.log("world/course", course, static=True)
     trace = driven.trace
     places, slip = _lifted(driven, trace.place[::EVERY]), trace.slip[::EVERY][:-1]

@@ -10,7 +10,7 @@ from offpiste.closed_loop.lockstep import Driving, time_of
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
-from offpiste.runtime.course_progress import Guide
+from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.prediction import Prediction
 
 FINISH = 3.0
@@ -40,9 +40,9 @@ class Trace:
 
 def trace_of(driving: Driving, course: Course) -> Trace:
     """What a drive was like beside its course."""
-    guide = Guide(course)
+    tracker = CourseTracker(course)
     place = np.stack([s.position[:2] for s in driving.samples])
-    off, target, progress = np.array([(guide.move(xy), guide.target, guide.progress) for xy in place]).T
+    off, target, progress = np.array([(tracker.move(xy), tracker.target, tracker.progress) for xy in place]).T
     speed = np.array([float(np.hypot(*s.velocity[:2])) for s in driving.samples])
     ratio = np.stack([s.truth.slip_ratio for s in driving.samples])
     angle = np.stack([s.truth.slip_angle for s in driving.samples])

@@ -87,7 +87,7 @@ class Controls:
     why: str = ""
 
 
-def judge(ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool) -> ModeDecision:
+def decide_mode(ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool) -> ModeDecision:
     """The worst of all troubles decides.
 
     Args:

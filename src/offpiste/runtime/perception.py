@@ -51,7 +51,7 @@ class Stopwatch:
 
 
 @dataclass(frozen=True)
-class Sight:
+class SensorSetup:
     """Through what a vehicle sees.
 
     Attributes:
@@ -64,7 +64,7 @@ class Sight:
     extract: ExtractFeatures | None = None
 
 
-class Seeing:
+class OnlineMapper:
     """Keeps the map.
 
     Args:
@@ -74,31 +74,31 @@ class Seeing:
 
     def __init__(
         self,
-        sight: Sight,
+        sensors: SensorSetup,
         encoder: FeatureEncoder | None,
         track: VehicleTrack,
         settings: MapperSettings,
         watch: Stopwatch,
     ) -> None:
-        self._sight, self._encoder, self._track = sight, encoder, track
+        self._sensors, self._encoder, self._track = sensors, encoder, track
         self._settings, self._watch = settings, watch
         self._layers: TerrainLayers | None = None
-        self.uses_features = encoder is not None and sight.extract is not None
+        self.uses_features = encoder is not None and sensors.extract is not None
         self._channels = encoder.size if encoder is not None and self.uses_features else 0
         self.dropped: Counter[str] = Counter()
-        self.begin_anew()
+        self.restart()
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Forget the map: what was mapped fits nothing that comes."""
         extract = self._codes if self.uses_features else _blind
-        cameras = self._sight.cameras if self.uses_features else {}
-        self._mapper = SensorMapper(cameras, self._sight.lidars, extract, self._channels, self._settings)
+        cameras = self._sensors.cameras if self.uses_features else {}
+        self._mapper = SensorMapper(cameras, self._sensors.lidars, extract, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
 
     def image(self, image: Image) -> None:
         """Look at an image, if it is any use; it counts with its own stamp, however late it comes."""
-        if not self.uses_features or image.camera not in self._sight.cameras:
+        if not self.uses_features or image.camera not in self._sensors.cameras:
             return
         pose = self._pose(image.camera, image.time)
         if pose is None:
@@ -108,7 +108,7 @@ class Seeing:
             self.image_time = max(self.image_time, image.time)
             return
         try:
-            with self._watch.of("look"):
+            with self._watch.of("extract features"):
                 self._mapper.add_image(image, pose)
         except PerceptionError:
             self.dropped["images without finite features"] += 1
@@ -152,9 +152,9 @@ class Seeing:
     @torch.no_grad()
     def _codes(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
         """Backbone, PCA and encoder: codes of patches, so that the map never holds features."""
-        assert self._sight.extract is not None
+        assert self._sensors.extract is not None
         assert self._encoder is not None
-        features = torch.from_numpy(self._sight.extract(pixels))
+        features = torch.from_numpy(self._sensors.extract(pixels))
         if not features.isfinite().all():
             raise PerceptionError("features are not finite")
         flat = features.flatten(0, 1)

@@ -22,10 +22,10 @@ from offpiste.planning.cost_map import cost_map
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
-from offpiste.runtime.course_progress import Guide
+from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import TrackRows, VehicleReading, VehicleTrack
-from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, judge
-from offpiste.runtime.perception import Seeing, Sight, Stopwatch
+from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, decide_mode
+from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
@@ -58,7 +58,7 @@ class Runtime:
     def __init__(
         self,
         dynamics: Dynamics,
-        sight: Sight,
+        sensors: SensorSetup,
         wheels: Float[np.ndarray, "4 2"],
         course: Course,
         settings: RuntimeSettings | None = None,
@@ -70,17 +70,17 @@ class Runtime:
         self._dynamics = dynamics.eval().requires_grad_(False)
         self._encoder = dynamics.encoder
         self._ground = ground
-        if self._encoder is not None and ground is None and sight.extract is None:
+        if self._encoder is not None and ground is None and sensors.extract is None:
             raise PlanningError("the model reads features, and nothing extracts them", how="give Sight(…, extract=…)")
         self._needed = np.isin(ACTUATORS, dynamics.vehicle.actuators)
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._generator = torch.Generator().manual_seed(seed)
         self.watch = Stopwatch()
-        self.guide = Guide(course)
+        self.course_tracker = CourseTracker(course)
         self._track, self._schedule = VehicleTrack(), Schedule()
         self._launch = Launch(self._settings.launch)
         encoder = None if ground is not None else self._encoder
-        self._seeing = Seeing(sight, encoder, self._track, self._settings.replay, self.watch)
+        self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
         self._now, self._plan_due, self._map_empty, self._stopping = np.inf, -np.inf, False, False
         self._predictions: deque[Prediction] = deque(maxlen=round(self._settings.remember * self._settings.plan_rate))
         self.events: list[Event] = []
@@ -94,7 +94,7 @@ class Runtime:
     @property
     def dropped(self) -> dict[str, int]:
         """Messages that were no use, by why."""
-        return dict(self._seeing.dropped)
+        return dict(self._mapper.dropped)
 
     def vehicle(self, reading: VehicleReading) -> None:
         """Take in what the vehicle says of itself; readings that are no use count as none (`dropped`)."""
@@ -102,42 +102,42 @@ class Runtime:
         if self._ahead("readings of the vehicle", reading.time):
             return
         if not reading.finite or not np.isfinite(reading.actuators[self._needed]).all():
-            self._seeing.dropped["readings of the vehicle that are not finite"] += 1
+            self._mapper.dropped["readings of the vehicle that are not finite"] += 1
         elif latest is not None and reading.time <= latest.time:
-            self._seeing.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
+            self._mapper.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
         else:
             if self._track.add(reading):
-                self._seeing.begin_anew()
-            self.guide.move(reading.position[:2])
+                self._mapper.restart()
+            self.course_tracker.move(reading.position[:2])
 
     def image(self, image: Image) -> None:
         """Take in an image."""
         if not self._ahead(image.camera, image.time):
-            self._seeing.image(image)
+            self._mapper.image(image)
 
     def scan(self, scan: Cloud) -> None:
         """Take in a scan."""
         if not self._ahead(scan.lidar, scan.time):
-            self._seeing.scan(scan)
+            self._mapper.scan(scan)
 
     def forget_map(self) -> None:
         """Begin the map anew."""
-        self._seeing.begin_anew()
+        self._mapper.restart()
 
     @torch.no_grad()
     def command(self, now: float) -> Controls:
         """What to do for the next `conventions.DT`; to be asked that often. If the clock goes back, all begins anew."""
         if now < self._now < np.inf:
-            self._begin_anew()
+            self._restart()
             self.events.append(Event(now, "stopping", "the clock went back"))
         self._now = now
-        decision = self._judge(now)
+        decision = self._current_mode(now)
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
             if decision.mode != "stopping" or decision.why in ("no plan", "empty map"):
                 with single_threaded_torch():
                     self._plan(now, decision)
-                decision = self._judge(now)
+                decision = self._current_mode(now)
         controls = self._follow(now, decision)
         self._track.commanded(now, controls.command)
         if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
@@ -148,31 +148,31 @@ class Runtime:
         """Whether a stamp is ahead of the clock, and a note: taken in, it would make all that follows look old."""
         ahead = time > self._now + self._settings.timeouts.ahead
         if ahead:
-            self._seeing.dropped[f"{what}: stamps ahead of the clock"] += 1
+            self._mapper.dropped[f"{what}: stamps ahead of the clock"] += 1
         return ahead
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self._track.clear()
         self._schedule.clear()
-        self._seeing.begin_anew()
+        self._mapper.restart()
         self._launch.reset()
         self._plan_due = -np.inf
 
-    def _judge(self, now: float) -> ModeDecision:
-        seen, latest, followed = self._seeing, self._track.latest, self._schedule.acting(now)
+    def _current_mode(self, now: float) -> ModeDecision:
+        seen, latest, followed = self._mapper, self._track.latest, self._schedule.acting(now)
         ages = Ages(
             state=now - (latest.time if latest else -np.inf),
             scan=now - seen.scan_time,
             image=now - seen.image_time if seen.uses_features else -np.inf,
             plan=now - followed.start if followed else np.inf,
         )
-        finished = self.guide.progress > self.guide.length - self._settings.arrived
-        return judge(ages, self._settings.timeouts, map_empty=self._map_empty, finished=finished)
+        finished = self.course_tracker.progress > self.course_tracker.length - self._settings.arrived
+        return decide_mode(ages, self._settings.timeouts, map_empty=self._map_empty, finished=finished)
 
     def _follow(self, now: float, decision: ModeDecision) -> Controls:
         """The plan, or a controlled stop; a stop that has begun is ended, unless it was over before it began."""
         planned = self._schedule.control(now)
-        stands = self._stands()
+        stands = self._at_standstill()
         bad = decision.mode == "stopping" or planned is None
         if not bad and not (self._stopping and not stands):
             self._stopping = False
@@ -192,17 +192,17 @@ class Runtime:
         latest = self._track.latest
         return np.inf if latest is None else float(np.hypot(*latest.velocity[:2]))
 
-    def _stands(self) -> bool:
+    def _at_standstill(self) -> bool:
         return self._speed < self._settings.standstill
 
     def _plan(self, now: float, decision: ModeDecision) -> None:
         """Plan from the map as it is; a plan that fails leaves the last one."""
         settings, latest = self._settings, self._track.latest
         assert latest is not None
-        layers = self._seeing.layers()
+        layers = self._mapper.layers()
         rows = self._track.rows(latest.time)
         state = rows.state[-1]
-        speed = max(float(np.hypot(*state[3:5])), self.guide.target)
+        speed = max(float(np.hypot(*state[3:5])), self.course_tracker.target)
         half = 0.5 * speed * DT * HORIZON_STEPS
         heading = np.array((np.cos(state[2]), np.sin(state[2])))
         near = cropped(layers, state[:2] + half * heading, half + settings.margin)
@@ -212,7 +212,7 @@ class Runtime:
         with self.watch.of("encode map"):
             area = coded_area(near, self._encoder, self._ground)
         with self.watch.of("cost map"):
-            stretch = self.guide.stretch(at_most=settings.slow if decision.slow else np.inf)
+            stretch = self.course_tracker.stretch(at_most=settings.slow if decision.slow else np.inf)
             costs = cost_map(near, stretch, settings.hazards)
         with self.watch.of("start"):
             offset = torch.from_numpy(state[:2].copy())
@@ -234,7 +234,7 @@ class Runtime:
         stop = np.array((0.0, self._settings.stop, 0.0))
         steps = max(round((start - first) / DT), 0)
         committed = self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
-        if self._stopping and not self._stands():  # the wheels follow the plan, the pedals do not
+        if self._stopping and not self._at_standstill():  # the wheels follow the plan, the pedals do not
             committed[:, :2] = stop[:2]
         else:
             committed[:, 0] = self._launch.ahead(committed[:, 0], self._speed)

@@ -10,7 +10,7 @@ import pytest
 from experiments.closed_loop_table import drives
 from experiments.closed_loop_table.drives import NEEDED, NEWER, Entry, drive_all, entries, places
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDrive, settings_of
+from offpiste.closed_loop.drive_course import CourseDriveSettings, settings_of
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import OffpisteError, RunError
 from offpiste.planning.costs.layers import Hazards
@@ -67,17 +67,17 @@ def test_a_course_that_cannot_be_laid_stops_no_other(driven, tmp_path):
     ("other", "what"),
     [
         ({"rows": [Entry(Planner("b", Path("/runs/another"), parametric()))]}, "run"),
-        ({"settings": CourseDrive(course=CourseSettings(speed=3.0))}, "course"),
-        ({"settings": CourseDrive(course=CourseSettings(traction=0.1))}, "course"),
-        ({"settings": CourseDrive(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
-        ({"settings": CourseDrive(seconds=10.0)}, "limit_s"),
-        ({"settings": CourseDrive(fault_start=5.0)}, "fault_start"),
-        ({"settings": CourseDrive(sensors="full")}, "sensors"),
+        ({"settings": CourseDriveSettings(course=CourseSettings(speed=3.0))}, "course"),
+        ({"settings": CourseDriveSettings(course=CourseSettings(traction=0.1))}, "course"),
+        ({"settings": CourseDriveSettings(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
+        ({"settings": CourseDriveSettings(seconds=10.0)}, "limit_s"),
+        ({"settings": CourseDriveSettings(fault_start=5.0)}, "fault_start"),
+        ({"settings": CourseDriveSettings(sensors="full")}, "sensors"),
         ({"rows": [Entry(replace(B, weights="trained anew"))]}, "weights"),
     ],
 )
 def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
-    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path, "settings": CourseDrive()}
+    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path, "settings": CourseDriveSettings()}
     drive_all(**given)
     with pytest.raises(RunError, match=f"another {what}"):
         drive_all(**given | other)

@@ -15,7 +15,7 @@ SPACING = 0.25
 
 
 @dataclass(frozen=True)
-class Reach:
+class TrackerRange:
     """How much of the course is looked at, from the vehicle's place on it [m].
 
     Attributes:
@@ -28,12 +28,12 @@ class Reach:
     search: float = 12.0
 
 
-class Guide:
+class CourseTracker:
     """Keeps the vehicle's place on a course."""
 
-    def __init__(self, course: Course, reach: Reach | None = None) -> None:
-        dense, self._reach = course.densified(SPACING), reach or Reach()
-        self._course = _prolonged(dense, self._reach.ahead)
+    def __init__(self, course: Course, limits: TrackerRange | None = None) -> None:
+        dense, self._limits = course.densified(SPACING), limits or TrackerRange()
+        self._course = _prolonged(dense, self._limits.ahead)
         step = np.linalg.norm(np.diff(self._course.path, axis=0), axis=1)
         self._arc = np.concatenate(([0.0], np.cumsum(step)))
         self._end = min(int(np.searchsorted(self._arc, course.end)), len(dense.path) - 1)
@@ -56,7 +56,7 @@ class Guide:
 
     def move(self, xy: Float[np.ndarray, " 2"]) -> float:
         """The vehicle has come to a place; returns its distance from the course there [m]."""
-        last = min(int(np.searchsorted(self._arc, self.progress + self._reach.search)), self._end)
+        last = min(int(np.searchsorted(self._arc, self.progress + self._limits.search)), self._end)
         away = np.linalg.norm(self._course.path[self._next : last + 1] - xy, axis=1)
         nearest = int(np.argmin(away))
         self._next += nearest
@@ -70,8 +70,8 @@ class Guide:
         Args:
             at_most: speed that is not exceeded [m/s].
         """
-        first = int(np.searchsorted(self._arc, self.progress - self._reach.back))
-        last = int(np.searchsorted(self._arc, self.progress + self._reach.ahead)) + 1
+        first = int(np.searchsorted(self._arc, self.progress - self._limits.back))
+        last = int(np.searchsorted(self._arc, self.progress + self._limits.ahead)) + 1
         chosen = slice(max(min(first, len(self._arc) - 2), 0), last)
         return Course(self._course.path[chosen], np.minimum(self._course.speed[chosen], at_most))
 

@@ -1,0 +1,75 @@
+"""The vehicle's place on its course."""
+
+import numpy as np
+import pytest
+
+from offpiste.planning.course import Course
+from offpiste.runtime.course_tracker import CourseTracker, TrackerRange
+
+
+def eight():
+    """A figure of eight that crosses itself at the origin."""
+    t = np.linspace(0, 2 * np.pi, 400)
+    return Course(np.stack((40 * np.sin(t), 20 * np.sin(2 * t)), axis=1), np.linspace(4.0, 8.0, 400))
+
+
+def test_where_a_course_crosses_itself_the_vehicle_stays_on_its_branch():
+    course = eight()
+    tracker, before = CourseTracker(course), 0.0
+    for place in course.path:
+        assert tracker.move(place) < 0.15
+        assert 0 <= tracker.progress - before < 3.0
+        before = tracker.progress
+    assert tracker.progress == pytest.approx(tracker.length, abs=0.3)
+    assert tracker.target == pytest.approx(8.0, abs=0.05)
+
+
+def test_distance_beside_a_straight_course():
+    tracker = CourseTracker(Course(np.array([[0.0, 0.0], [100.0, 0.0]]), np.full(2, 5.0)))
+    assert tracker.move(np.array((3.1, -1.5))) == pytest.approx(1.5, abs=0.02)
+    assert tracker.progress == pytest.approx(3.1, abs=0.13)
+    # It never goes back, and never skips further than its search.
+    tracker.move(np.array((1.0, 0.0)))
+    assert tracker.progress == pytest.approx(3.1, abs=0.13)
+    tracker.move(np.array((90.0, 0.0)))
+    assert tracker.progress == pytest.approx(3.1 + 12.0, abs=0.5)
+
+
+def test_the_stretch_is_what_lies_around():
+    tracker = CourseTracker(
+        Course(np.array([[0.0, 0.0], [100.0, 0.0]]), np.full(2, 5.0)), TrackerRange(back=5.0, ahead=20.0)
+    )
+    for x in range(0, 51, 10):
+        tracker.move(np.array((float(x), 0.0)))
+    stretch = tracker.stretch(at_most=3.0)
+    assert stretch.path[0, 0] == pytest.approx(45.0, abs=0.3)
+    assert stretch.path[-1, 0] == pytest.approx(70.0, abs=0.3)
+    assert set(stretch.speed) == {3.0}
+    for x in range(50, 101, 10):
+        tracker.move(np.array((float(x), 0.0)))
+    assert len(CourseTracker(Course(np.array([[0.0, 0.0], [0.2, 0.0]]), np.full(2, 5.0))).stretch().path) >= 2
+
+
+def test_beyond_its_end_a_course_goes_straight_on():
+    path = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 30.0]])
+    tracker = CourseTracker(Course(path, np.array([5.0, 5.0, 3.0])), TrackerRange(back=5.0, ahead=20.0))
+    for place in (*np.linspace(path[0], path[1], 9), *np.linspace(path[1], path[2], 9)):
+        tracker.move(place)
+    stretch = tracker.stretch()
+    np.testing.assert_allclose(stretch.path[-1], (50.0, 50.0), atol=0.3)
+    assert stretch.speed[-1] == pytest.approx(3.0)
+    # But it is driven at its own end.
+    tracker.move(np.array((50.0, 45.0)))
+    assert tracker.progress == tracker.length == pytest.approx(80.0)
+
+
+def test_beyond_its_end_a_course_goes_on_along_its_path():
+    path = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 30.0]])
+    course = Course(path, np.full(3, 5.0), end=40.0)
+    tracker = CourseTracker(course, TrackerRange(back=5.0, ahead=20.0))
+    for x in range(0, 51, 10):
+        tracker.move(np.array((float(x), 0.0)))
+    assert tracker.progress == tracker.length == pytest.approx(40.0)
+    assert tracker.stretch().path[-1] == pytest.approx((50.0, 10.0), abs=0.3), "round the corner, not straight on"
+    np.testing.assert_array_equal(course.driven, path[:1])
+    np.testing.assert_array_equal(Course(path, np.full(3, 5.0)).driven, path)
