@@ -224,12 +224,12 @@ def _derived(name: str) -> str:
 
 
 def _function(text: str, name: str, functions: dict[str, Function]) -> Callable[..., None]:
-    """A loop, compiled from its code."""
+    """A loop, compiled from its code and inlined: see `kernel_terrain`."""
     names: dict[str, Any] = {name: getattr(elementary, name) for name in ELEMENTARY}
     names |= {"f4": f4, "inf": np.inf, "uint64": np.uint64, "least": least, "find_cost_numbers": find_cost_numbers}
     names |= {known: PLANNING.inlined(function) for known, function in functions.items() if f"{known}(" in text}
     exec(text, names)
-    return PLANNING.loop(names[name])
+    return PLANNING.inlined(names[name])
 
 
 def _sources(functions: Iterable[Function]) -> list[str]:

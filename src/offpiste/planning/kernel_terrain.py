@@ -2,6 +2,8 @@
 
 Without branches and with one index a lane, reading becomes the processor's gathering instructions: lanes off the map
 read a cell of its border, and take something else where that does not count.
+
+The loops are inlined: a call passes seven words for each array through the stack, which took as long as the reading.
 """
 
 from typing import NamedTuple
@@ -121,7 +123,7 @@ def nearest_cell(grid: Grid, x: Lane, y: Lane) -> np.int32:
     return np.int32(np.rint(y)) * np.int32(grid.columns) + np.int32(np.rint(x))
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def find_cells(
     model_state: np.ndarray, heading: np.ndarray, wheel: np.ndarray, grid: Grid, cost_grid: Grid, cell: np.ndarray,
     corner: np.ndarray, u: np.ndarray, v: np.ndarray, cost_cell: np.ndarray,
@@ -144,7 +146,7 @@ def find_cells(
         cost_cell[i] = nearest if inside else np.int32(-1) - nearest
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def find_pose_cells(model_state: np.ndarray, cost_cell: np.ndarray, cost_grid: Grid) -> None:
     """Find the cells of the cost map at the pose points."""
     for i in range(LANES):
@@ -153,14 +155,14 @@ def find_pose_cells(model_state: np.ndarray, cost_cell: np.ndarray, cost_grid: G
         cost_cell[i] = cell if inside else np.int32(-1) - cell
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def find_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
     """Find where the numbers of cells begin that have so many each."""
     for i in range(LANES):
         index[i] = max(cells[i], np.int32(0)) * np.int32(size)
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def read_codes(w: np.ndarray, samples: TerrainSamples, ground: GroundCells, k: int) -> None:
     """Gather the codes under wheel k into the workspace."""
     size = len(ground.missing)
@@ -172,7 +174,7 @@ def read_codes(w: np.ndarray, samples: TerrainSamples, ground: GroundCells, k: i
             row[i] = code if samples.cell[i] >= 0 else missing
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def read_slope(grid: Grid, slope: np.ndarray, corner: np.ndarray, index: np.ndarray, corners: np.ndarray) -> None:
     """Gather the slope of the four cells around a wheel."""
     right, up = min(grid.columns - 1, 1), min(grid.rows - 1, 1) * grid.columns
@@ -184,7 +186,7 @@ def read_slope(grid: Grid, slope: np.ndarray, corner: np.ndarray, index: np.ndar
             row[i] = slope[np.uint64(index[i] + shift)]
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, cell: np.ndarray) -> None:
     """Add a quarter of a wheel's normal, from the slopes s; straight up where they are not known."""
     quarter, zero, one = f4(0.25), f4(0), f4(1)
@@ -203,7 +205,7 @@ def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, 
         normal[2 * LANES + i] += up
 
 
-@PLANNING.loop
+@PLANNING.inlined
 def find_cost_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
     """Find where the numbers of cells of the cost map begin, on the map and off it."""
     for i in range(LANES):
