@@ -99,7 +99,7 @@ def test_the_traction_by_hand():
 def test_no_course_where_nobody_could_drive_off_again(driven):
     chosen, world = driven[0].chosen, driven[0].world
     assert traction_along(world, chosen.course.driven).min() >= SETTINGS.course.traction
-    with pytest.raises(OffpisteError, match="no course can be laid"):
+    with pytest.raises(OffpisteError, match="no stretch of its trails makes a course"):
         choose_course(world, 3, replace(SETTINGS.course, traction=1.0))
 
 

@@ -60,7 +60,7 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, shift
-from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_model_state
+from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.sensors.imperfections import Imperfections
 from offpiste.simulation.simulate import DriveSettings, simulate
@@ -538,7 +538,7 @@ def plan() -> Results:
         price, states = fused_rollout(dynamics, past, drawn, at, weights, codes)
         found[f"{label}.fused.price"] = price.double().numpy()
         found |= told(f"{label}.fused.states", states, keep=150)
-        source = ground_ahead(dynamics, at, len(drawn), encoder)
+        source = situation_terrain(dynamics, at, len(drawn), encoder)
         trajectory = rollout(dynamics, spread_model_state(past, len(drawn)), drawn, source)
         found |= told(f"{label}.eager.states", trajectory.state, keep=150)
         terms = driving_terms(trajectory, drawn, at, weights)

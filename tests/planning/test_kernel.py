@@ -21,7 +21,7 @@ from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
-from offpiste.planning.rollouts import driving_costs, ground_ahead, spread_model_state
+from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.state import ModelState
 from planning_maps import layers, situation
 
@@ -79,7 +79,7 @@ def both(dynamics, at, controls, weights):
     """Costs, states: eager, fused; and the eager terms."""
     encoder = getattr(dynamics, "encoder", None)
     model_state = start(dynamics, at)
-    source = ground_ahead(dynamics, at, len(controls), encoder)
+    source = situation_terrain(dynamics, at, len(controls), encoder)
     trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source)
     eager = driving_costs(dynamics, model_state, at, weights, encoder)(controls), trajectory.state
     fused = fused_rollout(dynamics, model_state, controls, at, weights, encode_map(at.ground, encoder))

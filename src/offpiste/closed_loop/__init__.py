@@ -1,1 +1,1 @@
-"""Driving on the proving ground with learned models: what anticipating the ground is worth."""
+"""Closed loop on the proving ground: courses, drives by learned models, and their evaluation."""

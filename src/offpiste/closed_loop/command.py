@@ -1,4 +1,4 @@
-"""`offpiste drive`: from its arguments to a driven course, and a Rerun recording of it."""
+"""The work of `offpiste drive`: drive a course with a trained run, print tables, and record it for Rerun."""
 
 import logging
 from pathlib import Path
@@ -31,7 +31,7 @@ def run_drive(
     fault_start: float,
     recording: bool,
 ) -> Driven:
-    """Drive a course with a run (see `cli.Drive`), and tell how it went.
+    """Drive a course with a trained run (options as in `cli.drive.Drive`), and log the outcome.
 
     Raises:
         OffpisteError: no such run or world, a setting out of range, or `out` holds a drive already.
@@ -61,7 +61,7 @@ def run_drive(
 
 
 def modes_table(result: dict[str, Any]) -> Table:
-    """When the mode changed, and why."""
+    """Changes of mode, with time and reason."""
     table = Table(r"at \[s]", "mode", "why", title="changes of mode")
     for time, mode, why in result["modes"]:
         table.add_row(f"{time:.2f}", mode, why)
@@ -69,7 +69,7 @@ def modes_table(result: dict[str, Any]) -> Table:
 
 
 def stages_table(result: dict[str, Any]) -> Table:
-    """What the stages of the run time took."""
+    """Wall-clock times of the stages of the run time."""
     names = ("stage", "times", r"median \[ms]", r"95 % \[ms]", r"all \[s]")  # what is not escaped is a style
     table = Table(*names, title="what it took, by the wall clock")
     for stage, took in result["stages"].items():

@@ -1,4 +1,4 @@
-"""Courses through a world: along its trails, through bends whose ground holds otherwise than one would expect."""
+"""Courses along the trails of a world, through bends where friction differs from its mean."""
 
 from dataclasses import dataclass
 
@@ -17,33 +17,33 @@ from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World
 
 STEP = 1.0
-"""Of the points of a course [m]."""
+"""Spacing of the points of a course [m]."""
 
 SMOOTH = 1.5
-"""Deviation that friction and bends are smoothed with: a vehicle's length [m]."""
+"""Standard deviation of the smoothing of friction and curvature, about a vehicle's length [m]."""
 
 APART = 20.0
-"""A path ends at least so far before it would meet its beginning [m]."""
+"""Shortest gap between the end of a path and its beginning on a closed trail [m]."""
 
 RUN_OUT = 60.0
-"""The path goes on so far beyond the end of a course: straight on there may be a tree, and plans would brake [m]."""
+"""Length of path beyond the end of a course [m]; straight ahead there may be a tree, and plans would brake."""
 
-LEAST = 0.7
-"""Of a short path, so much is course."""
+SHORTEST_SHARE = 0.7
+"""Smallest share of a path that is course, where the trail is short."""
 
 
 @dataclass(frozen=True)
 class CourseSettings:
-    """What a course is like.
+    """Requirements on a course.
 
     Attributes:
-        speed: wanted all along [m/s]: the sharpest bends allow it only on the ground that holds best.
-        length: at most [m].
-        clearance: from the nearest trunk [m].
-        steepest: slope along or across (rise over run).
-        radius: of the sharpest bend [m].
-        traction: that is left everywhere (`traction_along`); on less, who once stands does not drive off again.
-        candidates: stretches that are compared; the one with the greatest `surprise` is taken.
+        speed: target speed [m/s]; the sharpest bends allow it only on ground of high friction.
+        length: longest course [m].
+        clearance: smallest distance from a trunk [m].
+        steepest: largest slope along or across (rise over run).
+        radius: smallest radius of a bend [m].
+        traction: smallest traction (`traction_along`); below it, a vehicle at a standstill is stuck.
+        candidates: number of stretches of trail that are compared; the one with the greatest `surprise` is chosen.
     """
 
     speed: float = 7.0
@@ -57,10 +57,10 @@ class CourseSettings:
 
 @dataclass(frozen=True)
 class ChosenCourse:
-    """A course and where it begins.
+    """A course and the vehicle's start on it.
 
     Attributes:
-        surprise: what not knowing the ground is about in speed [m/s] (`surprise_along`).
+        surprise: error of the allowed speed without knowledge of the ground [m/s] (`surprise_along`).
     """
 
     course: Course
@@ -69,34 +69,34 @@ class ChosenCourse:
 
 
 def choose_course(world: World, seed: int, settings: CourseSettings | None = None) -> ChosenCourse:
-    """The best of some stretches of the world's trails; the same seed lays the same course.
+    """Course with the greatest surprise among stretches of the world's trails; the same seed gives the same course.
 
     Raises:
-        OffpisteError: none of them can be driven.
+        OffpisteError: none of the stretches can be driven.
     """
     settings, terrain = settings or CourseSettings(), VisibleTerrain.of(world)
-    found: list[ChosenCourse] = []
+    candidates: list[ChosenCourse] = []
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
-        length = (len(path) - 1) * STEP  # a closed trail may be shorter than what was asked for
-        end = min(settings.length, max(length - RUN_OUT, LEAST * length))
+        length = (len(path) - 1) * STEP  # a closed trail may be shorter than wanted
+        end = min(settings.length, max(length - RUN_OUT, SHORTEST_SHARE * length))
         course = Course(path, np.full(len(path), settings.speed), end)
-        holds = traction_along(world, course.driven).min() >= settings.traction
-        if holds and _drivable(world, terrain, path, settings):
+        enough_traction = traction_along(world, course.driven).min() >= settings.traction
+        if enough_traction and _drivable(world, terrain, path, settings):
             heading = np.arctan2(*(path[2] - path[0])[::-1])
             start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
-            found.append(ChosenCourse(course, start, surprise_along(world, course.driven, settings.speed)))
-    if not found:
+            candidates.append(ChosenCourse(course, start, surprise_along(world, course.driven, settings.speed)))
+    if not candidates:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
-        raise OffpisteError("no course can be laid along its trails", where=place, how="take another seed")
-    return max(found, key=lambda laid: laid.surprise)
+        raise OffpisteError("no stretch of its trails makes a course", where=place, how="take another seed")
+    return max(candidates, key=lambda candidate: candidate.surprise)
 
 
 def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
-    """How far the speed that the ground allows is from what the world's mean friction would allow, on average [m/s].
+    """Mean difference between the speed that friction allows and what the world's mean friction would allow [m/s].
 
     Args:
-        speed: wanted: more than that is not of use [m/s].
+        speed: target speed, which caps both [m/s].
     """
     column = GROUND_PROPERTIES.index("friction")
     friction = world.properties[..., column]
@@ -110,7 +110,7 @@ def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -
 
 
 def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """What friction leaves to drive off with, over the weight: less rolling, spinning in soft ground, and the climb."""
+    """Force left to drive away with, over the weight: friction less rolling resistance, sinkage drag and climb."""
     under = {
         name: read_grid(world.properties[..., column], world.origin, world.resolution, path)
         for column, name in enumerate(GROUND_PROPERTIES)
@@ -122,7 +122,7 @@ def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.nda
 
 
 def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
-    """From each piece of a path to the next [rad]."""
+    """Change of heading from each piece of a path to the next [rad]."""
     reading = np.diff(path, axis=0)
     return np.diff(np.unwrap(np.arctan2(reading[:, 1], reading[:, 0])))
 
@@ -130,7 +130,7 @@ def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
 def _stretch(
     trails: tuple[Float[np.ndarray, "_ 2"], ...], rng: np.random.Generator, length: float
 ) -> Float[np.ndarray, "P 2"]:
-    """Some of a closed trail, either way round; a shorter trail is driven but for its last metres."""
+    """Stretch of a random closed trail, in either direction; a shorter trail is used up to its last metres."""
     trail = trails[int(rng.integers(len(trails)))]
     turned = np.roll(trail, -int(rng.integers(len(trail))), axis=0)[:: int(rng.choice((-1, 1)))]
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(turned, axis=0), axis=1))))

@@ -1,4 +1,4 @@
-"""One course, one planner: driven, judged, drawn and kept."""
+"""A drive of one course by one planner: simulated, evaluated, drawn and written."""
 
 import json
 import logging
@@ -33,19 +33,20 @@ from offpiste.simulation.world.world import World, WorldSettings
 logger = logging.getLogger(__name__)
 
 FASTEST = 30.0
-"""Speed that may be wanted [m/s]."""
+"""Largest target speed [m/s]."""
 
 
 @dataclass(frozen=True)
 class CourseDriveSettings:
-    """A drive of a course; the same settings and planner give the same drive.
+    """Settings of a drive of a course; the same settings and planner give the same drive.
 
     Attributes:
-        world: its seed also lays the course.
-        seconds: until the drive ends, wherever the vehicle is.
+        world: its seed also chooses the course.
+        seconds: longest drive [s].
         sensors: profile of `simulation.sensors`.
-        fault: of the sensors, from `fault_start` on [s].
-        keep_log: 4 MB a second; without it, cameras that nobody looks through are not simulated either.
+        fault: fault of the sensors, from `fault_start` on [s].
+        keep_log: whether drive.mcap is kept, 4 MB a second; without it, cameras are simulated only for planners that
+            read visual features.
     """
 
     world: WorldSettings = field(default_factory=WorldSettings)
@@ -60,10 +61,10 @@ class CourseDriveSettings:
 
 @dataclass(frozen=True)
 class Driven:
-    """A drive that is over.
+    """A finished drive.
 
     Attributes:
-        result: what result.json holds.
+        result: contents of result.json.
     """
 
     world: World
@@ -85,7 +86,7 @@ def drive_course(
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
 
     Args:
-        world, scene: of `settings.world`, where they are made already.
+        world, scene: made from `settings.world`; None to make them here.
 
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
@@ -128,7 +129,7 @@ def drive_course(
 
 
 def described(result: dict[str, Any]) -> str:
-    """A drive in one line."""
+    """Summary of a drive in one line."""
     incidents = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     error = result["plan_error_5s_m"]["mean"]
@@ -142,7 +143,7 @@ def described(result: dict[str, Any]) -> str:
 
 
 def check_settings(settings: CourseDriveSettings) -> None:
-    """Refuse what could only fail after minutes.
+    """Check the settings of a drive before it starts.
 
     Raises:
         OffpisteError: a setting is out of range.
@@ -162,10 +163,10 @@ def check_settings(settings: CourseDriveSettings) -> None:
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that cannot be one.
+    """Check that a path can be a folder.
 
     Raises:
-        OffpisteError: it is, or lies in, a file.
+        OffpisteError: it is a file, or lies in one.
     """
     for place in (out, *out.parents):
         if place.exists() and not place.is_dir():
@@ -221,7 +222,7 @@ def _result(
 
 
 def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, Any]:
-    """What tells a drive from others on the same course, as a result holds it: all but the noise, a function."""
+    """Settings that identify a drive on a course, as result.json holds them; without the noise, which is a function."""
     runtime = asdict(settings.runtime)
     runtime["sampling"].pop("noise")
     runtime["weights"] = settings.runtime.weights.values()

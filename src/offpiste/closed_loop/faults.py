@@ -1,4 +1,4 @@
-"""What can go wrong with the sensors of a vehicle that drives, on purpose."""
+"""Faults of the sensors, injected into a drive: messages lost or late, features or scans broken."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -16,11 +16,11 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass
 class Fault:
-    """A fault of the sensors that begins at some moment and stays.
+    """Fault of the sensors that begins at some moment and stays.
 
     Attributes:
-        start: since the start of the drive [s].
-        late: of an image that comes late [s].
+        start: time from the start of the drive [s].
+        late: delay of late images [s].
     """
 
     kind: Kind = "none"
@@ -31,7 +31,7 @@ class Fault:
     _struck: bool = False
 
     def passed(self, measured: Image | Cloud | None, time: float) -> list[Image | Cloud]:
-        """What arrives at the run time now, with its own stamp."""
+        """Messages that reach the run time now, with their own stamps."""
         self._now = time
         arrived: list[Image | Cloud] = []
         while self._waiting and self._waiting[0][0] <= time + 1e-6:  # sums of tenths are not tenths
@@ -49,18 +49,18 @@ class Fault:
         elif self.kind == "lidar-dropped":
             return arrived
         elif self.kind == "map-empty":
-            # Echoes from nowhere: far beyond the map.
+            # Echoes far above the map.
             return [*arrived, replace(measured, points=measured.points + np.array((0.0, 0.0, 1000.0)))]
         return [*arrived, measured]
 
     def strike(self, runtime: Runtime, time: float) -> None:
-        """What the fault does to the run time itself."""
+        """Apply the fault to the run time itself: an empty map is empty at once."""
         if self.kind == "map-empty" and time >= self.start and not self._struck:
             self._struck = True
             runtime.forget_map()
 
     def extractor(self, extract: ExtractFeatures) -> ExtractFeatures:
-        """What the backbone gives."""
+        """Feature extractor with the fault."""
 
         def faulty(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
             features = extract(pixels)

@@ -35,11 +35,11 @@ PLANNER_EVENTS = "/planner/events"
 
 @dataclass
 class PlannerController:
-    """Hands readings to the run time and its controls to the vehicle (`simulation.drive.Controller`).
+    """Passes readings to the run time and its controls to the vehicle (a `simulation.simulate.Controller`).
 
     Attributes:
-        rng: of the noise of the readings.
-        timeout: without progress for so long, though driving, the vehicle is stuck [s].
+        rng: noise of the readings.
+        timeout: the vehicle counts as stuck after this time without progress, unless it is stopped [s].
     """
 
     runtime: Runtime
@@ -51,13 +51,13 @@ class PlannerController:
 
     @property
     def arrived(self) -> bool:
-        """Whether the vehicle stands at the end of its course."""
+        """Whether the vehicle is at a standstill at the end of its course."""
         last = self.controls[-1] if self.controls else None
         return last is not None and last.mode == "stopped" and last.why == "end of the course"
 
     @property
     def stuck(self) -> bool:
-        """Whether it makes no way any more."""
+        """Whether the vehicle has made no progress for `timeout`."""
         return bool(self.controls) and self.controls[-1].time - self._since > self.timeout
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
@@ -75,8 +75,8 @@ class Driving:
     """A drive by the planner.
 
     Attributes:
-        samples: of the vehicle, every `conventions.DT`.
-        controls: in the same rows.
+        samples: states of the vehicle, every `conventions.DT`.
+        controls: commands in the same rows.
     """
 
     samples: list[VehicleSample]
@@ -97,12 +97,12 @@ def drive_planned(
     fault: Fault | None = None,
     scene: Scene | None = None,
 ) -> Driving:
-    """Let the run time drive, and write every message, its changes of mode among them, into a log.
+    """Let the run time drive, and log every message and every change of mode.
 
     Args:
-        fault: what the run time is made to suffer; the log has what the sensors sent.
-        seed: of noise and light.
-        scene: of the world, where it is built already.
+        fault: applied to what the run time receives; the log has what the sensors sent.
+        seed: seed of noise and light.
+        scene: built from the world; None to build it here.
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
     sensing, lidars = Sensing(world, suite, light, scene=scene), lidars_of(suite, rig)
@@ -132,7 +132,7 @@ def drive_planned(
 
 
 def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud | None:
-    """A camera's or LiDAR's message as the run time takes it; None for calibrations."""
+    """Image or cloud of a camera's or LiDAR's message; None for calibrations."""
     name = message.header.frame_id
     stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
     if hasattr(message, "format"):
@@ -144,12 +144,12 @@ def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud |
 
 
 def time_of(time: float) -> float:
-    """A drive's time as the stamps of its log have it [s]."""
+    """Stamp in the log of a time since the start of the drive [s]."""
     return START_NS * 1e-9 + round(time / DT) * DT
 
 
 def reading_of(sample: VehicleSample) -> VehicleReading:
-    """What the vehicle says of itself."""
+    """Reading of the vehicle as the run time receives it."""
     rate = yaw_rate_from_body_rates(sample.orientation[None], sample.angular_velocity[None])[0]
     measured = {
         "brake": sample.brake_pressure,
@@ -164,12 +164,12 @@ def reading_of(sample: VehicleSample) -> VehicleReading:
 
 
 def cameras_of(suite: SensorSuite, rig: Rig) -> dict[str, Camera]:
-    """Cameras of the vehicle, as a log has them."""
+    """Cameras of the vehicle by name, as a log has them."""
     return {c.name: Camera(c.name, c.model, _matrix(c.body_from_camera), rig.cameras[c.name]) for c in suite.cameras}
 
 
 def lidars_of(suite: SensorSuite, rig: Rig) -> dict[str, Lidar]:
-    """The LiDARs."""
+    """LiDARs of the vehicle by name, as a log has them."""
     return {s.name: Lidar(s.name, _matrix(s.body_from_lidar), rig.lidars[s.name]) for s in suite.lidars}
 
 

@@ -1,4 +1,4 @@
-"""A drive along a course, seen from above."""
+"""Picture of a drive along a course, from above."""
 
 from typing import Any
 
@@ -17,19 +17,19 @@ from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
 
 MARGIN = 15.0
-"""Around course and drive [m]."""
+"""Margin around course and driven path [m]."""
 
 SLIP_COLOURS, SLIP_LIMIT = "plasma", 0.4
-"""Colour map of the driven path, and the slip at its end."""
+"""Colour map of the driven path, and the slip at the upper end of its colour bar."""
 
 
 def course_picture(
     world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, every: int = 30
 ) -> Figure:
-    """The course, what was driven, coloured by slip, and where every so many plans led.
+    """Course, driven path coloured by slip, and predicted trajectories of some plans.
 
     Args:
-        every: one of so many plans is drawn.
+        every: one in this many plans is drawn.
     """
     shown = np.concatenate((course.driven, trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
@@ -63,7 +63,7 @@ def course_picture(
 
 
 def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
-    """What lines are; the driven path has the colours of its bar, of which one stands for all."""
+    """Handles and labels; the driven path, of many colours, is shown in the middle one."""
     handles, names = axes.get_legend_handles_labels()
     driven = Line2D([], [], color=colormaps[SLIP_COLOURS](0.5), linewidth=2.4)
     return [*handles, driven], [*names, "driven"]

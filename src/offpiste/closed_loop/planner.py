@@ -1,4 +1,4 @@
-"""A trained run as a planner: its model, what its features come from, and the PCA that belongs to it."""
+"""A trained run as a planner: its model, and the feature extractor with the PCA that it was trained with."""
 
 import hashlib
 import json
@@ -16,13 +16,13 @@ from offpiste.training.run import load_run
 
 @dataclass(frozen=True)
 class Planner:
-    """What plans.
+    """A trained model, with what it needs to drive.
 
     Attributes:
-        name: of the model; "ceiling" for one that is told the simulator's own ground properties.
-        folder: of the run.
-        looking: backbone and PCA; None where the model reads no visual features.
-        weights: hash of their file, since a run may be trained anew in its folder.
+        name: name of the model; "ceiling" for one that is given the simulator's own ground properties.
+        folder: folder of the run.
+        extractor: backbone and PCA; None where the model reads no visual features.
+        weights: hash of the file of weights, since a run may be trained again in its folder.
     """
 
     name: str
@@ -33,19 +33,19 @@ class Planner:
 
     @property
     def knows_ground(self) -> bool:
-        """Whether it knows the ground's true properties."""
+        """Whether the model is given the ground's true properties."""
         return self.extractor is None and self.dynamics.encoder is not None
 
 
 def load_planner(folder: Path, pca: Path | None = None) -> Planner:
-    """A run and, if its model reads visual features, their backbone and PCA.
+    """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:
         pca: the file that the run's dataset was extracted with.
 
     Raises:
-        RunError: no such run, or its features cannot be had: no PCA is given, or another one than it was trained with.
-        PerceptionError: not a PCA, or its backbone cannot be had.
+        RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with.
+        PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
     missing = [name for name in ("throttle", "steer") if name not in run.dynamics.vehicle.control]
@@ -74,9 +74,9 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
 
 
 def _pca_of_dataset(folder: Path) -> str | None:
-    """What tells the PCA of a run's dataset from others; None where its features are the ground's true properties.
+    """Identity of the PCA of a run's dataset; None where its features are the ground's true properties.
 
-    Runs say which PCA they were trained with, but for older ones and those that had none.
+    Only older runs, and those without a PCA, do not name it themselves.
     """
     about: dict[str, Any] = load_json(folder / "model.json")
     dataset = Path(about.get("dataset", ""))

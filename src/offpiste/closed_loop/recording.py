@@ -21,16 +21,16 @@ from offpiste.visualization.mesh import grid_triangles
 from offpiste.visualization.rerun_recording import following_eye
 
 LIFT = 0.3
-"""Lines are drawn so far above the ground [m]."""
+"""Height of lines above the ground [m]."""
 
 EVERY = 5
-"""Rows between two poses of the vehicle."""
+"""Rows from one drawn pose of the vehicle to the next."""
 
 STEP = 4
-"""Nodes of the world between two of the drawn ones."""
+"""Nodes of the world's grid from one drawn node to the next."""
 
 TIMELINE: Final = "drive"
-"""Seconds since the start."""
+"""Name of the timeline, in seconds since the start."""
 
 PLOTS: Final = {
     "speed": "speed [m/s]",
@@ -39,17 +39,17 @@ PLOTS: Final = {
     "controls": "controls",
     "mode": "mode: 3 driving, 2 degraded, 1 stopping, 0 stopped",
 }
-"""Entities and titles."""
+"""Titles of the plots by entity."""
 
 GREY, ORANGE, GREEN, RED, BLUE = [160, 160, 160], [230, 80, 30], [60, 170, 80], [215, 50, 60], [0, 160, 230]
-"""Of lines in plots."""
+"""Colours of lines in plots."""
 
 LEVEL: dict[Mode, int] = {"stopped": 0, "stopping": 1, "degraded": 2, "driving": 3}
-"""Of the mode, as a number to plot."""
+"""Mode as a number to plot."""
 
 
 def record_drive(driven: Driven, path: Path) -> None:
-    """Write a recording, whole or not at all.
+    """Write a drive as a Rerun recording, whole or not at all.
 
     Raises:
         MissingExtra: the extra `view` is not installed.
@@ -78,7 +78,7 @@ def _write(driven: Driven, path: Path) -> None:
 
 
 def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
-    """How a viewer arranges it: the world from above the vehicle, and beside it what was driven."""
+    """Layout of the viewer: the world from above the vehicle, plots and changes of mode beside it."""
     import rerun.blueprint as rrb
 
     world = rrb.Spatial3DView(
@@ -95,7 +95,7 @@ def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
 
 
 def _add_paths(stream: Any, rr: Any, driven: Driven) -> None:
-    """The course, and the driven path in colours of slip."""
+    """Add the course, and the driven path in colours of slip."""
     course = rr.LineStrips3D([_lifted(driven, driven.chosen.course.driven)], radii=0.06, colors=[255, 255, 255])
     stream.log("world/course", course, static=True)
     trace = driven.trace
@@ -122,7 +122,7 @@ def _add_vehicle(stream: Any, rr: Any, driven: Driven) -> None:
 
 
 def _add_numbers(stream: Any, rr: Any, driven: Driven) -> None:
-    """What the vehicle did and was told, as plots."""
+    """Add motion and commands of the vehicle as plots."""
     trace, controls = driven.trace, driven.driving.controls[: len(driven.driving.samples)]
     command = np.array([given.command for given in controls])
     numbers = {

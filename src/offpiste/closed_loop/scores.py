@@ -1,4 +1,4 @@
-"""How a drive along a course went, in numbers."""
+"""Scores of a drive along a course: time, errors of path and speed, cost, and errors of the plans."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.prediction import Prediction
 
 FINISH = 3.0
-"""So far before its end the course counts as driven [m]."""
+"""Distance from its end at which a course counts as driven [m]."""
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class Trace:
     """A drive, row by row.
 
     Attributes:
-        place: of the pose point [m].
-        speed: [m/s].
+        place: x, y of the pose point [m].
+        speed: horizontal speed [m/s].
         off: distance from the course [m].
-        target: speed wanted there [m/s].
-        progress: along the course [m].
+        target: target speed there [m/s].
+        progress: distance along the course [m].
         slip: mean over the wheels of hypot(slip ratio, tan of slip angle).
     """
 
@@ -39,7 +39,7 @@ class Trace:
 
 
 def trace_of(driving: Driving, course: Course) -> Trace:
-    """What a drive was like beside its course."""
+    """Drive compared with its course, row by row."""
     tracker = CourseTracker(course)
     place = np.stack([s.position[:2] for s in driving.samples])
     off, target, progress = np.array([(tracker.move(xy), tracker.target, tracker.progress) for xy in place]).T
@@ -51,12 +51,12 @@ def trace_of(driving: Driving, course: Course) -> Trace:
 
 
 def summary(driving: Driving, trace: Trace, length: float, limit: float, weights: CostWeights) -> dict[str, Any]:
-    """Numbers with their units in their names; means are over the time until the course was driven, or ended.
+    """Scores, with units in their names; means are over the time until the course was driven, or the drive ended.
 
     Args:
-        length: of the course [m].
-        limit: of the drive's time [s].
-        weights: of the planner.
+        length: length of the course [m].
+        limit: time limit of the drive [s].
+        weights: cost weights of the planner.
     """
     events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
     happened = {event for _, event in events}
@@ -89,14 +89,13 @@ def summary(driving: Driving, trace: Trace, length: float, limit: float, weights
 def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights) -> float:
     """Squared distance from the course and squared error of the speed, weighted and summed over time.
 
-    These are the terms of path and speed of what planners minimise, but with the vehicle's speed whichever way it
-    goes, where planners take its part along the course. Their terms of rough ground, hazards, rolling over, effort
-    and jerk are left out.
+    These are the planners' path and speed terms, but with the vehicle's speed in any direction, where planners take
+    its component along the course. Overspeed, hazard, rollover, effort and jerk are left out.
 
     Args:
-        rows: that count.
-        limit: where the course was not driven to its end, the vehicle counts as standing on it, without an error of
-            path, from `rows` until then [s].
+        rows: number of rows that count.
+        limit: where the end was not reached, the vehicle counts as at a standstill on the course from `rows` until
+            this time [s]; None where it was.
     """
     path = weights.path * trace.off[:rows] ** 2
     speed = weights.speed * (trace.speed - trace.target)[:rows] ** 2
@@ -105,13 +104,13 @@ def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeigh
 
 
 def prediction_errors(predictions: list[Prediction], place: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " P"]:
-    """Distance between where plans led after 5 s and where the vehicle was then [m]; the drive may have ended before.
+    """Distance between the predicted place after 5 s and the vehicle's place then [m], of plans that the drive covers.
 
-    The vehicle did not follow a plan to its end: it was made anew ten times a second.
+    The vehicle did not follow a plan to its end: a new one was made ten times a second.
     """
-    found = []
+    errors = []
     for prediction in predictions:
         row = round((prediction.time - time_of(0.0)) / DT) + HORIZON_STEPS
         if len(prediction.state) == HORIZON_STEPS and row < len(place):
-            found.append(float(np.linalg.norm(prediction.state[-1, :2] - place[row])))
-    return np.array(found)
+            errors.append(float(np.linalg.norm(prediction.state[-1, :2] - place[row])))
+    return np.array(errors)

@@ -1,4 +1,4 @@
-"""What controls may be: bounds, and how fast they may change."""
+"""Constraints on controls: bounds and rates."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ from offpiste.compilation import PLANNING, spread_kernel
 
 @dataclass(frozen=True)
 class Limits:
-    """What controls may be; one number for each.
+    """Bounds and rates, one number for each control.
 
     Attributes:
         low, high: bounds.
-        rate: largest change per second; None for any.
+        rate: largest change per second; None for no limit.
     """
 
     low: tuple[float, ...]
@@ -30,18 +30,18 @@ PEDALS_AND_WHEEL = Limits(
     high=tuple(control.high for control in CONTROLS),
     rate=tuple(control.rate for control in CONTROLS),
 )
-"""Of the controls in `offpiste.channels.CONTROLS`."""
+"""Limits of the controls in `offpiste.channels.CONTROLS`."""
 
 
 def keep_within(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Each step as near to what was wanted as bounds and rates allow after the step before.
+    """Controls moved into bounds and rates, step after step, each as near to the given one as they allow.
 
     On the CPU one compiled pass, elsewhere `keep_within_stepwise`.
 
     Args:
-        dt: a step [s].
+        dt: duration of a step [s].
         previous: the control before the first step; None leaves that one free.
     """
     if limits.rate is None or controls.device.type != "cpu" or controls.dtype not in (torch.float32, torch.float64):
@@ -57,7 +57,7 @@ def keep_within(
 def keep_within_stepwise(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """`keep_within` in torch, step after step, on any device: the reference."""
+    """Reference of `keep_within` in torch, step after step, on any device."""
     low, high, change = _bounds(limits, dt, controls)
     controls = controls.clamp(low, high)
     if limits.rate is None:
@@ -70,7 +70,7 @@ def keep_within_stepwise(
 
 
 def _bounds(limits: Limits, dt: float, controls: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Low, high, and the largest change of a step [U]."""
+    """Low and high bounds, and the largest change in a step [U]."""
     low, high = controls.new_tensor(limits.low), controls.new_tensor(limits.high)
     change = torch.full_like(low, torch.inf) if limits.rate is None else controls.new_tensor(limits.rate) * dt
     return low, high, change
@@ -88,10 +88,10 @@ def _walk(
     free: bool,
     kept: np.ndarray,
 ) -> None:
-    """Samples `first` ... `last - 1`; what is not a number stays so, and spreads to the steps behind it.
+    """Constrain samples `first` ... `last - 1`; NaN stays, and spreads to all later steps.
 
     Args:
-        free: the first step may be anything within bounds.
+        free: whether the first step is limited by bounds only.
     """
     _, steps, count = controls.shape
     before = np.empty_like(previous)

@@ -15,14 +15,14 @@ from offpiste.planning.course import Course, Goal
 
 @dataclass(frozen=True)
 class CostMap:
-    """Layers at cell centres; row j lies at y = origin[1] + j resolution, column i alike in x.
+    """Layers at cell centres; row j lies at y = origin[1] + j resolution, column i at x = origin[0] + i resolution.
 
     Attributes:
         origin: centre of cell [0, 0] in the world frame [m] (float64).
         resolution: size of a cell [m].
         layers: never NaN; speed limits may be infinite.
-        outside: value of each layer off the map; NaN for that of the nearest cell.
-        table: what the layers are, in their order.
+        outside: value of each layer off the map; NaN for the value of the nearest cell.
+        table: declarations of the layers, in their order.
     """
 
     origin: Float[Tensor, " 2"]
@@ -37,7 +37,7 @@ class CostMap:
         return tuple(layer.name for layer in self.table)
 
     def at(self, place: Float[Tensor, "*P 2"], offset: Float[Tensor, " 2"]) -> Float[Tensor, "*P C"]:
-        """Layers of the nearest cell; off the map as `outside` says.
+        """Values of the layers in the nearest cell; off the map those of `outside`.
 
         Layers that are read at the pose point are NaN where the place is not finite.
 
@@ -60,7 +60,7 @@ class CostMap:
 
 
 def cost_map(ground: TerrainLayers, course: Course | Goal, hazards: Hazards) -> CostMap:
-    """All declared layers of a map and a course or a goal, on the map's grid."""
+    """Cost map of all declared layers, on the grid of the terrain map."""
     sources = layer_sources()
     inputs = {"ground": ground, "course": course, "hazards": hazards}
     layers = np.concatenate([computed(source, inputs) for source in sources], -1, dtype=np.float32)

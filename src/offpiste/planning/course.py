@@ -12,11 +12,11 @@ from offpiste.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
 
 BLOCK = 4
-"""Side of a block [cells]; far from the path, its cells share their nearest point."""
+"""Side of a block [cells]; far from the path, the cells of a block share their nearest point."""
 
 NEAR = 6
-"""Distance from the path at which blocks are far [sides of a block]. There a point half a diagonal beside the nearest
-is 0.17 cells further; where another bend is as near, less than a diagonal."""
+"""Distance from the path beyond which blocks share a point [sides of a block]. The error of the distance there is
+0.17 cells, or less than a diagonal of the block where another bend is as near."""
 
 STRIDE = 8
 """Spacing of the points that are compared first [points]."""
@@ -28,11 +28,12 @@ def along_path(
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
 ) -> Float32[np.ndarray, "ny nx 1+V"]:
-    """Distance to the nearest point of a path [m], and its values: near the path exact, else from the middle of blocks.
+    """Distance of cells to the nearest point of a path [m], and that point's values; exact near the path.
 
     Args:
-        path: two points at least; quick where they are evenly spaced.
-        x, y: of the columns and rows of cells, evenly spaced [m].
+        path: two points at least; fastest where they are evenly spaced.
+        values: columns of values at the points.
+        x, y: coordinates of the columns and rows of cells, evenly spaced [m].
     """
     result = np.empty((len(y), len(x), 1 + values.shape[1]), np.float32)
     slack = STRIDE * float(np.linalg.norm(np.diff(path, axis=0), axis=1).max())
@@ -43,7 +44,7 @@ def along_path(
 
 @PLANNING.inlined
 def _nearest(px: float, py: float, path: np.ndarray, begin: int, end: int, stride: int) -> tuple[int, float]:
-    """Index of the nearest of every `stride`-th point, and its squared distance."""
+    """Index and squared distance of the nearest of every `stride`-th point."""
     best, least = begin, np.inf
     for k in range(begin, end, stride):
         dx, dy = path[k, 0] - px, path[k, 1] - py
@@ -55,7 +56,7 @@ def _nearest(px: float, py: float, path: np.ndarray, begin: int, end: int, strid
 
 @PLANNING.inlined
 def _within(px: float, py: float, path: np.ndarray, reach: float) -> tuple[int, int]:
-    """Range of points in the strides that begin within reach."""
+    """Range of points that covers all strides beginning within `reach` [m]."""
     begin, end = len(path), 0
     for k in range(0, len(path), STRIDE):
         dx, dy = path[k, 0] - px, path[k, 1] - py
@@ -76,7 +77,7 @@ def _fill(
     resolution: float,
     result: np.ndarray,
 ) -> None:
-    """Fill rows of blocks `first` ... `last - 1`.
+    """Fill the rows of blocks `first` ... `last - 1`.
 
     Args:
         slack: largest distance of a point from where its stride begins [m].
@@ -87,7 +88,7 @@ def _fill(
             px, py = x[column] + half, y[row * BLOCK] + half
             distance = np.sqrt(_nearest(px, py, path, 0, len(path), STRIDE)[1])
             near = distance < NEAR * BLOCK * resolution
-            # A cell lies up to sqrt(2) half beside the middle, and what is nearest to it as far again.
+            # A cell lies up to sqrt(2) half from the middle, and its nearest point up to as far again.
             begin, end = _within(px, py, path, distance + slack + (3 * half if near else 0.0))
             best, _ = _nearest(px, py, path, begin, end, 1)
             for j in range(row * BLOCK, min((row + 1) * BLOCK, len(y))):
@@ -102,20 +103,20 @@ def _fill(
 
 
 SHORTEST: Final = 0.01
-"""Length of the shortest path that leads somewhere [m]."""
+"""Length of the shortest valid path [m]."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """A path to drive along, with speeds.
+    """A path to drive along, with target speeds.
 
     Attributes:
         path: x, y of points along it [m].
-        speed: wanted at each of them [m/s].
-        end: length of the path that is driven [m]; what lies beyond shows plans how it continues.
+        speed: target speed at each point [m/s].
+        end: length of the path that is driven [m]; the rest shows plans how it continues.
 
     Raises:
-        PlanningError: the path leads nowhere.
+        PlanningError: the path is shorter than `SHORTEST`, or not finite.
     """
 
     path: Float[np.ndarray, "P 2"]
@@ -129,20 +130,20 @@ class Course:
 
     @property
     def driven(self) -> Float[np.ndarray, "_ 2"]:
-        """The path without what lies beyond the end."""
+        """Points of the path up to the end."""
         step = np.linalg.norm(np.diff(self.path, axis=0), axis=-1)
         return self.path[np.concatenate(([0.0], np.cumsum(step))) <= self.end]
 
     def densified(self, spacing: float) -> "Course":
-        """The same course with a point every `spacing` [m], on straight lines between those given."""
+        """Same course with a point every `spacing` [m], interpolated linearly."""
         length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(self.path, axis=0), axis=-1))))
         at = np.linspace(0, length[-1], max(int(np.ceil(length[-1] / spacing)) + 1, 2))
         x, y = (np.interp(at, length, column) for column in self.path.T)
         return Course(np.stack((x, y), axis=-1), np.interp(at, length, self.speed), self.end)
 
     def layers(self, ground: TerrainLayers) -> Float32[np.ndarray, "ny nx 4"]:
-        """Distance to the path, its direction and speed where it is nearest to each cell (to a quarter of a cell)."""
-        dense = self.densified(spacing=ground.resolution / 2)
+        """Distance to the path, and its direction and speed at the point nearest to each cell."""
+        dense = self.densified(spacing=ground.resolution / 2)  # the distance is right to a quarter of a cell
         step = np.gradient(dense.path, axis=0)
         direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
         values = np.concatenate((direction, dense.speed[:, None]), axis=-1, dtype=np.float32)
@@ -151,11 +152,11 @@ class Course:
 
 @dataclass(frozen=True)
 class Goal:
-    """A place to go to, straight from everywhere, slowing down to stop there.
+    """A place to drive to in a straight line, slowing down to stop there.
 
     Attributes:
         place: x, y in the world frame [m].
-        speed: far from it [m/s].
+        speed: target speed far from it [m/s].
         braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
     """
 
@@ -164,7 +165,7 @@ class Goal:
     braking: float = 2.0
 
     def layers(self, ground: TerrainLayers) -> Float[np.ndarray, "ny nx 4"]:
-        """Distance 0 (no place is off the way), direction to the goal and speed, as `Course.layers` has them."""
+        """Layers as of `Course.layers`: distance 0 everywhere, direction to the goal, and speed."""
         there = self.place - ground.centres
         distance = np.linalg.norm(there, axis=-1)
         direction = there / np.maximum(distance, 1e-9)[..., None]

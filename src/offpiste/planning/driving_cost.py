@@ -1,4 +1,4 @@
-"""The cost of driving along predicted trajectories: all declared terms in torch, the reference of the kernel."""
+"""Cost of driving along predicted trajectories: all declared terms in torch, the reference of the kernel."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,15 @@ from offpiste.state import Trajectory
 
 @dataclass(frozen=True)
 class Situation:
-    """Where and how a plan begins.
+    """Start of a plan: map, costs, state and last control.
 
     Attributes:
-        ground: a stack of one map, for the normals.
+        ground: stack of one terrain map, for the normals.
         costs: hazards and course.
-        wheels: in the body frame, from the pose point [m].
-        offset: of the frame of the trajectories in the world frame [m] (float64).
-        state: at the start.
-        control: commanded in the step before it.
+        wheels: positions in the body frame, from the pose point [m].
+        offset: origin of the trajectories' frame in the world frame [m] (float64).
+        state: state at the start.
+        control: control of the step before the start.
     """
 
     ground: MapStack
@@ -39,7 +39,7 @@ class Situation:
 def driving_cost(
     trajectory: Trajectory, controls: Float[Tensor, "K T 3"], situation: Situation, weights: CostWeights
 ) -> Float[Tensor, " K"]:
-    """Sum of all terms over time; not finite where a state is not."""
+    """Sum of all terms over time for each trajectory; not finite where a state is not."""
     terms = driving_terms(trajectory, controls, situation, weights)
     return DT * torch.stack(tuple(terms.values())).sum(dim=(0, 2))
 
@@ -62,12 +62,12 @@ def terms_after(
     situation: Situation,
     weights: CostWeights,
 ) -> dict[str, Float[Tensor, "*B"]]:
-    """Cost per second of each term after single steps, for planners that go step by step.
+    """Cost per second of each term after single steps, for planners that work step by step.
 
     Args:
-        state: after a step.
-        velocity_before: vx, vy before it [m/s].
-        control, control_before: commanded during it, and during the step before.
+        state: state after a step.
+        velocity_before: vx, vy before the step [m/s].
+        control, control_before: controls of the step, and of the step before.
         situation: its state and control are not read.
     """
     numbers, terms = weights.values(), cost_terms()
@@ -105,7 +105,7 @@ def _motion(state: Tensor, velocity_before: Tensor, control: Tensor, situation: 
 
 
 def _layers(place: Float[Tensor, "*B 2"], wheels: Float[Tensor, "*B 4 2"], situation: Situation) -> dict[str, Tensor]:
-    """Layers of the cost map where each is read, by name."""
+    """Values of the cost map's layers, each where its declaration says, by name."""
     costs = situation.costs
     under, here = costs.at(wheels, situation.offset), costs.at(place, situation.offset)
     return {

@@ -1,8 +1,8 @@
-"""Model predictive path integral control: sample control sequences, weigh them by their costs, take their mean.
+"""Model predictive path integral control (MPPI): the mean of sampled control sequences, weighted by their costs.
 
 After Williams, Drews, Goldfain, Rehg and Theodorou, "Information-theoretic model predictive control" (T-RO 2018,
-algorithm 2), with the low-frequency noise of Vlahov et al. (RA-L 2024). Nothing here knows what is planned for: costs
-of control sequences come from a function (`rollouts`, `fused`).
+algorithm 2), with the low-frequency noise of Vlahov et al. (RA-L 2024). Costs of control sequences come from a function
+(`rollouts`, `kernel`); nothing here depends on what it does.
 """
 
 from collections.abc import Callable
@@ -21,28 +21,28 @@ from offpiste.planning.noise import Noise, coloured
 __all__ = ["PEDALS_AND_WHEEL", "CostOf", "Limits", "Plan", "Settings", "improve", "limited", "sample", "shift"]
 
 CostOf = Callable[[Tensor], Tensor]
-"""From control sequences [K, T, U] to their costs [K]; what is not finite counts as infinitely dear."""
+"""Costs [K] of control sequences [K, T, U]; a sequence whose cost is not finite has no weight."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How to plan.
+    """Settings of the planner.
 
     Attributes:
-        limits: of the controls.
+        limits: bounds and rates of the controls.
         deviation: standard deviation of the noise of each control.
         samples: K, the first of which is the plan itself.
-        temperature: lambda, in units of cost: samples dearer than the best by more hardly count.
-        iterations: how often to sample and average.
-        noise: unit noise (`noise`).
+        temperature: lambda [cost]; samples that cost much more than this above the best hardly count.
+        iterations: number of times to sample and average.
+        noise: unit noise (`planning.noise`).
         wide, width: share of samples whose noise is `width` times as large.
         fresh: share of samples around `rest` instead of the plan; the first of them is `rest` without noise.
-        fresh_width: the noise of the others is so many times as large: ways out may be far from rest, too.
-        rest: the controls when nothing is done; zeros if None.
+        fresh_width: factor of the noise of the other fresh samples; a way out may be far from rest.
+        rest: controls at rest; zeros if None.
         control_cost: gamma, weight of sum_t u_t Sigma^-1 (v_t - u_t); `temperature` for the likelihood ratio of white
             noise about zero (Williams et al., eq. 18), 0 for costs alone.
         smoothing: odd length of a Savitzky-Golay filter of third order over the plan [steps]; 0 for none.
-        dt: a step [s], for the rates.
+        dt: duration of a step [s], for the rates.
 
     Raises:
         ValueError: `smoothing` is even.
@@ -73,9 +73,9 @@ class Plan:
     """The outcome of planning.
 
     Attributes:
-        controls: as commanded during each step.
-        costs: of the last iteration's samples; the first is that of the plan before it.
-        weights: of the same samples; they sum to 1.
+        controls: control of each step.
+        costs: costs of the last iteration's samples; the first sample is the plan before that iteration.
+        weights: weights of the same samples; they sum to 1.
     """
 
     controls: Float[Tensor, "T U"]
@@ -84,7 +84,7 @@ class Plan:
 
     @property
     def effective_samples(self) -> float:
-        """1 / sum of squared weights: 1 if one sample decides, K if costs tell nothing."""
+        """Effective number of samples, 1 / sum of squared weights: from 1, if one has all weight, to K."""
         return 1 / float(self.weights.square().sum())
 
 
@@ -97,12 +97,12 @@ def improve(
     *,
     previous: Float[Tensor, " U"] | None = None,
 ) -> Plan:
-    """A better plan than `controls`; deterministic for a generator's state.
+    """Improve a plan; deterministic for a generator's state.
 
     Args:
         controls: the plan so far, e.g. the last one after `shift`; its device and type are used throughout.
-        generator: on the same device.
-        previous: the control commanded before the first step, which limits of rates start from.
+        generator: source of the noise, on the same device.
+        previous: control before the first step, where limits of rates start.
 
     Raises:
         PlanningError: no sample has a finite cost.
@@ -118,7 +118,7 @@ def improve(
 
 
 def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Generator) -> Float[Tensor, "K T U"]:
-    """The plan itself, sequences around rest, then widely and then narrowly around the plan."""
+    """Sampled sequences: the plan itself, then around rest, widely around the plan, and narrowly around it."""
     count = settings.samples
     fresh, wide = round(settings.fresh * count), round(settings.wide * count)
     deviation = controls.new_tensor(settings.deviation)
@@ -136,7 +136,7 @@ def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Genera
 def limited(
     controls: Float[Tensor, "K T U"], settings: Settings, previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Each step as near to what was wanted as bounds and rates allow after the step before.
+    """Controls moved into the limits of the settings (`constraints.keep_within`).
 
     Args:
         previous: the control before the first step; None leaves that one free.
@@ -147,7 +147,7 @@ def limited(
 def control_costs(
     samples: Float[Tensor, "K T U"], controls: Float[Tensor, "T U"], settings: Settings
 ) -> Float[Tensor, " K"]:
-    """The term gamma sum_t u_t Sigma^-1 (v_t - u_t), with what limits left of the noise."""
+    """Control costs gamma sum_t u_t Sigma^-1 (v_t - u_t), with the noise that the limits leave."""
     if settings.control_cost == 0:
         return samples.new_zeros(len(samples), dtype=torch.float64)
     scaled = controls / controls.new_tensor(settings.deviation).square()
@@ -155,7 +155,7 @@ def control_costs(
 
 
 def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]:
-    """exp(-cost / temperature), scaled to sum to 1; 0 where the cost is not finite.
+    """Weights exp(-cost / temperature), scaled to sum to 1; 0 where the cost is not finite.
 
     Raises:
         PlanningError: no cost is finite.
@@ -164,13 +164,13 @@ def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]
     if not finite.any():
         how = "stop, or look for what is not finite in the start, the map or the cost"
         raise PlanningError(f"none of {len(costs)} sampled trajectories has a finite cost", how=how)
-    # The least is taken away first: exp of all of a set of large costs would be 0.
+    # The least cost is subtracted first, since exp of large costs alone would underflow to 0.
     above = torch.where(finite, costs, torch.inf) - costs[finite].min()
     return torch.softmax(-above / temperature, dim=0)
 
 
 def smoothed(controls: Float[Tensor, "T U"], window: int) -> Float[Tensor, "T U"]:
-    """A Savitzky-Golay filter of third order, as Williams et al. use; the ends are held."""
+    """Plan smoothed by a Savitzky-Golay filter of third order, as Williams et al. use; the ends are held."""
     if window <= 3:
         return controls
     kernel = torch.as_tensor(savgol_coeffs(window, 3).copy(), dtype=controls.dtype, device=controls.device)
@@ -180,6 +180,6 @@ def smoothed(controls: Float[Tensor, "T U"], window: int) -> Float[Tensor, "T U"
 
 
 def shift(controls: Float[Tensor, "T U"], steps: int = 1) -> Float[Tensor, "T U"]:
-    """The plan after `steps` of it were driven: what is left, and the last control held (warm start)."""
+    """Rest of a plan after `steps` of it were driven, its last control held (warm start)."""
     steps = min(steps, len(controls))
     return torch.cat((controls[steps:], controls[-1:].expand(steps, -1)))

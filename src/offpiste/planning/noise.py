@@ -1,7 +1,7 @@
-"""Noise for sampled control sequences, of unit size: planners multiply it by a standard deviation per control.
+"""Noise of unit variance for sampled control sequences; planners multiply it by a standard deviation per control.
 
-Every function draws [K, T, U] (samples, steps, controls) from a `torch.Generator`, on its device; samples and controls
-are independent, steps are as the function says.
+Every function draws [K, T, U] (samples, steps, controls) from a `torch.Generator`, on its device. Samples and controls
+are independent; how steps are correlated depends on the function.
 """
 
 import math
@@ -15,7 +15,7 @@ Shape = tuple[int, int, int]
 """Samples K, steps T, controls U."""
 
 Noise = Callable[[Shape, Generator, torch.dtype], Tensor]
-"""One of the functions below, with its options bound (`functools.partial`)."""
+"""Type of the functions below, their options bound by `functools.partial`."""
 
 
 def gaussian(shape: Shape, generator: Generator, dtype: torch.dtype = torch.float32) -> Float[Tensor, "K T U"]:
@@ -51,8 +51,9 @@ def coloured(
 
     Args:
         exponent: 0 white, 1 pink, 2 like a random walk.
-        period: after how many steps the noise would repeat; by default 2 T, so that the end knows nothing of the start.
-        highest: frequency above which there is none [1 / period]; None for all. Drawing few takes less time.
+        period: number of steps after which the noise would repeat; 2 T by default, so that its end is not tied to its
+            start.
+        highest: highest frequency that is drawn [1 / period]; None for all. Fewer take less time.
 
     Raises:
         ValueError: the period is shorter than the steps.
@@ -62,7 +63,7 @@ def coloured(
     if period < steps:
         raise ValueError(f"noise of {steps} steps needs a period of at least as many, not {period}")
     power = spectrum(period, exponent, highest)
-    # `irfft` reads only the real part of what is its own conjugate: it must have all of the power.
+    # `irfft` reads only the real part of coefficients that are their own conjugates: it must have all of the power.
     power[0] *= 2
     if period % 2 == 0 and len(power) > period // 2:
         power[-1] *= 2

@@ -1,6 +1,7 @@
-"""Planning with one foot: a single pedal, from full brake (-1) over none (0) to full throttle (+1), and the wheel.
+"""Planning with a single pedal, throttle minus brake, from full brake (-1) to full throttle (+1), and the steering.
 
-With two feet a planner presses both pedals at once where its model, which was never shown that, expects wonders of it.
+With two independent pedals a planner presses both at once: no training data show that, so the model's predictions of
+it are wrong, and may be too good.
 """
 
 from typing import Final
@@ -12,25 +13,25 @@ from torch import Tensor
 from offpiste.planning.mppi import CostOf, Limits
 
 PEDAL_AND_WHEEL: Final = Limits(low=(-1.0, -1.0), high=(1.0, 1.0), rate=(6.0, 4.0))
-"""Of pedal and steer [1, 1/s]."""
+"""Bounds [1] and rates [1/s] of pedal and steer."""
 
 
-def controls_of(feet: Float[Tensor, "*P 2"]) -> Float[Tensor, "*P 3"]:
-    """Throttle, brake and steer of pedal and steer."""
-    pedal, steer = feet.unbind(-1)
+def controls_of(pedal_and_steer: Float[Tensor, "*P 2"]) -> Float[Tensor, "*P 3"]:
+    """Throttle, brake and steer from pedal and steer."""
+    pedal, steer = pedal_and_steer.unbind(-1)
     return torch.stack((pedal.clamp(min=0), (-pedal).clamp(min=0), steer), dim=-1)
 
 
 def pedals_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
-    """Pedal and steer of throttle, brake and steer; of both pedals pressed, the difference."""
+    """Pedal (throttle minus brake) and steer from throttle, brake and steer."""
     throttle, brake, steer = controls.unbind(-1)
     return torch.stack((throttle - brake, steer), dim=-1)
 
 
 def with_pedal(cost_of: CostOf) -> CostOf:
-    """Costs of pedal and steer [K, T, 2]."""
+    """Costs of sequences of pedal and steer [K, T, 2], from costs of throttle, brake and steer."""
 
-    def cost(feet: Float[Tensor, "K T 2"]) -> Float[Tensor, " K"]:
-        return cost_of(controls_of(feet))
+    def cost(pedal_and_steer: Float[Tensor, "K T 2"]) -> Float[Tensor, " K"]:
+        return cost_of(controls_of(pedal_and_steer))
 
     return cost

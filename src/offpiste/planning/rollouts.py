@@ -1,4 +1,4 @@
-"""Costs of control sequences by rolling a model out: the eager reference, for any model and any cost."""
+"""Costs of control sequences by rollouts of a model in torch: the reference of the kernel, for any model and cost."""
 
 from collections.abc import Callable
 
@@ -20,9 +20,9 @@ def model_costs(
     """Costs of the trajectories that a model predicts.
 
     Args:
-        model_state: the start, a batch of one.
-        source: of the ground for K rollouts.
-        cost: from predicted trajectories and their controls [K, T, 3] to costs [K], e.g. `driving_cost`.
+        model_state: model state at the start, a batch of one.
+        source: terrain for K rollouts.
+        cost: costs [K] of predicted trajectories and their controls [K, T, 3], e.g. `driving_cost`.
     """
 
     def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
@@ -41,12 +41,13 @@ def driving_costs(
     """Costs of driving on the situation's map.
 
     Args:
-        model_state: the start, a batch of one, in `situation.state`.
-        encode: of the map's features; None for models without features. `lookup.as_codes` where it holds codes.
+        model_state: model state at the start, a batch of one, in `situation.state`.
+        encode: encoder of the map's features; None for models without features; `terrain_sampler.as_codes` where the
+            map holds codes.
     """
 
     def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
-        source = ground_ahead(dynamics, situation, len(controls), encode)
+        source = situation_terrain(dynamics, situation, len(controls), encode)
 
         def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
             return driving_cost(trajectory, controls, situation, weights)
@@ -56,8 +57,10 @@ def driving_costs(
     return cost_of
 
 
-def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode: Encode | None = None) -> TerrainSource:
-    """The situation's map for as many rollouts, as the model reads it: one that holds codes keeps those of the start.
+def situation_terrain(
+    dynamics: Dynamics, situation: Situation, samples: int, encode: Encode | None = None
+) -> TerrainSource:
+    """Terrain of the situation's map for `samples` rollouts; for models that hold codes, with those of the start.
 
     Args:
         encode: as in `driving_costs`.
@@ -71,8 +74,7 @@ def ground_ahead(dynamics: Dynamics, situation: Situation, samples: int, encode:
 
 
 def spread_model_state(model_state: ModelState, samples: int) -> ModelState:
-    """The model state of one rollout, for as many samples."""
-    """A model state of one, for as many samples."""
+    """Model state of one rollout, repeated for `samples` rollouts."""
     return ModelState(
         *(
             part.expand(samples, -1)
@@ -88,13 +90,13 @@ def callable_costs(
     *,
     terminal_cost: Callable[[Tensor], Tensor] | None = None,
 ) -> CostOf:
-    """Costs with plain functions, as pytorch_mppi and similar planners take them.
+    """Costs by plain functions, as pytorch_mppi and similar planners take them.
 
     Args:
-        dynamics: from states [K, S] and controls [K, U] to the next states.
-        running_cost: of the states after a step and its controls [K].
-        state: the start.
-        terminal_cost: of the last states [K].
+        dynamics: next states from states [K, S] and controls [K, U].
+        running_cost: costs [K] of the states after a step and its controls.
+        state: state at the start.
+        terminal_cost: costs [K] of the last states.
     """
 
     def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:

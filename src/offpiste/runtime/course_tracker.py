@@ -1,6 +1,7 @@
-"""How far along its course the vehicle is, and the stretch that matters now.
+"""Position of the vehicle along its course, and the section of the course around it.
 
-A course may cross itself: the place on it is looked for only near the last one, and only the stretch ahead is drawn.
+A course may cross itself: the position is searched only a little ahead of the last one, and only the section ahead
+enters the cost map.
 """
 
 from dataclasses import dataclass
@@ -11,16 +12,16 @@ from jaxtyping import Float
 from offpiste.planning.course import Course
 
 SPACING = 0.25
-"""Of the points that the vehicle's place is looked for among [m]."""
+"""Spacing of the candidate points along the path [m]."""
 
 
 @dataclass(frozen=True)
 class TrackerRange:
-    """How much of the course is looked at, from the vehicle's place on it [m].
+    """Distances along the course from the vehicle's position on it [m].
 
     Attributes:
-        back, ahead: what is drawn.
-        search: the place may move on by so much at once.
+        back, ahead: extent of the section that enters the cost map.
+        search: largest advance of the position in one step.
     """
 
     back: float = 6.0
@@ -29,7 +30,11 @@ class TrackerRange:
 
 
 class CourseTracker:
-    """Keeps the vehicle's place on a course."""
+    """Tracks the vehicle's position along a course; it never moves backwards.
+
+    Args:
+        limits: of the search and of the section.
+    """
 
     def __init__(self, course: Course, limits: TrackerRange | None = None) -> None:
         dense, self._limits = course.densified(SPACING), limits or TrackerRange()
@@ -41,21 +46,21 @@ class CourseTracker:
 
     @property
     def length(self) -> float:
-        """Of the course, to its end [m]."""
+        """Length of the course to its end [m]."""
         return float(self._arc[self._end])
 
     @property
     def progress(self) -> float:
-        """Of the vehicle along it [m]."""
+        """Distance driven along the course [m]."""
         return float(self._arc[self._next])
 
     @property
     def target(self) -> float:
-        """Speed wanted here [m/s]."""
+        """Target speed at the vehicle's position [m/s]."""
         return float(self._course.speed[self._next])
 
     def move(self, xy: Float[np.ndarray, " 2"]) -> float:
-        """The vehicle has come to a place; returns its distance from the course there [m]."""
+        """Advance to the point of the course nearest to the vehicle at `xy` [m]; returns their distance [m]."""
         last = min(int(np.searchsorted(self._arc, self.progress + self._limits.search)), self._end)
         away = np.linalg.norm(self._course.path[self._next : last + 1] - xy, axis=1)
         nearest = int(np.argmin(away))
@@ -63,12 +68,12 @@ class CourseTracker:
         return float(away[nearest])
 
     def stretch(self, *, at_most: float = np.inf) -> Course:
-        """What lies a little behind and ahead; beyond the last point of its path the course goes straight on.
+        """Section of the course around the vehicle, extended straight beyond the last point of the path.
 
-        If it ended there, plans would lead no further: the vehicle would creep up to the end, and not get there.
+        Without the extension, plans would end with the path: the vehicle would creep towards the end and not reach it.
 
         Args:
-            at_most: speed that is not exceeded [m/s].
+            at_most: limit of the target speed [m/s].
         """
         first = int(np.searchsorted(self._arc, self.progress - self._limits.back))
         last = int(np.searchsorted(self._arc, self.progress + self._limits.ahead)) + 1
@@ -77,7 +82,7 @@ class CourseTracker:
 
 
 def _prolonged(course: Course, length: float) -> Course:
-    """A dense course that goes straight on for some metres."""
+    """A dense course, extended straight by `length` [m]."""
     direction = course.path[-1] - course.path[-2]
     steps = SPACING * np.arange(1, round(length / SPACING) + 1)[:, None]
     beyond = course.path[-1] + steps * direction / max(float(np.linalg.norm(direction)), 1e-9)

@@ -1,4 +1,4 @@
-"""What the vehicle has said of itself in the last seconds, for planning and mapping: rows at 50 Hz, and poses."""
+"""State of the vehicle over the last seconds, from its readings: rows at 50 Hz for planning, poses for mapping."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.poses import Poses
 
 JUMP = 1.0
-"""A pose further from where the vehicle's speed would have brought it than this is a jump [m]."""
+"""Distance of a pose from the one that speed and time predict, above which it counts as a jump [m]."""
 
 
 @dataclass(frozen=True)
 class VehicleReading:
-    """The vehicle at one moment.
+    """One reading of the vehicle's state and actuators.
 
     Attributes:
         time: stamp [s].
@@ -28,7 +28,7 @@ class VehicleReading:
         orientation: world_from_body, xyzw.
         velocity: of the pose point in the world frame [m/s].
         yaw_rate: d(yaw)/dt [rad/s].
-        actuators: of `conventions.ACTUATORS`; NaN where the vehicle does not tell.
+        actuators: of `conventions.ACTUATORS`; NaN where the vehicle does not measure them.
         extra: values of columns that extensions declare (`dataset.columns.COLUMNS`), by name.
     """
 
@@ -42,14 +42,14 @@ class VehicleReading:
 
     @property
     def finite(self) -> bool:
-        """Whether nothing that is needed is missing."""
+        """Whether time, pose and velocities are finite, and the orientation is not zero."""
         known = np.concatenate(([self.time, self.yaw_rate], self.position, self.orientation, self.velocity))
         return bool(np.isfinite(known).all() and np.abs(self.orientation).max() > 0)
 
 
 @dataclass(frozen=True)
 class TrackRows:
-    """Rows t-10 ... t of the vehicle (`conventions.DT` apart), estimated from the past only.
+    """Rows t-10 ... t of the vehicle, `conventions.DT` apart, estimated from the past only.
 
     Attributes:
         state: `conventions.STATE`, in the world frame, yaw unwrapped.
@@ -67,7 +67,7 @@ class VehicleTrack:
     """Readings and commands of the last seconds.
 
     Args:
-        seconds: that are kept.
+        seconds: how long they are kept [s].
         max_gap: poses are not interpolated between readings further apart [s].
     """
 
@@ -78,16 +78,16 @@ class VehicleTrack:
 
     @property
     def latest(self) -> VehicleReading | None:
-        """The last reading."""
+        """The last reading; None before the first."""
         return self._readings[-1] if self._readings else None
 
     @property
     def enough(self) -> bool:
-        """Whether there are poses to interpolate between."""
+        """Whether there are two poses at least, to interpolate between."""
         return len(self._readings) >= 2
 
     def add(self, reading: VehicleReading) -> bool:
-        """Take a reading in; says whether the pose jumped, so that what was mapped before fits nothing after."""
+        """Add a reading; returns whether the pose jumped, so that the map so far no longer fits."""
         before = self.latest
         jumped = False
         if before is not None:
@@ -101,12 +101,12 @@ class VehicleTrack:
         return jumped
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget all readings and commands."""
         self._readings.clear()
         self._commands.clear()
 
     def commanded(self, time: float, control: Float[np.ndarray, " 3"]) -> None:
-        """Note what is commanded from now on."""
+        """Record the control that is commanded from `time` [s] on."""
         self._commands.append((time, control))
         while self._commands[0][0] < time - self._seconds:
             self._commands.popleft()
@@ -119,7 +119,7 @@ class VehicleTrack:
         return Poses(position, orientation, self._max_gap)
 
     def rows(self, now: float) -> TrackRows:
-        """The last 0.2 s and now; the first reading stands for the time before it."""
+        """Rows of the last 0.2 s, up to `now` [s]; before the first reading, its values are repeated."""
         time = np.array([r.time for r in self._readings])
         at = now - DT * np.arange(HISTORY_STEPS, -1, -1)
         index = np.clip(np.searchsorted(time, at + 1e-6, side="right") - 1, 0, len(time) - 1)

@@ -1,4 +1,4 @@
-"""In which mode the vehicle is driven, from how old its inputs are: what is done when one is late or missing."""
+"""Mode in which the vehicle is driven, from the age of its inputs: what is done when one is late or missing."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,15 +11,15 @@ Mode = Literal["driving", "degraded", "stopping", "stopped"]
 
 @dataclass(frozen=True)
 class Timeouts:
-    """How old inputs may be [s].
+    """Largest ages of inputs [s].
 
     Attributes:
-        state: readings of the vehicle; older: controlled stop.
-        scan: older scans than this: slow down.
-        scan_limit: older than this: controlled stop.
-        image: older images: the vehicle goes on without looking, on what the map holds, and says so.
-        plan: data that the plan which is followed was made from, beyond its latency; older: controlled stop.
-        ahead: stamps further ahead of the clock are not believed.
+        state: readings of the vehicle; if older, controlled stop.
+        scan: scans; if older, the vehicle slows down.
+        scan_limit: scans; if older, controlled stop.
+        image: images; if older, the vehicle continues on the features in the map, in degraded mode.
+        plan: time since the plan that is followed began to act; if longer, controlled stop.
+        ahead: messages stamped further ahead of the clock are dropped.
     """
 
     state: float = 0.1
@@ -32,10 +32,10 @@ class Timeouts:
 
 @dataclass(frozen=True)
 class Ages:
-    """How old things are [s]; infinite where there never was one.
+    """Ages of the inputs [s]; infinite where there never was one.
 
     Attributes:
-        image: -infinite for models that look at none.
+        image: -infinite for models without visual features.
     """
 
     state: float
@@ -46,11 +46,11 @@ class Ages:
 
 @dataclass(frozen=True)
 class ModeDecision:
-    """What is to be done.
+    """Mode and the reason for it.
 
     Attributes:
-        slow: whether to go slowly.
-        why: empty while all is well.
+        why: reason; empty in normal driving.
+        slow: whether the speed is limited.
     """
 
     mode: Mode
@@ -60,10 +60,10 @@ class ModeDecision:
 
 @dataclass(frozen=True)
 class Event:
-    """A change of mode, or of what it is for.
+    """A change of mode, or of the reason for it.
 
     Attributes:
-        time: [s].
+        time: when it changed [s].
     """
 
     time: float
@@ -73,12 +73,12 @@ class Event:
 
 @dataclass(frozen=True)
 class Controls:
-    """What the vehicle is told for the next `conventions.DT`.
+    """Command to the vehicle for the next `conventions.DT`.
 
     Attributes:
-        time: from when on [s].
+        time: when it begins to act [s].
         command: throttle [0..1], brake [0..1], steer [-1..1, + left].
-        why: of the mode; empty while all is well.
+        why: reason for the mode; empty in normal driving.
     """
 
     time: float
@@ -88,11 +88,11 @@ class Controls:
 
 
 def decide_mode(ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool) -> ModeDecision:
-    """The worst of all troubles decides.
+    """Mode that the most severe fault demands.
 
     Args:
-        map_empty: whether nothing is known of the ground around the vehicle.
-        finished: whether the course is driven.
+        map_empty: whether the map holds no ground within reach of a plan.
+        finished: whether the end of the course is reached.
     """
     if ages.state > timeouts.state:
         return ModeDecision("stopping", "no state of the vehicle")

@@ -1,7 +1,4 @@
-"""What the stages of the run time cost by the wall clock; nothing is decided by it.
-
-The first half of the run time: images and scans, late, missing or invalid as they come, into a map of codes.
-"""
+"""On-line perception: images and scans, late, missing or invalid as they may be, into a map of codes."""
 
 import time
 from collections import Counter, defaultdict
@@ -23,14 +20,14 @@ from offpiste.runtime.estimator import VehicleTrack
 
 
 class Stopwatch:
-    """Collects times of named stages."""
+    """Wall-clock times of named stages, for reports only: no decision depends on them."""
 
     def __init__(self) -> None:
         self._taken: defaultdict[str, list[float]] = defaultdict(list)
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Measure what is done within."""
+        """Measure the time that the enclosed code takes."""
         began = time.perf_counter()
         try:
             yield
@@ -38,7 +35,7 @@ class Stopwatch:
             self._taken[stage].append(time.perf_counter() - began)
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """For each stage: how often, the median and the 95th percentile [ms], and all of it [s]."""
+        """Count, median and 95th percentile [ms], and total [s] of each stage."""
         return {
             stage: {
                 "count": float(len(taken)),
@@ -52,11 +49,11 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """Through what a vehicle sees.
+    """Sensors of the vehicle, and the feature extractor for its cameras.
 
     Attributes:
-        cameras: none for models without features.
-        extract: backbone and PCA, those that the model was trained with.
+        cameras: empty for models without visual features.
+        extract: backbone and PCA that the model was trained with.
     """
 
     lidars: Mapping[str, Lidar]
@@ -65,11 +62,12 @@ class SensorSetup:
 
 
 class OnlineMapper:
-    """Keeps the map.
+    """Keeps the map of the ground around the vehicle up to date with each message.
 
     Args:
-        encoder: of the model; None where it reads no features, or where they come from elsewhere.
-        track: the vehicle's poses.
+        encoder: of the model; None where it reads no features, or where they do not come from cameras.
+        track: source of the vehicle's poses.
+        watch: times of the stages.
     """
 
     def __init__(
@@ -89,22 +87,22 @@ class OnlineMapper:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the map: what was mapped fits nothing that comes."""
-        extract = self._codes if self.uses_features else _blind
+        """Begin an empty map, since the old one does not fit the poses to come."""
+        extract = self._codes if self.uses_features else _no_codes
         cameras = self._sensors.cameras if self.uses_features else {}
         self._mapper = SensorMapper(cameras, self._sensors.lidars, extract, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
 
     def image(self, image: Image) -> None:
-        """Look at an image, if it is any use; it counts with its own stamp, however late it comes."""
+        """Extract features from an image if it is a keyframe; it counts with its own stamp, however late it comes."""
         if not self.uses_features or image.camera not in self._sensors.cameras:
             return
         pose = self._pose(image.camera, image.time)
         if pose is None:
             return
         if not self._mapper.is_keyframe(image, pose):
-            # Seen before from here: as good as new.
+            # The last keyframe was taken from nearly the same place: its features are still valid.
             self.image_time = max(self.image_time, image.time)
             return
         try:
@@ -116,7 +114,7 @@ class OnlineMapper:
         self.image_time = max(self.image_time, image.time)
 
     def scan(self, scan: Cloud) -> None:
-        """Put a scan into the map, but for its points that are not finite."""
+        """Add the finite points of a scan to the map."""
         pose = self._pose(scan.lidar, scan.time)
         if pose is None:
             return
@@ -129,13 +127,13 @@ class OnlineMapper:
             self.scan_time = max(self.scan_time, scan.time)
 
     def layers(self) -> TerrainLayers:
-        """The map as it is now; written over by the next call."""
+        """Layers of the current map; the next call overwrites them."""
         with self._watch.of("flatten map"):
             self._layers = self._mapper.pipeline.layers(self._layers)
         return self._layers
 
     def _pose(self, sensor: str, time: float) -> np.ndarray | None:
-        """`world_from_body` at a stamp; None, and a note, where the message cannot be used."""
+        """`world_from_body` at a stamp; None, and counted in `dropped`, where the message cannot be used."""
         if not time > self._latest.get(sensor, -np.inf):
             self.dropped[f"{sensor}: stamps repeat or go back"] += 1
             return None
@@ -151,7 +149,7 @@ class OnlineMapper:
 
     @torch.no_grad()
     def _codes(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
-        """Backbone, PCA and encoder: codes of patches, so that the map never holds features."""
+        """Codes of the patches of an image by backbone, PCA and encoder, so that the map never holds features."""
         assert self._sensors.extract is not None
         assert self._encoder is not None
         features = torch.from_numpy(self._sensors.extract(pixels))
@@ -162,5 +160,5 @@ class OnlineMapper:
         return codes.unflatten(0, features.shape[:2]).numpy()
 
 
-def _blind(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
+def _no_codes(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
     return np.zeros((1, 1, 0), np.float32)

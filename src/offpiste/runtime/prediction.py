@@ -1,6 +1,6 @@
-"""The part of the map that a plan can come to, with its codes.
+"""Predictions on the part of the map that a plan can reach.
 
-What a model predicts on the ground that a plan can come to: by the kernel where there is one, else step by step.
+The kernel computes them where it knows the model; others are rolled out step by step.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,15 +25,15 @@ from offpiste.runtime.estimator import TrackRows
 from offpiste.state import History, ModelState, Terrain
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
-"""From places x, y [m] to features of the ground there: a simulator's truth instead of what cameras see."""
+"""Features of the ground at places x, y [m]: a simulator's ground truth instead of features from cameras."""
 
 
 @dataclass(frozen=True)
 class Area:
-    """Layers, and the same as tensors.
+    """Map layers within reach of a plan, and the same as tensors.
 
     Attributes:
-        stack: holds codes where `codes` does.
+        stack: with codes as features, where the model reads any.
         codes: as `fused_costs` reads them.
     """
 
@@ -43,22 +43,22 @@ class Area:
 
     @property
     def encode(self) -> Encode | None:
-        """Reads the codes of the stack; None where it holds none."""
+        """How the codes of the stack are read; None where it holds none."""
         missing = self.codes[1]
         return as_codes(missing) if len(missing) else None
 
     def terrain(self, offset: Float[Tensor, " 2"], wheels: Float[Tensor, "4 2"], count: int) -> MapTerrain:
-        """A source for as many states in the frame at `offset` [m]."""
+        """Terrain under the wheels of `count` states in the frame at `offset` [m]."""
         number = torch.zeros(count, dtype=torch.long)
         return MapTerrain(self.stack, number, offset.expand(count, 2), wheels, self.encode)
 
 
 def cropped(layers: TerrainLayers, centre: Float[np.ndarray, " 2"], half: float) -> TerrainLayers:
-    """The layers within a square; shares memory.
+    """Map layers within a square; shares memory.
 
     Args:
-        centre: x, y [m]; cells outside of the layers are left out, but for one.
-        half: of the square's side [m].
+        centre: x, y [m]; off the map, one cell of its border is left.
+        half: half the side of the square [m].
     """
     ny, nx = layers.known.shape
     first = np.clip(np.floor((centre - half - layers.origin) / layers.resolution).astype(int), 0, [nx - 1, ny - 1])
@@ -69,11 +69,11 @@ def cropped(layers: TerrainLayers, centre: Float[np.ndarray, " 2"], half: float)
 
 
 def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: KnownGround | None = None) -> Area:
-    """An area of a map that holds codes.
+    """Area of a map that holds codes.
 
     Args:
         encoder: of the model; None where it reads no features.
-        ground: known features, which are encoded instead of the map's codes.
+        ground: ground-truth features, which are encoded instead of the map's codes.
     """
     if encoder is None:
         bare = replace(layers, features=layers.features[..., :0])
@@ -96,11 +96,11 @@ def _known(layers: TerrainLayers, ground: KnownGround) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Where a plan would lead.
+    """Predicted trajectory of a plan.
 
     Attributes:
-        time: of its start [s].
-        state: after each step, in the world frame.
+        time: start of the plan [s].
+        state: state after each step, in the world frame.
     """
 
     time: float
@@ -110,7 +110,7 @@ class Prediction:
 def model_state_of(
     model: Dynamics, rows: TrackRows, area: Area, wheels: Float[Tensor, "4 2"], offset: Float[Tensor, " 2"]
 ) -> ModelState:
-    """The vehicle's latest state, in the frame at `offset`, and what the model remembers of the rows before it."""
+    """Model state at the vehicle's latest row, in the frame at `offset`, warmed up on the rows before it."""
     shift = np.concatenate((offset.numpy(), np.zeros(4)))
     state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
     actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
@@ -126,7 +126,7 @@ def model_state_of(
 def model_state_after(
     model: Dynamics, model_state: ModelState, controls: Float[Tensor, "L 3"], area: Area, at: Situation
 ) -> ModelState:
-    """The state after some controls: where a plan begins to act that they are committed until.
+    """Model state after the committed controls, where a new plan begins to act.
 
     Args:
         at: its state and control are not read.
@@ -139,7 +139,7 @@ def model_state_after(
 
 
 def costs_from(model: Dynamics, model_state: ModelState, area: Area, at: Situation, weights: CostWeights) -> CostOf:
-    """Costs of control sequences that begin at a state."""
+    """Costs of control sequences from a model state."""
     if _by_kernel(model, model_state):
         return fused_costs(model, model_state, at, weights, area.codes)
     return driving_costs(model, model_state, at, weights, area.encode)
@@ -153,12 +153,12 @@ def predicted(
     at: Situation,
     weights: CostWeights,
 ) -> Float[np.ndarray, "T 6"]:
-    """The states that a plan leads through, in the world frame."""
+    """Predicted states of a plan, in the world frame."""
     if _by_kernel(model, model_state):
-        found = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
+        rolled = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
     else:
-        found = torch.cat([after.state for after in _stepped(model, model_state, controls, area, at)])
-    states = found.double().numpy()
+        rolled = torch.cat([after.state for after in _stepped(model, model_state, controls, area, at)])
+    states = rolled.double().numpy()
     states[:, :2] += at.offset.numpy()
     return states
 
@@ -166,7 +166,7 @@ def predicted(
 def _stepped(
     model: Dynamics, model_state: ModelState, controls: Float[Tensor, "T 3"], area: Area, at: Situation
 ) -> Iterator[ModelState]:
-    """After each step, one by one."""
+    """Model state after each step."""
     source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
     for t, given in enumerate(controls):
         model_state = step(model_state, given[None], source.at(t, model_state.state))

@@ -1,7 +1,7 @@
-"""The paper's on-line pipeline as one object: messages of sensors in, controls out.
+"""The paper's on-line pipeline as one object: sensor messages in, controls out.
 
 Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time comes from stamps only: the same
-messages give the same controls, however long they take to compute. A plan made from data at t acts from t + latency on;
+messages give the same controls, however long they take to compute. A plan made from data at t acts from t + latency;
 it starts from the state that the model predicts through the controls committed until then.
 """
 
@@ -43,12 +43,12 @@ from offpiste.state import ModelState
 
 
 class Runtime:
-    """Drives a vehicle along a course.
+    """Drives a vehicle along a course, from messages of its sensors.
 
     Args:
-        dynamics: that plans are made with; it is set to evaluate, without gradients.
-        wheels: in the body frame, from the pose point [m].
-        ground: known features of the ground, instead of what cameras see.
+        dynamics: model that plans are made with; it is set to evaluation mode, without gradients.
+        wheels: positions in the body frame, from the pose point [m].
+        ground: ground-truth features, used instead of features from cameras.
         seed: of the sampled controls.
 
     Raises:
@@ -71,7 +71,9 @@ class Runtime:
         self._encoder = dynamics.encoder
         self._ground = ground
         if self._encoder is not None and ground is None and sensors.extract is None:
-            raise PlanningError("the model reads features, and nothing extracts them", how="give Sight(…, extract=…)")
+            raise PlanningError(
+                "the model reads features, and nothing extracts them", how="give SensorSetup(…, extract=…)"
+            )
         self._needed = np.isin(ACTUATORS, dynamics.vehicle.actuators)
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._generator = torch.Generator().manual_seed(seed)
@@ -88,16 +90,16 @@ class Runtime:
 
     @property
     def predictions(self) -> list[Prediction]:
-        """Where plans led, the latest last."""
+        """Predicted trajectories of the last plans, oldest first."""
         return list(self._predictions)
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Messages that were no use, by why."""
+        """Number of messages that were dropped, by reason."""
         return dict(self._mapper.dropped)
 
     def vehicle(self, reading: VehicleReading) -> None:
-        """Take in what the vehicle says of itself; readings that are no use count as none (`dropped`)."""
+        """Add a reading of the vehicle; one that cannot be used is dropped and counted (`dropped`)."""
         latest = self._track.latest
         if self._ahead("readings of the vehicle", reading.time):
             return
@@ -111,22 +113,25 @@ class Runtime:
             self.course_tracker.move(reading.position[:2])
 
     def image(self, image: Image) -> None:
-        """Take in an image."""
+        """Add an image."""
         if not self._ahead(image.camera, image.time):
             self._mapper.image(image)
 
     def scan(self, scan: Cloud) -> None:
-        """Take in a scan."""
+        """Add a scan."""
         if not self._ahead(scan.lidar, scan.time):
             self._mapper.scan(scan)
 
     def forget_map(self) -> None:
-        """Begin the map anew."""
+        """Begin an empty map."""
         self._mapper.restart()
 
     @torch.no_grad()
     def command(self, now: float) -> Controls:
-        """What to do for the next `conventions.DT`; to be asked that often. If the clock goes back, all begins anew."""
+        """Controls for the next `conventions.DT`, to be called that often.
+
+        If the clock goes back, poses, map and plans are forgotten.
+        """
         if now < self._now < np.inf:
             self._restart()
             self.events.append(Event(now, "stopping", "the clock went back"))
@@ -145,7 +150,7 @@ class Runtime:
         return controls
 
     def _ahead(self, what: str, time: float) -> bool:
-        """Whether a stamp is ahead of the clock, and a note: taken in, it would make all that follows look old."""
+        """Whether a stamp is ahead of the clock, which is counted: after it, all later messages would count as old."""
         ahead = time > self._now + self._settings.timeouts.ahead
         if ahead:
             self._mapper.dropped[f"{what}: stamps ahead of the clock"] += 1
@@ -159,33 +164,36 @@ class Runtime:
         self._plan_due = -np.inf
 
     def _current_mode(self, now: float) -> ModeDecision:
-        seen, latest, followed = self._mapper, self._track.latest, self._schedule.acting(now)
+        mapper, latest, followed = self._mapper, self._track.latest, self._schedule.acting(now)
         ages = Ages(
             state=now - (latest.time if latest else -np.inf),
-            scan=now - seen.scan_time,
-            image=now - seen.image_time if seen.uses_features else -np.inf,
+            scan=now - mapper.scan_time,
+            image=now - mapper.image_time if mapper.uses_features else -np.inf,
             plan=now - followed.start if followed else np.inf,
         )
         finished = self.course_tracker.progress > self.course_tracker.length - self._settings.arrived
         return decide_mode(ages, self._settings.timeouts, map_empty=self._map_empty, finished=finished)
 
     def _follow(self, now: float, decision: ModeDecision) -> Controls:
-        """The plan, or a controlled stop; a stop that has begun is ended, unless it was over before it began."""
+        """Controls of the plan, or of a controlled stop.
+
+        A stop that has begun is completed before the vehicle drives away again.
+        """
         planned = self._schedule.control(now)
-        stands = self._at_standstill()
-        bad = decision.mode == "stopping" or planned is None
-        if not bad and not (self._stopping and not stands):
+        at_standstill = self._at_standstill()
+        must_stop = decision.mode == "stopping" or planned is None
+        if not must_stop and not (self._stopping and not at_standstill):
             self._stopping = False
             assert planned is not None
             planned[0] = self._launch.throttle(float(planned[0]), self._speed)
             return Controls(now, planned, decision.mode, decision.why)
         self._stopping = True
         self._launch.reset()
-        # The wheels stay as they were planned: straight ahead may lead off the course.
+        # The planned steering is kept: straight ahead may lead off the course.
         steer = 0.0 if planned is None else float(planned[2])
         command = np.array((0.0, self._settings.stop, steer))
-        why = decision.why if bad or not self.events else self.events[-1].why
-        return Controls(now, command, "stopped" if stands else "stopping", why)
+        why = decision.why if must_stop or not self.events else self.events[-1].why
+        return Controls(now, command, "stopped" if at_standstill else "stopping", why)
 
     @property
     def _speed(self) -> float:
@@ -196,7 +204,7 @@ class Runtime:
         return self._speed < self._settings.standstill
 
     def _plan(self, now: float, decision: ModeDecision) -> None:
-        """Plan from the map as it is; a plan that fails leaves the last one."""
+        """Plan on the current map; if planning fails, the last plan stays."""
         settings, latest = self._settings, self._track.latest
         assert latest is not None
         layers = self._mapper.layers()
@@ -227,21 +235,21 @@ class Runtime:
             self._improve(now, area, model_state, at)
 
     def _committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
-        """What is commanded from the last reading until a new plan acts."""
+        """Controls committed from the last reading until a new plan acts."""
         latest = self._schedule.latest
         if latest is not None and first - latest.start > self._settings.forget:
             self._schedule.clear()
         stop = np.array((0.0, self._settings.stop, 0.0))
         steps = max(round((start - first) / DT), 0)
         committed = self._schedule.committed(first, steps, stop if self._stopping else rows.control[-2])
-        if self._stopping and not self._at_standstill():  # the wheels follow the plan, the pedals do not
+        if self._stopping and not self._at_standstill():  # steering follows the plan, the pedals do not
             committed[:, :2] = stop[:2]
         else:
             committed[:, 0] = self._launch.ahead(committed[:, 0], self._speed)
         return committed
 
     def _improve(self, now: float, area: Area, model_state: ModelState, at: Situation) -> None:
-        """A new plan, and where it leads; with no good one the last stays."""
+        """Add a new plan and its prediction to the schedule; where none is finite, the last plan stays."""
         settings, model = self._settings, self._dynamics
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency

@@ -1,10 +1,8 @@
-"""Which control is due when: plans that act once their latency has passed, the later one instead of the earlier.
+"""Schedule of controls: each plan acts once its latency has passed, and replaces the one before it.
 
-Driving off: more throttle than was planned, while the vehicle hardly moves though it was to drive.
-
-Models learn from windows that start above `conventions.MIN_EVALUATION_SPEED`, and expect a standing vehicle to follow
-any throttle. A torque that does not overcome the resistance of soft ground moves nothing, however often it is planned
-anew.
+`Launch` adds throttle to the plan where the vehicle is meant to drive and hardly moves. Models learn from windows that
+start above `conventions.MIN_EVALUATION_SPEED`, and expect a vehicle at a standstill to follow any throttle. A torque
+that does not overcome the resistance of soft ground moves nothing, however often it is planned again.
 """
 
 from collections import deque
@@ -22,12 +20,12 @@ from offpiste.planning.mppi import shift
 
 @dataclass(frozen=True)
 class TimedPlan:
-    """A plan and when it acts.
+    """A plan and the time at which it acts.
 
     Attributes:
-        start: its first control is commanded then [s].
-        made: when the data were taken that it comes from [s].
-        controls: one a step of `conventions.DT`.
+        start: when its first control is commanded [s].
+        made: when it was made [s].
+        controls: one for each step of `conventions.DT`.
     """
 
     start: float
@@ -36,18 +34,18 @@ class TimedPlan:
 
 
 class Schedule:
-    """Plans that were made, in the order of their starts."""
+    """Plans in the order of their starts."""
 
     def __init__(self) -> None:
         self._plans: deque[TimedPlan] = deque()
 
     @property
     def latest(self) -> TimedPlan | None:
-        """The plan that was made last."""
+        """The plan that was made last; None before the first."""
         return self._plans[-1] if self._plans else None
 
     def add(self, plan: TimedPlan) -> None:
-        """A new plan; it must not start before those that are there."""
+        """Add a plan; it must not start before the plans in the schedule."""
         self._plans.append(plan)
 
     def clear(self) -> None:
@@ -61,21 +59,21 @@ class Schedule:
         return self._plans[0] if self._plans and self._plans[0].start <= time + 1e-6 else None
 
     def control(self, time: float) -> Float[np.ndarray, " 3"] | None:
-        """What is commanded at a moment [s]; a plan's last control is held."""
+        """Control at a moment [s]; a plan's last control is held."""
         plan = next((p for p in reversed(self._plans) if p.start <= time + 1e-6), None)
         return None if plan is None else plan.controls[_step(plan, time)].numpy().astype(np.float64)
 
     def committed(self, now: float, steps: int, otherwise: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "steps 3"]:
-        """What will be commanded in the next steps, whatever is planned now.
+        """Controls of the next steps by the plans made so far.
 
         Args:
-            otherwise: where no plan says.
+            otherwise: control where no plan acts yet.
         """
         due = (self.control(now + DT * step) for step in range(steps))
         return np.array([otherwise if control is None else control for control in due]).reshape(steps, 3)
 
     def continued(self, start: float, steps: int, rest: Float[np.ndarray, " 3"]) -> Float[Tensor, "steps 3"]:
-        """The latest plan as it would go on from a moment: what the next one begins with."""
+        """Latest plan from a moment on [s], its last control held: the start of the next plan."""
         if self.latest is None:
             return torch.as_tensor(rest, dtype=torch.float32).repeat(steps, 1)
         return shift(self.latest.controls, max(round((start - self.latest.start) / DT), 0))
@@ -87,12 +85,12 @@ def _step(plan: TimedPlan, time: float) -> int:
 
 @dataclass(frozen=True)
 class LaunchSettings:
-    """When and how fast.
+    """Settings of `Launch`.
 
     Attributes:
-        below: the vehicle hardly moves [m/s].
-        rate: the throttle rises above the planned one, and comes back to it [1/s].
-        wanted: the least planned throttle that is meant to drive.
+        below: speed below which throttle is added [m/s].
+        rate: rate at which the added throttle rises and falls [1/s].
+        wanted: smallest planned throttle that is meant to drive.
     """
 
     below: float = 1.0
@@ -101,14 +99,14 @@ class LaunchSettings:
 
 
 class Launch:
-    """Remembers how much more throttle is given than was planned."""
+    """Throttle added to the planned one while the vehicle hardly moves."""
 
     def __init__(self, settings: LaunchSettings | None = None) -> None:
         self._settings = settings or LaunchSettings()
         self._more = 0.0
 
     def throttle(self, planned: float, speed: float) -> float:
-        """What is given for the next `conventions.DT`; never less than was planned.
+        """Throttle for the next `conventions.DT`; never less than planned.
 
         Args:
             planned: [0..1].
@@ -123,10 +121,10 @@ class Launch:
         return planned + self._more
 
     def ahead(self, planned: Float[np.ndarray, " N"], speed: float) -> Float[np.ndarray, " N"]:
-        """What will be given for steps to come, while the speed stays on its side of `LaunchSettings.below`."""
+        """Throttle of the steps to come, if the speed stays on its side of `LaunchSettings.below`."""
         later = copy(self)
         return np.array([later.throttle(float(throttle), speed) for throttle in planned])
 
     def reset(self) -> None:
-        """Give what is planned: it begins anew."""
+        """Remove the added throttle."""
         self._more = 0.0

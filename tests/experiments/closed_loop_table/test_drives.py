@@ -29,7 +29,7 @@ def driven(monkeypatch):
 
     def drive_course(planner, settings, folder, *, world, scene):
         if settings.world.seed in done.bad:
-            raise OffpisteError("no course can be laid")
+            raise OffpisteError("no stretch of its trails makes a course")
         assert not folder.exists(), "what an interrupted drive left"
         folder.mkdir(parents=True)
         done.drives.append((planner.name, settings.world.preset, settings.world.seed, settings.runtime.latency))
@@ -56,9 +56,9 @@ def test_every_planner_drives_every_course_once(driven, tmp_path):
     assert len(driven.drives) == 6, "nothing is driven twice"
 
 
-def test_a_course_that_cannot_be_laid_stops_no_other(driven, tmp_path):
+def test_a_world_without_a_course_stops_no_other(driven, tmp_path):
     driven.bad.add(1)
-    with pytest.raises(OffpisteError, match="no course"):
+    with pytest.raises(OffpisteError, match="no stretch"):
         drive_all([Entry(B)], places(1, 3), tmp_path)
     assert [seed for _, _, seed, _ in driven.drives] == [2, 3]
 
