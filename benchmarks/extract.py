@@ -17,8 +17,8 @@ import tyro
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from offpiste.conventions import CONTROL, DT, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
-from offpiste.dynamics.encoder import Compressor
+from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes, stack_maps
 from offpiste.planning.cost_map import cost_map

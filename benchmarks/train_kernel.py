@@ -14,7 +14,7 @@ from torch import Tensor
 
 from offpiste.conventions import CONTROL, HORIZON_STEPS
 from offpiste.dynamics import Hybrid, Vehicle, rollout
-from offpiste.dynamics.encoder import Identity
+from offpiste.dynamics.feature_encoder import Identity
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
 

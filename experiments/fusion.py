@@ -20,8 +20,8 @@ from experiments.command import run
 from experiments.perturbed_sensors import stretch
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.feature_coverage import HINDSIGHT, differences, feature_range, valid_rates, within_reach
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.wheel_passes import Passes, find_passes
 from offpiste.files import write_text

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from offpiste.conventions import ACTUATORS, CONTROL, DT
 from offpiste.dataset.resample import Rows
 from offpiste.dynamics import Hybrid, Vehicle
-from offpiste.dynamics.encoder import Identity
+from offpiste.dynamics.feature_encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.rig.rig import Rig, parse_rig
 from offpiste.state import History, RecordedTerrain, Terrain

@@ -8,10 +8,10 @@ import numpy as np
 
 from factories import circle_rows, small_rig
 from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
-from offpiste.dataset.under_wheels import Cells
 from offpiste.mapping.terrain_map import TerrainMap
 
 FEATURES = 5

@@ -12,8 +12,8 @@ from offpiste.channels import (
     control_columns,
 )
 from offpiste.dynamics import Vehicle
+from offpiste.dynamics.actuator_lags import LAGS, lagging
 from offpiste.dynamics.inputs import DriveTrain
-from offpiste.dynamics.lags import LAGS, lagging
 from offpiste.rig.channels import known_channels, unit_factor
 
 

@@ -17,12 +17,12 @@ from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.rig.rig import load_rig

@@ -44,7 +44,7 @@ class Actuator:
         unit: inside offpiste.
         low, high: what it can be; None where log checks hold it against nothing.
         follows: control behind which it lags.
-        lag: its delay model (`offpiste.dynamics.lags.LAGS`).
+        lag: its delay model (`offpiste.dynamics.actuator_lags.LAGS`).
         drives: input of the bicycle that it measures (`offpiste.dynamics.inputs.DriveTrain`); where it is absent, that
             input has its reduced form. "" for none: it is an input of the networks alone.
         rate_of: actuator whose rate of change it is; both are the state of that actuator's lag.

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
+from offpiste.dataset.features_under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
 from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2

@@ -5,7 +5,7 @@ import pytest
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset import feature_coverage
-from offpiste.dataset.under_wheels import Cells
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.wheel_passes import find_passes
 
 SETS = len(FEATURE_SETS)

@@ -8,11 +8,11 @@ import torch
 
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.conventions import DT
-from offpiste.dynamics import lags
+from offpiste.dynamics import actuator_lags
+from offpiste.dynamics.actuator_lags import apply_release, second_order
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.bicycle import Elementary
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.lags import apply_release, second_order
 
 SCALARS = Elementary(math.sin, math.cos, math.tanh, math.atan, max)
 
@@ -56,7 +56,7 @@ def test_engine_settles_where_throttle_and_speed_ask():
     model = Actuators(VEHICLE).double()
     revolutions = run(model, [0.0, 0.0, 0.0, 2.0], [0.5, 0.0, 0.0], 300, vx=-4.0)[:, 3]
     assert revolutions[-1] == pytest.approx(1.0 + 3 * 0.5 + 0.1 * 4, abs=1e-3)
-    (change,) = lags.engine((2.9,), 0.5, -4.0, model.constants()["engine"], SCALARS)
+    (change,) = actuator_lags.engine((2.9,), 0.5, -4.0, model.constants()["engine"], SCALARS)
     assert change.item() == pytest.approx(0.0, abs=1e-5)
 
 

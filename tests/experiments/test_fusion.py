@@ -5,7 +5,7 @@ import pytest
 
 from experiments.fusion import MEASURES, Ridden, between_kinds, compare, medians, table_of
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.under_wheels import Cells
+from offpiste.dataset.features_under_wheels import Cells
 
 SETS = len(FEATURE_SETS)
 

@@ -13,7 +13,7 @@ import torch
 from factories import COMMANDED, VEHICLE, coded, unsettled
 from offpiste.conventions import ACTUATORS
 from offpiste.dynamics import Hybrid, Parametric, rollout
-from offpiste.dynamics.encoder import Compressor, Identity
+from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights

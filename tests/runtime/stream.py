@@ -7,7 +7,7 @@ import torch
 
 from offpiste.conventions import CONTROL, DT
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.dynamics.encoder import Compressor
+from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.hybrid import Hybrid
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.pipeline import MapSettings

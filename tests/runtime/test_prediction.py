@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.dynamics.encoder import Compressor
+from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.runtime.prediction import coded_area, cropped
 from planning_maps import layers
 

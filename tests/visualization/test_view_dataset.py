@@ -12,9 +12,9 @@ import pytest
 from factories import circle_rows, small_rig
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset import store
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.visualization.coverage_tables import measure_coverage, passes_of

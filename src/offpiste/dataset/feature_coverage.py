@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
-from offpiste.dataset.under_wheels import Cells
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.wheel_passes import Passes
 
 PAPER_RATES: Final = (1.0, 0.87, 0.92, 0.92, 0.84, 0.65, 0.42, 0.21)

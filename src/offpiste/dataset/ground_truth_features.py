@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.under_wheels import Cells
 from offpiste.errors import LogError
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.conventions import DT
 from offpiste.dataset.columns import COLUMNS, RowGrid
-from offpiste.dataset.under_wheels import Cells
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.errors import LogError
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.poses import find_jumps

@@ -16,11 +16,11 @@ import zarr
 from jaxtyping import Int
 
 from offpiste.dataset.columns import COLUMNS
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.dataset.store_validation import refuse_invalid, refuse_unlike
-from offpiste.dataset.under_wheels import Cells
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig

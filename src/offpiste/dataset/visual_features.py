@@ -7,9 +7,9 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.dataset.feature_sets import FeatureSetRecorder, MapCellValues
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotWriter, crop
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.under_wheels import Cells
 
 MIN_HINDSIGHT = 0.5
 """Least share of the ground under the wheels along a window with features in hindsight (paper: all); 0 keeps all."""

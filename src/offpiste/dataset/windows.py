@@ -13,10 +13,10 @@ from torch import Tensor
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
+from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, NormalsUnderWheels
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
-from offpiste.dataset.under_wheels import CellTable, FeaturesUnderWheels, NormalsUnderWheels
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import DatasetError

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.conventions import DT
+from offpiste.dynamics.actuator_lags import Constants, lagging_of
 from offpiste.dynamics.bicycle import Elementary
-from offpiste.dynamics.lags import Constants, lagging_of
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.bicycle import BicycleConstants
-from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState, Terrain, TerrainSource, Trajectory

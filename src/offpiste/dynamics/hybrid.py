@@ -9,7 +9,7 @@ from offpiste.dataset.feature_sets import masked, per_step, per_trajectory
 from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
 from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
-from offpiste.dynamics.encoder import Compressor, FeatureEncoder, Identity
+from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
 from offpiste.dynamics.inputs import body_normal, drive_train, select_present
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.models import register_model

@@ -16,7 +16,7 @@ from offpiste.mapping.terrain_map import TerrainMap, bilinear, on_map, wheel_pos
 from offpiste.state import Terrain
 
 Encode = Callable[[Float[Tensor, "M F"], Bool[Tensor, " M"]], Float[Tensor, "M E"]]
-"""From features and whether they are there to codes (`offpiste.dynamics.encoder`)."""
+"""From features and whether they are there to codes (`offpiste.dynamics.feature_encoder`)."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from torch import Tensor
 from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.model_arrays import compensator_weights, constants, learned_constants, networks

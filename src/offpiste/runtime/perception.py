@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 
-from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.errors import PerceptionError
 from offpiste.logs.measurements import Cloud, Image, Lidar
 from offpiste.mapping.replay import ExtractFeatures, MapperSettings, SensorMapper

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.encoder import FeatureEncoder
+from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_codes, stack_maps

@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset import feature_coverage
 from offpiste.dataset.feature_coverage import HINDSIGHT, PAPER_RATES
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.dataset.under_wheels import Cells
 from offpiste.dataset.wheel_passes import Passes, find_passes
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.mapping.voxel_map import VoxelSettings

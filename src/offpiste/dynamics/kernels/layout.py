@@ -9,9 +9,9 @@ array.
 from typing import Final
 
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
+from offpiste.dynamics.actuator_lags import lagging
 from offpiste.dynamics.bicycle import Constants, Force
 from offpiste.dynamics.inputs import DriveTrain
-from offpiste.dynamics.lags import lagging
 
 LANES: Final = 32
 """Windows in a block: two AVX-512 vectors."""

@@ -8,7 +8,7 @@ import torch
 
 from factories import VEHICLE
 from offpiste.dynamics import MODELS
-from offpiste.dynamics.encoder import Compressor, Identity
+from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.errors import RunError
 from offpiste.training.run import build
 
