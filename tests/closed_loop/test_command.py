@@ -1,4 +1,4 @@
-"""What `offpiste drive` prints of a drive."""
+"""Tables that `offpiste drive` prints."""
 
 from io import StringIO
 

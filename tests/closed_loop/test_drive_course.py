@@ -1,4 +1,4 @@
-"""A real closed loop, short and small: proving ground, sensors, map, plan, recorded and judged."""
+"""A whole closed loop, short and small: proving ground, sensors, map, plan, log and result."""
 
 import json
 from dataclasses import replace
@@ -47,7 +47,7 @@ def test_what_is_written_can_be_read(driven):
     _, out = driven
     result = json.loads((out / "result.json").read_text())
     assert (result["planner"], result["fault_start"], result["sensors"]) == ("parametric", 10.0, "light")
-    assert set(NEEDED) <= set(result), "what resuming asks of a result"
+    assert set(NEEDED) <= set(result), "what resuming needs of a result"
     assert (out / "drive.png").stat().st_size > 10_000
     drive = read_drive(out / "drive.mcap", load_rig("proving_ground"))
     recorded = drive.channels["throttle"]
@@ -96,7 +96,7 @@ def test_the_traction_by_hand():
     assert traction_along(hill, east[:, ::-1]) == pytest.approx(0.35, abs=1e-5)
 
 
-def test_no_course_where_nobody_could_drive_off_again(driven):
+def test_no_course_where_a_vehicle_would_be_stuck(driven):
     chosen, world = driven[0].chosen, driven[0].world
     assert traction_along(world, chosen.course.driven).min() >= SETTINGS.course.traction
     with pytest.raises(OffpisteError, match="no stretch of its trails makes a course"):
@@ -116,23 +116,23 @@ def test_no_course_where_nobody_could_drive_off_again(driven):
         ({"sensors": "heavy"}, "no sensor profile"),
     ],
 )
-def test_what_cannot_be_driven_is_told_at_once(changed, message, tmp_path):
+def test_settings_out_of_range_are_refused_at_once(changed, message, tmp_path):
     with pytest.raises(OffpisteError, match=message):
         drive_course(PLANNER, replace(SETTINGS, **changed), tmp_path)
 
 
-def test_a_latency_between_steps_is_told_at_once(tmp_path):
+def test_a_latency_between_steps_is_refused_at_once(tmp_path):
     with pytest.raises(OffpisteError, match=r"a latency of 0\.03 s"):
         drive_course(PLANNER, replace(SETTINGS, runtime=settings(latency=0.03)), tmp_path)
 
 
-def test_a_file_is_no_folder(tmp_path):
+def test_a_file_instead_of_a_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OffpisteError, match="file: is a file"):
         drive_course(PLANNER, SETTINGS, tmp_path / "file")
 
 
-def test_no_run_no_planner(tmp_path):
+def test_a_planner_needs_a_run(tmp_path):
     with pytest.raises(RunError, match="no such folder"):
         load_planner(tmp_path / "none")
 

@@ -1,4 +1,4 @@
-"""Faults of sensors, as they reach the run time."""
+"""Messages that reach the run time under faults of the sensors."""
 
 from unittest.mock import Mock
 
@@ -53,21 +53,21 @@ def test_late_images_come_with_their_own_stamps():
 
 def test_features_break_from_then_on():
     fault = Fault("nan-features", 1.0)
-    look = fault.extractor(lambda pixels: np.ones((2, 2, 3), np.float32))
+    extract = fault.extractor(lambda pixels: np.ones((2, 2, 3), np.float32))
     fault.passed(None, 0.9)
-    assert np.isfinite(look(PIXELS)).all()
+    assert np.isfinite(extract(PIXELS)).all()
     fault.passed(None, 1.0)
-    assert np.isnan(look(PIXELS)).all()
+    assert np.isnan(extract(PIXELS)).all()
 
 
-def test_echoes_from_nowhere():
+def test_the_empty_map_fault_moves_echoes_far_above():
     fault = Fault("map-empty", 1.0)
     (found,) = fault.passed(cloud(1.5), 1.5)
     assert (found.points[:, 2] == 1000).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_only_an_empty_map_strikes_the_run_time_and_once(kind):
+def test_only_the_empty_map_fault_empties_the_map_and_once(kind):
     runtime, fault = Mock(spec=Runtime), Fault(kind, 1.0)
     fault.strike(runtime, 0.98)
     runtime.forget_map.assert_not_called()

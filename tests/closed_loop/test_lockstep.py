@@ -1,4 +1,4 @@
-"""Who hands the run time's controls to the vehicle: when it has arrived, and when it makes no way any more."""
+"""Controller between run time and vehicle: when it has arrived, and when it is stuck."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from synthetic_drive import samples
 
 
 def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0):
-    """A controller after so long; mode and place on the course are made up."""
+    """Controller after some seconds in a given mode, with a given progress along the course."""
     tracker, readings = SimpleNamespace(progress=0.0), []
 
     def command(now):
@@ -32,26 +32,26 @@ def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0):
     return controller
 
 
-def test_who_makes_no_way_for_8_s_is_stuck():
+def test_a_vehicle_without_progress_for_8_s_is_stuck():
     assert not commanded(7.9).stuck
     assert commanded(8.1).stuck
 
 
-def test_way_is_more_than_a_metre():
+def test_progress_is_more_than_a_metre():
     assert commanded(20.0, progress=lambda t: 0.04 * t).stuck, "0.8 m in 20 s"
     assert not commanded(20.0, progress=lambda t: 0.2 * t).stuck
     assert not commanded(15.0, progress=lambda t: 2.0 * (t > 7.5)).stuck
     assert commanded(15.8, progress=lambda t: 2.0 * (t > 7.5)).stuck
 
 
-def test_who_waits_is_not_stuck():
+def test_a_vehicle_that_waits_is_not_stuck():
     waits = commanded(20.0, mode="stopped", why="no scan")
     assert not waits.stuck
     assert not waits.arrived
-    assert commanded(20.0, mode="stopping", why="no scan").stuck, "told to stop, it should stand by then"
+    assert commanded(20.0, mode="stopping", why="no scan").stuck, "it should be at a standstill by then"
 
 
-def test_who_stands_at_the_end_has_arrived():
+def test_a_vehicle_stopped_at_the_end_has_arrived():
     end = "end of the course"
     assert commanded(0.1, mode="stopped", why=end).arrived
     assert not commanded(0.1, mode="stopping", why=end).arrived

@@ -1,4 +1,4 @@
-"""What a run's features are, and whether they can be had."""
+"""Features that a run reads, and whether they are available."""
 
 import json
 from dataclasses import asdict
@@ -37,7 +37,7 @@ def pca_file(path, seed):
 
 
 def run_folder(folder, model, features, dataset_pca, **more):
-    """An untrained run, of which model.json tells something more, and as much of its dataset as is read."""
+    """Folder of an untrained run, with more entries of model.json, and the part of its dataset that is read."""
     vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(features))
     save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
     about = {
@@ -57,7 +57,7 @@ def run_folder(folder, model, features, dataset_pca, **more):
     return folder
 
 
-def test_a_run_of_visual_features_wants_its_own_pca(tmp_path):
+def test_a_run_of_visual_features_needs_its_own_pca(tmp_path):
     mine, others = tmp_path / "mine.safetensors", tmp_path / "others.safetensors"
     identity = pca_file(mine, 0)
     pca_file(others, 1)
@@ -81,7 +81,7 @@ def test_a_run_that_names_its_pca_needs_no_dataset(tmp_path):
     assert load_planner(run, tmp_path / "mine.safetensors").extractor.identity == identity
 
 
-def test_an_oracle_is_known_by_its_features(tmp_path):
+def test_a_ceiling_is_recognised_by_its_features(tmp_path):
     ceiling = load_planner(run_folder(tmp_path / "df", "df", GROUND_PROPERTIES, None))
     assert (ceiling.name, ceiling.knows_ground) == ("ceiling", True)
     with pytest.raises(RunError, match="no camera gives"):
@@ -93,7 +93,7 @@ def test_models_without_features_need_nothing(tmp_path):
     assert (planner.name, planner.knows_ground, planner.extractor) == ("b", False, None)
 
 
-def test_a_planner_tells_its_weights_from_others(tmp_path):
+def test_planners_identify_their_weights(tmp_path):
     first, other = (load_planner(run_folder(tmp_path / m, m, [], None)).weights for m in ("b", "parametric"))
     assert len(first) == len(other) == 16
     assert first != other

@@ -1,4 +1,4 @@
-"""A driven course as a Rerun recording, read back by Rerun's own tool."""
+"""Rerun recording of a driven course, read back by Rerun's own tool."""
 
 import subprocess
 import sys
@@ -25,11 +25,11 @@ PLANNER = Planner("parametric", Path("nowhere"), parametric())
 
 
 def entities(path: Path) -> dict[str, str]:
-    """Lines that Rerun's tool prints of each entity, after it has found the file sound."""
+    """Statistics of each entity by Rerun's tool, which also verifies the file."""
     rerun = Path(sys.executable).parent / "rerun"
     subprocess.run([rerun, "rrd", "verify", path], check=True)
-    told = subprocess.run([rerun, "rrd", "stats", path], capture_output=True, text=True, check=True).stdout
-    return dict(line.split(":", 1) for line in told.splitlines() if line.startswith("/"))
+    statistics = subprocess.run([rerun, "rrd", "stats", path], capture_output=True, text=True, check=True).stdout
+    return dict(line.split(":", 1) for line in statistics.splitlines() if line.startswith("/"))
 
 
 def test_a_recording_has_world_plans_vehicle_and_numbers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

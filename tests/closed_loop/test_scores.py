@@ -1,4 +1,4 @@
-"""What was driven, in numbers."""
+"""Scores of drives, by hand."""
 
 from dataclasses import replace
 
@@ -24,13 +24,13 @@ def test_the_driven_cost_by_hand():
     n = 100
     trace = Trace(np.zeros((n, 2)), *(np.full(n, value) for value in (5.0, 0.5, 7.0, 0.0, 0.0)))
     assert driven_cost(trace, n, None, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0))
-    # Not at the end after 10 s: the other eight count as standing, on the course.
+    # Not at the end after 10 s: in the other eight it counts as at a standstill on the course.
     assert driven_cost(trace, n, 10.0, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0) + 8 * 49.0)
     assert driven_cost(trace, 50, None, WEIGHTS) == pytest.approx(0.75 + 4.0)
 
 
 def prediction(place, first, aside=0.0):
-    """A plan that acts from a row on; its last state is where the vehicle is 5 s later, but for so much to the left."""
+    """Plan that acts from a row on; its last state is `aside` metres to the left of the vehicle 5 s later."""
     state = np.zeros((HORIZON_STEPS, 6))
     state[:, :2] = place[first] + 0.1 * np.arange(1, HORIZON_STEPS + 1)[:, None] * (1, 0) + (0.0, aside)
     return Prediction(time_of(0.02 * first), state)
@@ -44,7 +44,7 @@ def test_a_plan_is_compared_with_where_the_vehicle_was_5_s_after_it_began_to_act
     assert prediction_errors([prediction(place, 20)], speeds_up) == pytest.approx([1.0]), "row 270"
 
 
-def test_plans_that_nothing_can_be_compared_with_are_left_out():
+def test_plans_beyond_the_drive_are_left_out():
     place = 0.1 * np.arange(300)[:, None] * (1, 0)
     beyond = prediction(place, 50)  # row 300 was not driven
     none, short = Prediction(time_of(0.0), np.zeros((0, 6))), Prediction(time_of(0.0), np.zeros((100, 6)))
@@ -100,7 +100,7 @@ def test_the_summary_counts_until_the_course_is_driven():
     assert not any(found[name] for name in ("rollover", "stuck", "left_world"))
 
 
-def test_what_does_not_finish_counts_as_standing_in_its_cost_alone():
+def test_a_drive_that_does_not_finish_counts_as_standstill_in_its_cost_alone():
     driving = hand_made(rows=3)
     found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS)
     assert not found["finished"]

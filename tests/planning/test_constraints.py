@@ -8,7 +8,7 @@ from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within,
 STEERING = Limits((-1.0,), (1.0,), (5.0,))
 
 
-def test_by_hand():
+def test_bounds_and_rates_by_hand():
     wanted = torch.tensor([0.9, 2.0, -3.0, -0.2, 0.1])[None, :, None]
     for keep in (keep_within, keep_within_stepwise):
         found = keep(STEERING, 0.1, wanted, torch.tensor([0.0]))[0, :, 0]
@@ -33,11 +33,11 @@ def test_the_compiled_pass_equals_the_reference(dtype, previous):
     assert torch.equal(wanted.nan_to_num(9), asked.nan_to_num(9))
 
 
-def test_what_is_within_limits_stays():
+def test_controls_within_limits_stay():
     slow = torch.linspace(0, 0.5, 50)[None, :, None].expand(2, -1, 3)
     assert torch.equal(keep_within(PEDALS_AND_WHEEL, 0.02, slow, torch.zeros(3)), slow)
 
 
-def test_without_rates_only_bounds_count():
+def test_without_rates_only_bounds_apply():
     wanted = torch.tensor([5.0, -5.0, 0.3])[None, :, None]
     assert keep_within(Limits((-1.0,), (1.0,)), 0.1, wanted)[0, :, 0].tolist() == pytest.approx([1, -1, 0.3])

@@ -130,7 +130,7 @@ def test_backwards_most_samples_agree(kind):
 
 @pytest.mark.parametrize("kind", ["parametric", "dc", "hold"])
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-def test_what_is_carried_after_controls_equals_eager_steps(kind, vehicle):
+def test_the_model_state_after_controls_equals_that_of_eager_steps(kind, vehicle):
     at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model(kind, vehicle)
     controls = commands(1)[0]
     encoder, model_state = getattr(dynamics, "encoder", None), start(dynamics, at)
@@ -144,7 +144,7 @@ def test_what_is_carried_after_controls_equals_eager_steps(kind, vehicle):
         )
 
 
-def test_a_model_that_holds_is_another_than_one_that_looks_ahead():
+def test_a_model_that_holds_codes_differs_from_one_that_reads_ahead():
     at, controls, holding, extractor = situation(ground()), commands(8), model("hold"), model("dc")
     extractor.load_state_dict(holding.state_dict())
     codes = encode_map(at.ground, holding.encoder)
@@ -191,7 +191,7 @@ def test_a_map_of_hardly_any_cells(cells):
     torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
 
 
-def test_nothing_known_of_the_map():
+def test_a_map_without_known_cells():
     empty = layers(known=np.zeros((81, 81), bool), features=np.full((81, 81, 2), np.nan, np.float32),
                    normal=np.full((81, 81, 3), np.nan, np.float32))  # fmt: skip
     eager, fused, terms = both(model("dc"), situation(empty), commands(5), CostWeights(lateral_limit=2.0))
@@ -231,7 +231,7 @@ def test_a_sample_with_nan_costs_nan_and_others_do_not():
     assert cost_of(controls).isnan().nonzero().flatten().tolist() == [7]
 
 
-def test_what_the_kernel_cannot_take_is_refused():
+def test_inputs_that_the_kernel_does_not_support_are_refused():
     at, dynamics = situation(ground()), model("dc")
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
     with pytest.raises(ValueError, match="codes of 0"):

@@ -191,7 +191,7 @@ def test_weights_of_hand_worked_costs():
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_no_finite_cost_at_all_is_said(value):
+def test_costs_of_which_none_is_finite_are_refused(value):
     with pytest.raises(PlanningError, match="none of 1024 sampled"):
         improve(nothing(5), lambda controls: torch.full((len(controls),), value), PLAIN, generator())
 
@@ -250,7 +250,7 @@ def test_smoothing_keeps_straight_lines_and_damps_noise():
     assert smoothed(noise, 9).std() < 0.8 * noise.std()
 
 
-def test_a_plan_is_moved_on_by_the_steps_that_were_driven():
+def test_a_plan_is_shifted_by_the_steps_driven():
     plan = torch.arange(5.0)[:, None]
     assert shift(plan)[:, 0].tolist() == [1, 2, 3, 4, 4]
     assert shift(plan, 3)[:, 0].tolist() == [3, 4, 4, 4, 4]

@@ -1,4 +1,4 @@
-"""A stream of messages without a simulator: a vehicle that moves as a model says, on a plain that one LiDAR scans."""
+"""Stream of messages without a simulator: a vehicle that moves as a model predicts, on a plain scanned by one LiDAR."""
 
 from dataclasses import dataclass, field
 
@@ -35,7 +35,7 @@ def parametric():
 
 
 def feature_model():
-    """A hybrid that reads features, its network untrained and quiet."""
+    """Hybrid model that reads features, its network untrained."""
     torch.manual_seed(0)
     return Hybrid(Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=FEATURES), encoder=Compressor(FEATURES)).eval()
 
@@ -47,7 +47,7 @@ def settings(**changed):
 
 
 def camera():
-    """Looks 30 degrees down from the roof."""
+    """Camera on the roof that looks 30 degrees down."""
     turn = np.array([[0, -np.sin(0.5), np.cos(0.5)], [-1, 0, 0], [0, -np.cos(0.5), -np.sin(0.5)]])
     mounting = np.eye(4)
     mounting[:3, :3], mounting[:3, 3] = turn, (0.5, 0.0, 1.6)
@@ -62,7 +62,7 @@ def extract_features(pixels):
 
 @dataclass
 class Stream:
-    """Runs a run time in lockstep; what a test wants to go wrong is given as functions of time.
+    """Runs a run time in lockstep; faults are given as functions of time.
 
     Attributes:
         reads, scans, images: whether such a message arrives at a time.
@@ -80,7 +80,7 @@ class Stream:
     height: float = 0.0
 
     def run(self, seconds):
-        """Drive on; returns the controls since the beginning."""
+        """Continue the drive; returns the controls since the start."""
         empty = torch.zeros(1, 0)
         if not self.states:
             self.model_state = ModelState(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty, empty)
@@ -104,7 +104,7 @@ class Stream:
         self.model_state = self.truth.step(self.model_state, command[None], FLAT)
 
     def modes(self):
-        """Changes of mode, in words."""
+        """Modes and reasons, in order."""
         return [(event.mode, event.why) for event in self.runtime.events]
 
 

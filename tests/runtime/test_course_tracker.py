@@ -1,4 +1,4 @@
-"""The vehicle's place on its course."""
+"""Position of the vehicle along its course, and the section around it."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_distance_beside_a_straight_course():
     assert tracker.progress == pytest.approx(3.1 + 12.0, abs=0.5)
 
 
-def test_the_stretch_is_what_lies_around():
+def test_the_stretch_is_the_section_around_the_vehicle():
     tracker = CourseTracker(
         Course(np.array([[0.0, 0.0], [100.0, 0.0]]), np.full(2, 5.0)), TrackerRange(back=5.0, ahead=20.0)
     )
@@ -50,7 +50,7 @@ def test_the_stretch_is_what_lies_around():
     assert len(CourseTracker(Course(np.array([[0.0, 0.0], [0.2, 0.0]]), np.full(2, 5.0))).stretch().path) >= 2
 
 
-def test_beyond_its_end_a_course_goes_straight_on():
+def test_beyond_its_path_a_course_is_extended_straight():
     path = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 30.0]])
     tracker = CourseTracker(Course(path, np.array([5.0, 5.0, 3.0])), TrackerRange(back=5.0, ahead=20.0))
     for place in (*np.linspace(path[0], path[1], 9), *np.linspace(path[1], path[2], 9)):
@@ -63,7 +63,7 @@ def test_beyond_its_end_a_course_goes_straight_on():
     assert tracker.progress == tracker.length == pytest.approx(80.0)
 
 
-def test_beyond_its_end_a_course_goes_on_along_its_path():
+def test_beyond_its_end_a_course_follows_its_path():
     path = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 30.0]])
     course = Course(path, np.full(3, 5.0), end=40.0)
     tracker = CourseTracker(course, TrackerRange(back=5.0, ahead=20.0))

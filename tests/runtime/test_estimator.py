@@ -1,4 +1,4 @@
-"""Rows and poses of the last seconds, from readings that come as they like."""
+"""Rows and poses of the last seconds, from readings at any times."""
 
 import numpy as np
 import pytest
@@ -26,16 +26,16 @@ def test_rows_are_the_last_readings():
     assert rows.state.shape == (HISTORY_STEPS + 1, 6)
 
 
-def test_between_readings_the_vehicle_goes_on_as_it_did():
+def test_between_readings_the_motion_is_extrapolated():
     track = VehicleTrack()
     track.add(reading(1.0, 10.0, 20.0, np.pi / 2, 3.0, 0.0, 0.2))
     state = track.rows(1.1).state[-1]
     np.testing.assert_allclose(state[:3], (10.0, 20.3, np.pi / 2 + 0.02), atol=1e-9)
-    # Nothing is told of the time before the first reading: it stands for it, without going backwards.
+    # Before the first reading its values are repeated, not extrapolated backwards.
     np.testing.assert_allclose(track.rows(1.1).state[0, :3], (10.0, 20.0, np.pi / 2), atol=1e-9)
 
 
-def test_yaw_goes_on_beyond_half_a_turn():
+def test_yaw_is_unwrapped_beyond_half_a_turn():
     track = VehicleTrack()
     for row in range(20):
         track.add(reading(row * DT, 0.0, 0.0, np.pi - 0.1 + 0.02 * row, 0.0, 0.0, 1.0))
@@ -43,7 +43,7 @@ def test_yaw_goes_on_beyond_half_a_turn():
     np.testing.assert_allclose(np.diff(yaw), 0.02, atol=1e-9)
 
 
-def test_rows_have_the_control_that_was_commanded_from_them_on():
+def test_rows_have_the_control_commanded_from_their_time_on():
     track = VehicleTrack()
     for row in range(20):
         track.add(circle(row * DT))
@@ -53,7 +53,7 @@ def test_rows_have_the_control_that_was_commanded_from_them_on():
     assert throttle.tolist() == [0, *range(10, 19), 18]
 
 
-def test_a_jump_forgets_what_was_before():
+def test_a_jump_of_the_pose_forgets_earlier_readings():
     track = VehicleTrack()
     for row in range(20):
         assert not track.add(circle(row * DT))
@@ -64,7 +64,7 @@ def test_a_jump_forgets_what_was_before():
     np.testing.assert_allclose(track.rows(0.42).state[:, 0], 30.0)
 
 
-def test_what_is_not_finite_is_no_reading():
+def test_readings_with_missing_values_are_not_finite():
     whole = circle(0.0)
     assert whole.finite  # actuators may be missing
     for name in ("position", "orientation", "velocity"):

@@ -1,4 +1,4 @@
-"""What happens when inputs are late, missing or invalid."""
+"""Mode by the age of the inputs."""
 
 from dataclasses import replace
 from math import inf
@@ -25,9 +25,9 @@ WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
         ({"state": 0.11, "scan": inf, "plan": inf}, "stopping", "no state of the vehicle", False),
     ],
 )
-def test_the_worst_trouble_decides(changed, mode, why, slow):
-    found = decide_mode(replace(WELL, **changed), Timeouts(), map_empty=False, finished=False)
-    assert found == ModeDecision(mode, why, slow)
+def test_the_most_severe_fault_decides(changed, mode, why, slow):
+    decision = decide_mode(replace(WELL, **changed), Timeouts(), map_empty=False, finished=False)
+    assert decision == ModeDecision(mode, why, slow)
 
 
 def test_an_empty_map_and_the_end_of_the_course_stop():

@@ -1,4 +1,4 @@
-"""The part of the map that a plan reads, by hand."""
+"""Part of the map that a plan reads, by hand."""
 
 import numpy as np
 import pytest
@@ -45,8 +45,8 @@ def test_a_map_of_codes_is_read_as_it_is(encoder):
 
 def test_known_ground_is_encoded_where_it_lies(encoder):
     area = coded_area(layers(), encoder, lambda places: places * (0.1, 0.01))
-    seen = encoder(torch.tensor([[0.3, -0.1]]), torch.ones(1, dtype=torch.bool))[0]
-    torch.testing.assert_close(at(area, 3.0, -10.0), seen)
+    code = encoder(torch.tensor([[0.3, -0.1]]), torch.ones(1, dtype=torch.bool))[0]
+    torch.testing.assert_close(at(area, 3.0, -10.0), code)
 
 
 def test_models_without_features_read_none():

@@ -1,4 +1,4 @@
-"""The run time on a stream without a simulator: what it does when all is well, and when inputs are late or missing."""
+"""The run time on a stream without a simulator: normal driving, and inputs that are late, missing or invalid."""
 
 from dataclasses import replace
 
@@ -67,7 +67,7 @@ def test_a_plan_starts_where_the_vehicle_then_is(latency):
     assert acting[0] == pytest.approx(0.1 + latency, abs=DT / 2)  # the first scan that counts comes at 0.1 s
 
 
-def test_a_standing_vehicle_gets_more_throttle_than_planned(driven):
+def test_a_vehicle_at_a_standstill_gets_more_throttle_than_planned(driven):
     planned = straight_drive(launch=LaunchSettings(rate=0.0))
     planned.run(0.3)
     first = next(row for row, command in enumerate(commands(planned)) if command[0] > 0.05)
@@ -75,7 +75,7 @@ def test_a_standing_vehicle_gets_more_throttle_than_planned(driven):
     assert more == pytest.approx(LaunchSettings().rate * DT)
 
 
-def test_plans_know_of_the_throttle_that_is_added():
+def test_plans_account_for_the_added_throttle():
     stream = straight_drive(latency=0.3)
     stream.run(1.5)
     met = []
@@ -87,7 +87,7 @@ def test_plans_know_of_the_throttle_that_is_added():
     np.testing.assert_allclose(met, 0.0, atol=0.02)
 
 
-def test_throttle_that_was_added_does_not_outlive_a_stop():
+def test_added_throttle_is_removed_by_a_stop():
     held = straight_drive(stream={"reads": lambda t: not 1.2 <= t < 1.5, "truth": Held()}, wanted=1.0)
     held.run(1.2)
     assert held.runtime._launch._more > 0.2, "more and more, since it does not move"
@@ -99,7 +99,7 @@ def test_throttle_that_was_added_does_not_outlive_a_stop():
     assert commands(held)[-1, 0] < 0.9
 
 
-def test_a_stamp_ahead_of_the_clock_is_not_believed():
+def test_a_stamp_ahead_of_the_clock_is_dropped():
     stream = straight_drive()
     stream.run(1.5)
     x, *rest = stream.states[-1]
@@ -111,7 +111,7 @@ def test_a_stamp_ahead_of_the_clock_is_not_believed():
     assert stream.runtime.dropped["lidar: stamps ahead of the clock"] == 1
 
 
-def test_a_clock_that_goes_back_begins_all_anew():
+def test_a_clock_that_goes_back_restarts_everything():
     stream = straight_drive()
     stream.run(1.5)
     for row in range(60):  # the same runtime on another clock, 1 s behind
@@ -184,7 +184,7 @@ def test_without_scans_it_slows_down_and_stops():
     assert times["late scan"] == pytest.approx(1.9 + 0.3, abs=2 * DT)
 
 
-def test_a_stop_is_ended_before_it_drives_on():
+def test_a_stop_is_completed_before_it_drives_away():
     stream = straight_drive(stream={"reads": lambda t: not 1.0 <= t < 1.3})
     stream.run(3.2)
     why = "no state of the vehicle"
@@ -224,7 +224,7 @@ def test_an_empty_map_stops_it():
     stream = straight_drive()
     stream.run(1.5)
     stream.runtime.forget_map()
-    stream.height = 1000.0  # echoes from nowhere
+    stream.height = 1000.0  # echoes far above
     stream.run(0.2)
     assert stream.modes()[-1] == ("stopping", "empty map")
     stream.run(1.8)
@@ -261,7 +261,7 @@ def test_it_stops_at_the_end_of_its_course():
     assert 5.0 < stream.states[-1][0] < 14.0
 
 
-def test_without_images_it_goes_on_and_says_so():
+def test_without_images_it_continues_in_degraded_mode():
     stream = straight_drive(with_camera=True, stream={"images": lambda t: t < 1.2})
     stream.run(1.5)
     layers = stream.runtime._mapper.layers()
@@ -293,7 +293,7 @@ def test_features_that_are_not_finite_count_as_no_image():
     assert np.isfinite(stream.runtime._mapper.layers().features[stream.runtime._mapper.layers().valid]).all()
 
 
-def test_what_is_no_use_is_dropped_and_counted():
+def test_messages_that_cannot_be_used_are_dropped_and_counted():
     stream = straight_drive(with_camera=True)
     stream.run(2.0)
     driver, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
@@ -323,7 +323,7 @@ def test_what_is_no_use_is_dropped_and_counted():
     }
 
 
-def test_a_pose_that_jumps_begins_the_map_anew():
+def test_a_pose_that_jumps_empties_the_map():
     stream = straight_drive()
     stream.run(1.5)
     assert stream.runtime._mapper.layers().known.any()

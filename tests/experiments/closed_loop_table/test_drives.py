@@ -127,7 +127,7 @@ def test_all_settings_are_checked_before_the_first_course(driven, tmp_path, late
 
 
 @pytest.mark.parametrize("inside", [".", "deeper"])
-def test_a_file_is_no_folder(driven, tmp_path, inside):
+def test_a_file_instead_of_a_folder_is_refused(driven, tmp_path, inside):
     (tmp_path / "file").write_text("")
     with pytest.raises(OffpisteError, match="file: is a file"):
         drive_all([Entry(B)], places(1, 1), tmp_path / "file" / inside)

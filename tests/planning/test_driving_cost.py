@@ -1,4 +1,4 @@
-"""The cost of driving along trajectories that are worked by hand."""
+"""Cost of driving along trajectories, worked out by hand."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Cost terms by hand."""
+"""Cost terms worked out by hand."""
 
 import math
 

@@ -1,0 +1,41 @@
+"""Map layers of the cost map by hand: hazards and speed limits."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from offpiste.planning.costs.layers import Hazards, hazard_layers, speed_limit
+from planning_maps import layers
+
+
+def test_speed_limit_of_a_sine():
+    limit, length, acceleration = 4.0, 3.0, 6.0
+    roughness = acceleration / (2 * math.pi * limit / length) ** 2 / math.sqrt(2)
+    assert speed_limit(np.array([roughness]), acceleration, length)[0] == pytest.approx(limit)
+    assert np.isinf(speed_limit(np.array([0.0, np.nan]), acceleration, length)).all()
+
+
+def test_hazards_of_cells():
+    ground = layers(21, 1.0)
+    ground.obstacle_height[10, 10], ground.obstacle_height[3, 3] = 0.5, 0.2
+    ground.slope[0, 0], ground.slope[0, 1] = 0.55, np.nan
+    ground.known[20, 5] = False
+    hazards = Hazards(obstacle=100.0, margin=1.2, unknown=7.0, steep=30.0, steepest=0.45)
+    hazard = hazard_layers(ground, hazards)[..., 0]
+    wanted = np.zeros((21, 21))
+    for j, i in ((10, 10), (9, 10), (11, 10), (10, 9), (10, 11)):
+        wanted[j, i] = 100
+    wanted[0, 0], wanted[20, 5] = 3, 7
+    np.testing.assert_allclose(hazard, wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.5, 1.6])
+def test_obstacles_reach_as_far_as_their_distance_says(margin):
+    ground = layers(50, 0.4)
+    ground.obstacle_height[:] = np.random.default_rng(0).random((50, 50)) > 0.97
+    ground.obstacle_height[7] = np.nan
+    hazard = hazard_layers(ground, Hazards(obstacle=1.0, height=0.5, margin=margin))[..., 0]
+    wanted = distance_transform_edt(~(ground.obstacle_height > 0.5), sampling=0.4) <= margin + 1e-6
+    np.testing.assert_array_equal(hazard == 1, wanted)

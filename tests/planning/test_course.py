@@ -1,0 +1,98 @@
+"""Courses and goals, and the point of a path nearest to each cell."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.errors import PlanningError
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.course import BLOCK, NEAR, Course, Goal, along_path
+from planning_maps import layers
+
+SIZE = 0.2
+"""Size of the cells in tests of `along_path` [m]."""
+
+
+def test_distance_and_direction_of_a_bent_path():
+    ground = layers(41, 0.5)
+    course = Course(np.array([[-10.0, 0.0], [5.0, 0.0], [5.0, 10.0]]), np.array([4.0, 4.0, 8.0]))
+    found = course.layers(ground)
+
+    def at(x, y):
+        return found[round((y + 10) / 0.5), round((x + 10) / 0.5)]
+
+    np.testing.assert_allclose(at(0, 3), [3, 1, 0, 4], atol=1e-6)
+    np.testing.assert_allclose(at(0, -3), [3, 1, 0, 4], atol=1e-6)
+    np.testing.assert_allclose(at(8, 5), [3, 0, 1, 6], atol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(found[..., 1:3], axis=-1), 1, atol=1e-6)
+
+
+def test_distance_against_brute_force():
+    ground, random = layers(15, 1.0), np.random.default_rng(0)
+    path = random.uniform(-7, 7, (4, 2))
+    found = Course(path, np.ones(4)).layers(ground)[..., 0]
+    for j, i in ((0, 0), (7, 3), (14, 14), (2, 12)):
+        place = ground.origin + np.array([i, j])
+        ends = itertools.pairwise(path)
+        near = [a + np.clip((place - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1) * (b - a) for a, b in ends]
+        assert found[j, i] == pytest.approx(min(np.linalg.norm(place - p) for p in near), abs=0.25)
+
+
+def test_points_are_added_evenly():
+    dense = Course(np.array([[0.0, 0.0], [0.0, 3.0], [4.0, 3.0]]), np.array([1.0, 1.0, 5.0])).densified(0.5)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(dense.path, axis=0), axis=-1), 0.5)
+    assert dense.speed[-1] == 5
+
+
+def test_a_goal_is_straight_ahead_from_everywhere():
+    ground = layers(21, 1.0)
+    found = Goal(np.array([3.0, 4.0]), 6.0, braking=2.0).layers(ground)
+    np.testing.assert_allclose(found[10, 10], [0, 0.6, 0.8, math.sqrt(20)], atol=1e-6)
+    np.testing.assert_allclose(found[14, 13, 3], 0)
+    assert found[0, 0, 3] == 6
+    costs = cost_map(ground, Goal(np.array([3.0, 4.0]), 6.0, braking=2.0), Hazards())
+    np.testing.assert_allclose(costs.layers[..., 2:].numpy(), found, rtol=1e-6)
+
+
+@pytest.mark.parametrize("path", [np.full((3, 2), 7.0), np.zeros((1, 2)), np.array([[0.0, 0.0], [np.nan, 1.0]])])
+def test_a_path_that_leads_nowhere_is_refused(path):
+    with pytest.raises(PlanningError, match="leads nowhere"):
+        Course(path, np.ones(len(path)))
+
+
+def winding(seed):
+    """A path that bends, meets itself and comes back beside itself, a point every half cell."""
+    corners = np.random.default_rng(seed).uniform(-12, 12, (9, 2))
+    return Course(corners, np.ones(9)).densified(SIZE / 2).path
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_near_the_path_exact_and_far_to_a_fifth_of_a_cell_or_a_diagonal(seed, threads):
+    path, x, y = winding(seed), SIZE * np.arange(-90, 61), SIZE * np.arange(-70, 83)
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    found = along_path(path, np.arange(len(path), dtype=np.float32)[:, None], x, y)
+    torch.set_num_threads(before)
+    away = np.sqrt((x[None, :, None] - path[:, 0]) ** 2 + (y[:, None, None] - path[:, 1]) ** 2)
+    least, number = away.min(axis=-1), found[..., 1].astype(int)
+    # Distances are those of the points that are named.
+    np.testing.assert_allclose(found[..., 0], np.take_along_axis(away, number[..., None], -1)[..., 0], rtol=1e-6)
+    diagonal = np.sqrt(2) * BLOCK * SIZE
+    near = least < NEAR * BLOCK * SIZE - diagonal
+    assert near.mean() > 0.2
+    np.testing.assert_allclose(found[..., 0][near], least[near], rtol=1e-6)
+    further = found[..., 0] - least
+    assert further.max() < diagonal
+    assert (further[~near] < 0.2 * SIZE).mean() > 0.9
+
+
+def test_a_path_of_two_points_and_hardly_any_cells():
+    path, values = np.array([[0.0, 0.0], [9.0, 0.0]]), np.array([[1.0], [2.0]], np.float32)
+    found = along_path(path, values, np.array([4.0]), np.array([3.0]))
+    np.testing.assert_allclose(found, [[[5.0, 1.0]]])
+    np.testing.assert_allclose(along_path(path, values, np.array([4.0, 6.0]), np.array([4.0]))[0, 1], [5.0, 2.0])
