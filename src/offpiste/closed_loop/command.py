@@ -70,7 +70,8 @@ def modes_table(result: dict[str, Any]) -> Table:
 
 def stages_table(result: dict[str, Any]) -> Table:
     """Wall-clock times of the stages of the run time."""
-    names = ("stage", "times", r"median \[ms]", r"95 % \[ms]", r"all \[s]")  # what is not escaped is a style
+    # Without a backslash, rich takes brackets for a style.
+    names = ("stage", "times", r"median \[ms]", r"95 % \[ms]", r"all \[s]")
     table = Table(*names, title="what it took, by the wall clock")
     for stage, took in result["stages"].items():
         numbers = (f"{took[key]:.1f}" for key in ("median_ms", "p95_ms", "total_s"))

@@ -93,7 +93,7 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
 
 
 def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
-    """Mean difference between the speed that friction allows and what the world's mean friction would allow [m/s].
+    """Mean difference between the speed that friction allows and the speed by the world's mean friction [m/s].
 
     Args:
         speed: target speed, which caps both [m/s].

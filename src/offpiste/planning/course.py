@@ -125,8 +125,8 @@ class Course:
 
     def __post_init__(self) -> None:
         if not np.linalg.norm(np.diff(self.path, axis=0), axis=-1).sum() > SHORTEST:
-            how = f"give finite places, {SHORTEST} m of path at least; or a `Goal`"
-            raise PlanningError(f"a path of {len(self.path)} points that leads nowhere", how=how)
+            how = "give finite points of a longer path, or a `Goal`"
+            raise PlanningError(f"a path of {len(self.path)} points, not finite or shorter than {SHORTEST} m", how=how)
 
     @property
     def driven(self) -> Float[np.ndarray, "_ 2"]:

@@ -162,7 +162,7 @@ def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]
     """
     finite = costs.isfinite()
     if not finite.any():
-        how = "stop, or look for what is not finite in the start, the map or the cost"
+        how = "stop, and check start, map and cost for values that are not finite"
         raise PlanningError(f"none of {len(costs)} sampled trajectories has a finite cost", how=how)
     # The least cost is subtracted first, since exp of large costs alone would underflow to 0.
     above = torch.where(finite, costs, torch.inf) - costs[finite].min()

@@ -49,7 +49,13 @@ class Runtime:
         dynamics: model that plans are made with; it is set to evaluation mode, without gradients.
         wheels: positions in the body frame, from the pose point [m].
         ground: ground-truth features, used instead of features from cameras.
-        seed: of the sampled controls.
+        seed: seed of the sampled controls.
+
+    Attributes:
+        course_tracker: position along the course.
+        watch: wall-clock times of the stages.
+        events: changes of mode, oldest first.
+        failures: reasons of plans that failed.
 
     Raises:
         PlanningError: the model reads features, and nothing extracts them.
@@ -267,7 +273,7 @@ class Runtime:
             self.failures.append(str(error))
             return
         if not plan.controls.isfinite().all():
-            self.failures.append("a plan that is not finite")
+            self.failures.append("the plan is not finite")
             return
         controls = controls_of(plan.controls)
         self._schedule.add(TimedPlan(start, now, controls))
