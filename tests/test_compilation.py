@@ -1,9 +1,26 @@
-"""Compiled entries: cached until a source changes."""
+"""Compiled entries: cached until a source changes.
+
+Parts of the blocks in each thread, and torch beside the kernels.
+"""
+
+import threading
 
 import numpy as np
 import pytest
+import torch
 
-from offpiste.compilation import KERNELS, MAPPING, OCCLUSION, PHYSICS, PLANNING, RAYS, Compiler
+from offpiste.compilation import (
+    KERNELS,
+    MAPPING,
+    OCCLUSION,
+    PHYSICS,
+    PLANNING,
+    RAYS,
+    Compiler,
+    single_threaded_torch,
+    spread_blocks,
+    spread_kernel,
+)
 
 
 def test_an_entry_works_where_machine_code_cannot_be_cached():
@@ -32,3 +49,64 @@ def test_the_name_of_an_entry_depends_on_the_sources(tmp_path):
 def test_sources_exist(compiler, tmp_path):
     empty = Compiler((str(tmp_path / "nothing"),))
     assert compiler._digest != empty._digest
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 8])
+@pytest.mark.parametrize("blocks", [1, 2, 5, 7])
+def test_every_block_is_in_one_part(threads, blocks):
+    done, callers = [], set()
+
+    def loop(first, last, given):
+        assert given == "given"
+        done.extend(range(first, last))
+        callers.add(threading.current_thread())
+
+    spread_blocks(threads, blocks, loop, "given")
+    assert sorted(done) == list(range(blocks))
+    assert threading.current_thread() in callers, "the caller works too"
+
+
+def test_an_error_in_a_thread_is_raised_in_the_caller():
+    def loop(first, last):
+        if first:
+            raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        spread_blocks(2, 2, loop)
+
+
+@pytest.fixture
+def two_torch_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def parts(blocks):
+    found = []
+    spread_kernel(blocks, lambda first, last: found.append((first, last)))
+    return sorted(found)
+
+
+def test_kernels_use_as_many_threads_as_torch(two_torch_threads):
+    assert parts(5) == [(0, 2), (2, 5)]
+    assert parts(1) == [(0, 1)]
+
+
+def test_kernels_keep_their_threads_where_torch_has_one(two_torch_threads):
+    with single_threaded_torch():
+        assert torch.get_num_threads() == 1
+        assert parts(4) == [(0, 2), (2, 4)]
+        with single_threaded_torch():
+            assert parts(4) == [(0, 2), (2, 4)]
+        assert parts(4) == [(0, 2), (2, 4)]
+    assert torch.get_num_threads() == 2
+
+
+def test_torch_has_its_threads_back_after_an_error(two_torch_threads):
+    with pytest.raises(ValueError, match="no"), single_threaded_torch():
+        raise ValueError("no")
+    assert torch.get_num_threads() == 2
+    torch.set_num_threads(1)
+    assert parts(4) == [(0, 4)]

@@ -1,10 +1,14 @@
-"""What models read while they train: which sets, for how long, and that the seed alone decides."""
+"""What models read while they train: which sets, for how long, and that the seed alone decides.
+
+Feature sets by distance, against brute force that keeps every map and searches every moment.
+"""
 
 import numpy as np
 import pytest
 
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
-from offpiste.dataset.feature_sets import masked, per_step, per_trajectory
+from offpiste.dataset.feature_sets import TOLERANCE, FeatureSetRecorder, MapCellValues, masked, per_step, per_trajectory
+from offpiste.dataset.wheel_passes import PAUSE, find_passes
 from offpiste.dynamics import MODELS
 
 STORED = len(FEATURE_SETS)
@@ -38,3 +42,117 @@ def test_the_generator_decides():
 def test_models_say_how_they_draw():
     drawing = {name: model.draw for name, model in MODELS.items() if model.draw is not None}
     assert drawing == {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}
+
+
+WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
+RESOLUTION, REACH = 0.5, 48.0
+
+
+def there_and_back(speed: float = 4.0, length: float = 70.0, dt: float = 0.25) -> tuple[np.ndarray, np.ndarray]:
+    """Along x, then back on the same line."""
+    steps = int(length / speed / dt)
+    x = np.concatenate((np.arange(steps), np.arange(steps)[::-1])) * speed * dt
+    return dt * np.arange(len(x)), np.column_stack((x, np.zeros_like(x)))
+
+
+def passes_of(time: np.ndarray, xy: np.ndarray):
+    return find_passes(time, xy, xy[:, None] + WHEELS, resolution=RESOLUTION)
+
+
+class ChangingMap:
+    """Every cell's value tells the cell and the moment; some are invalid at some moments."""
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
+    def at(self, step: int):
+        def read(cells: np.ndarray) -> MapCellValues:
+            column, row = cells.T
+            mixed = (column * 7919 + row * 104729 + step * 31 + self.seed) % 97
+            valid = mixed % 3 > 0
+            value = np.where(valid, mixed.astype(float), np.nan)
+            up = np.tile([0.0, 0.6, 0.8], (len(cells), 1))
+            return MapCellValues(value[:, None], valid, mixed / 2.0, mixed / 4.0, up)
+
+        return read
+
+
+def brute_force(time, xy, passes, changing: ChangingMap):
+    """By pass and set: (step or None); nothing shared with the code but the definition."""
+    chosen = {}
+    for p in range(len(passes.contact)):
+        centre = (passes.cell[p] + 0.5) * RESOLUTION
+        steps, left = [], False
+        for step, t in enumerate(time):
+            if not passes.approach[p] <= t < passes.end[p]:
+                continue
+            inside = max(abs(centre - xy[step])) <= REACH
+            left = left or (not inside and t > passes.contact[p])
+            if inside and not left:
+                steps.append(step)
+        signed = {s: np.hypot(*(centre - xy[s])) * (-1 if time[s] > passes.contact[p] else 1) for s in steps}
+        for number, name in enumerate(FEATURE_SETS):
+            if name == "hindsight":
+                valid = [s for s in steps if changing.at(s)(passes.cell[p : p + 1]).valid[0]]
+                chosen[p, number] = valid[-1] if valid else None
+            else:
+                near = [s for s in steps if abs(signed[s] - float(name)) <= TOLERANCE]
+                chosen[p, number] = min(near, key=lambda s: abs(signed[s] - float(name))) if near else None
+    return chosen
+
+
+def test_every_set_holds_what_brute_force_finds():
+    time, xy = there_and_back()
+    passes, changing = passes_of(time, xy), ChangingMap(0)
+    feature_sets_recorder = FeatureSetRecorder(passes, resolution=RESOLUTION, reach=REACH, features=1)
+    for step in range(len(time)):
+        feature_sets_recorder.update(time[step], xy[step], changing.at(step))
+    wanted = brute_force(time, xy, passes, changing)
+    assert any(step is None for step in wanted.values())
+    for (p, number), step in wanted.items():
+        if step is None:
+            assert not feature_sets_recorder.valid[number, p]
+            continue
+        feature_set_choice = changing.at(step)(passes.cell[p : p + 1])
+        assert feature_sets_recorder.valid[number, p] == feature_set_choice.valid[0]
+        np.testing.assert_equal(
+            feature_sets_recorder.features[number, p], feature_set_choice.features[0].astype(np.float16)
+        )
+        assert feature_sets_recorder.distance[number, p] == pytest.approx(feature_set_choice.distance[0])
+        assert feature_sets_recorder.elevation[number, p] == pytest.approx(feature_set_choice.elevation[0])
+        np.testing.assert_allclose(feature_sets_recorder.normal[number, p], feature_set_choice.normal[0])
+
+
+def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():
+    time, xy = there_and_back()
+    passes = passes_of(time, xy)
+    index = passes.index
+    under = (passes.cell[index[:, 0]] + 0.5) * RESOLUTION
+    np.testing.assert_allclose(under, xy + WHEELS[0], atol=RESOLUTION / 2 + 1e-9)
+    cells, counts = np.unique(passes.cell, axis=0, return_counts=True)
+    # Near the turn the vehicle is back within the pause; at the start it is not.
+    assert counts[cells[:, 0] * RESOLUTION < 40].max() == 2
+    turned = time[len(time) // 2]
+    near = cells[:, 0] * RESOLUTION > 70 - 4.0 * PAUSE / 2 + 4
+    assert (counts[near] == 1).all()
+    second = np.isfinite(passes.end)
+    assert (passes.end[second] > turned).all()
+    # The approach to the second pass begins at the far end, not at the departure from the first.
+    later = (passes.contact > turned) & (passes.approach > 0)
+    np.testing.assert_allclose(passes.approach[later], turned, atol=0.2)
+    assert (passes.approach <= passes.contact).all()
+
+
+def test_rows_without_a_place_have_no_pass():
+    time, xy = there_and_back()
+    xy[5] = np.nan
+    passes = passes_of(time, xy)
+    assert (passes.index[5] == -1).all()
+    assert (np.delete(passes.index, 5, axis=0) >= 0).all()
+
+
+def test_passes_are_numbered_as_they_begin():
+    time, xy = there_and_back()
+    passes = passes_of(time, xy)
+    assert (np.diff(passes.contact) >= 0).all()
+    assert set(np.unique(passes.index)) == set(range(len(passes.contact)))

@@ -1,3 +1,5 @@
+"""TODO"""
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +13,21 @@ from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion
-from offpiste.evaluation.errors import Errors, in_start_frame, pool, positions, prediction_errors, trajectories
+from offpiste.errors import RunError
+from offpiste.evaluation.errors import (
+    Errors,
+    in_start_frame,
+    load_errors,
+    pool,
+    positions,
+    prediction_errors,
+    save_errors,
+    saved_errors,
+    trajectories,
+)
 from offpiste.rig.rig import parse_rig
 from offpiste.state import ModelState
+from window_errors import BASE
 
 UNITS = {"scale": torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), "weights": torch.ones(5)}
 
@@ -213,3 +227,28 @@ def test_paths_are_turned_to_the_start_heading() -> None:
     # Half a turn from east: one metre west is ahead, one north is to the right.
     paths = np.array([[[-1.0, 0.0], [0.0, 1.0]]])
     np.testing.assert_allclose(in_start_frame(paths, np.array([np.pi])), [[[1, 0], [0, -1]]], atol=1e-12)
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    backwards = BASE.take(np.arange(len(BASE.row))[::-1])
+    save_errors(tmp_path / "run" / "map.safetensors", backwards)
+    again = load_errors(tmp_path / "run" / "map.safetensors")
+    for name in ("drive", "row", "values", "loss"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(backwards, name))
+
+
+def test_errors_are_computed_once(tmp_path: Path) -> None:
+    made = Errors(np.zeros(3, np.int64), np.arange(3), np.ones((3, 5, 5)), np.ones(3))
+    path = tmp_path / "run" / "map.safetensors"
+    assert len(saved_errors(path, lambda: made).row) == 3
+    again = saved_errors(path, lambda: pytest.fail("computed twice"))
+    np.testing.assert_array_equal(again.values, made.values)
+
+
+def test_a_file_that_is_damaged_or_missing_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "map.safetensors"
+    with pytest.raises(RunError, match=r"map\.safetensors: cannot be read"):
+        load_errors(path)
+    path.write_bytes(b"cut")
+    with pytest.raises(RunError, match=r"map\.safetensors: cannot be read"):
+        saved_errors(path, lambda: BASE)

@@ -1,15 +1,97 @@
-"""KITTI's drive is cleared; with a camera planted wrongly it is not."""
+"""What becomes a warning, what a note, and what the remedies say.
+
+KITTI's drive is cleared; with a camera planted wrongly it is not.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from experiments.sensor_faults import planted
+from offpiste.inspection.misfit import Misfit
 from offpiste.inspection.sensor_samples import gather, small_camera
 from offpiste.inspection.sensor_stamps import check_own_body, check_sensor_stamps
-from offpiste.inspection.sensors import camera_misfits, check_mountings, lidar_misfits
+from offpiste.inspection.sensors import CheckedSensor, camera_misfits, check_mountings, lidar_misfits
 from offpiste.logs import open_log
+from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.sensor_log import open_sensors
+from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import load_rig
+from offpiste.rig.sensors import CameraSource, LidarSource
+
+LIDAR = Lidar("top", np.eye(4), LidarSource(topic="/points", delay=0.02))
+CAMERA = Camera("front", CameraModel(8, 6, np.eye(3)), np.eye(4), CameraSource(topic="/image"))
+DEGREES = np.array([*np.deg2rad([1.0, 1.0, 1.0]), 1e-3])
+"""Of parameters given in degrees and ms."""
+
+
+def checked(parameters=(0, 0, 0, 0), sigma=(0.1, 0.1, 0.1, 1.0), *, sensor=LIDAR, scale=0.02):
+    return CheckedSensor(sensor, Misfit(np.array(parameters) * DEGREES, np.array(sigma) * DEGREES, 30, scale))
+
+
+def reported(*those):
+    return [(f.severity, f.where, f.what) for f in check_mountings(those)]
+
+
+def test_what_is_right_is_not_mentioned():
+    assert reported(checked(), checked(sensor=CAMERA)) == []
+    assert reported(checked((0.4, -0.3, 0.0, 9.0))) == []  # as good drives show
+
+
+@pytest.mark.parametrize(
+    ("parameters", "sigma", "found"),
+    [
+        ((0, 1.0, 0, 0), (0.1, 0.1, 0.1, 1), True),
+        ((0, 1.0, 0, 0), (0.1, 0.3, 0.1, 1), False),  # not surely more than half a degree
+        ((0, 2.0, 0, 0), (0.1, 0.6, 0.1, 1), False),  # not known
+        ((4.0, 1.0, 0, 0), (2.0, 0.1, 0.1, 1), True),  # what is not known hides nothing that is
+        ((0.6, 0.6, 0.6, 0), (0.1, 0.1, 0.1, 1), True),  # 1.04 degrees in all
+    ],
+)
+def test_a_turn_must_be_large_and_sure(parameters, sigma, found):
+    assert any("looks" in what for _, _, what in reported(checked(parameters, sigma))) == found
+
+
+def test_lateness_must_be_large_and_sure():
+    assert reported(checked((0, 0, 0, 30))) == [("warning", "top", "is stamped 30 ms too late, against the poses")]
+    assert reported(checked((0, 0, 0, -30))) == [("warning", "top", "is stamped 30 ms too early, against the poses")]
+    assert reported(checked((0, 0, 0, 30), (0.1, 0.1, 0.1, 7))) == []
+    assert reported(checked((0, 0, 0, 300), (0.1, 0.1, 0.1, 25))) == [("note", "top", "was checked in part")]
+
+
+def test_remedies_are_rig_lines():
+    turn, late = check_mountings([checked((0, 0, 2.0, 30))])
+    half = np.deg2rad(1.0)
+    assert f"orientation = [0.0, 0.0, {np.sin(half):.6f}, {np.cos(half):.6f}]" in turn.remedy
+    assert turn.remedy.startswith("calibrate it again; or lidars.top.body_from_lidar = { position = [0.0, 0.0, 0.0]")
+    assert late.remedy == "lidars.top.delay = 0.05"  # on top of the 20 ms that the rig has already
+
+
+def test_points_without_their_times_are_no_reason_for_a_delay():
+    (late,) = check_mountings([replace(checked((0, 0, 0, 30)), untimed="t")])
+    assert late.remedy.startswith('lidars.top.time_field = "t", with its time_unit;')
+
+
+def test_if_all_sensors_agree_the_pose_may_be_off():
+    late = (0, 0, 0, 50)
+    both = check_mountings([checked(late), checked(late, sensor=CAMERA)])
+    assert all("the pose's stamps may be" in f.remedy for f in both)
+    apart = check_mountings([checked(late), checked((0, 0, 0, 90), sensor=CAMERA)])
+    assert not any("the pose's" in f.remedy for f in apart)
+    alone = check_mountings([checked(late), checked(sensor=CAMERA)])
+    assert not any("the pose's" in f.remedy for f in alone)
+    assert not any("the pose's" in f.remedy for f in check_mountings([checked(late)]))
+
+
+def test_what_could_not_be_checked_is_a_note():
+    assert reported(CheckedSensor(CAMERA, None)) == [("note", "front", "could not be checked against the poses")]
+    (note,) = check_mountings([checked(sigma=(3.0, 0.1, 0.1, 90))])
+    assert note.evidence == "not known: roll (± 3.0 degrees), delay (± 90 ms)"
+
+
+def test_scans_without_a_common_world():
+    assert reported(checked(scale=0.5)) == [("warning", "top", "its scans show no common world")]
 
 
 def test_kitti(data_folder):
