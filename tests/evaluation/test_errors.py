@@ -1,4 +1,4 @@
-"""TODO"""
+"""Errors of predictions after every second, pooled over runs, and the files that keep them."""
 
 from dataclasses import replace
 from pathlib import Path

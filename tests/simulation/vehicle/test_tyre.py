@@ -1,4 +1,4 @@
-"""TODO"""
+"""Tyres: where a wheel meets the ground, and forces of the brush model."""
 
 import numpy as np
 import pytest

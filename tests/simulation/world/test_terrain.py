@@ -1,4 +1,4 @@
-"""TODO"""
+"""The heightfield: slopes after slumping, trails carved into it, and where trails lead."""
 
 import numpy as np
 import pytest
