@@ -102,13 +102,13 @@ def compare(drive: Ridden) -> list[dict[str, Any]]:
 def medians(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Over the drives, by rule and feature set; drives that lack a value do not count."""
     keys = list(dict.fromkeys((row["rule"], row["feature_set"]) for row in rows))
-    found = []
+    result = []
     for rule, name in keys:
         mine = [row for row in rows if (row["rule"], row["feature_set"]) == (rule, name)]
         values = {measure: [row[measure] for row in mine if np.isfinite(row[measure])] for measure in MEASURES}
         middle = {measure: float(np.median(v)) if v else float("nan") for measure, v in values.items()}
-        found.append({"rule": rule, "feature_set": name, **middle})
-    return found
+        result.append({"rule": rule, "feature_set": name, **middle})
+    return result
 
 
 def table_of(rows: Sequence[dict[str, Any]], title: str) -> Table:
@@ -139,9 +139,9 @@ def ride(
     cells = {}
     for rule in track(rules, log.stem):
         settings = MapperSettings(map=MapSettings(VoxelSettings(rule=rule)))
-        found = with_visual_features(rows, sensors, rig, extractor, settings).cells
-        assert found is not None
-        cells[rule] = found
+        result = with_visual_features(rows, sensors, rig, extractor, settings).cells
+        assert result is not None
+        cells[rule] = result
     resolution = VoxelSettings().size
     passes, xy = _passes(rows, sensors, rig, resolution)
     shares = np.stack([truth.layers[name] for name in GROUND_KINDS], axis=-1)

@@ -65,8 +65,8 @@ def depth_edges(points_lidar: Float[np.ndarray, "n 3"], *, least: float = 1.0) -
     for side in (-1, 1):
         beside = np.full(len(distance), np.nan)
         for away in range(_APART, 0, -1):
-            found = image[row, (column + side * away) % columns]
-            beside = np.where(np.isfinite(found), found, beside)
+            result = image[row, (column + side * away) % columns]
+            beside = np.where(np.isfinite(result), result, beside)
         step = np.fmax(step, beside - distance)
     return np.sqrt(np.where(step > least, step, 0.0))
 
@@ -167,8 +167,8 @@ def overlays(frame: Frame) -> list[UInt8[np.ndarray, "h w 3"]]:
     """Each image with the points that it shows."""
     drawn = []
     for view, image in zip(frame.views, frame.images, strict=True):
-        found = project(frame.points_body, [view])
-        drawn.append(overlay(image, found.pixel[found.seen], found.distance[found.seen], farthest=30.0))
+        result = project(frame.points_body, [view])
+        drawn.append(overlay(image, result.pixel[result.seen], result.distance[result.seen], farthest=30.0))
     return drawn
 
 
@@ -182,17 +182,17 @@ def edge_scores(frame: Frame, turns: tuple[float, ...] = TURNS) -> Float[np.ndar
             for index, turn in enumerate(turns):
                 matrix = np.eye(4)
                 matrix[:3, :3] = Rotation.from_rotvec(np.deg2rad(turn) * np.eye(3)[axis]).as_matrix()
-                found = project(points, [replace(view, world_from_camera=view.world_from_camera @ matrix)])
-                scores[number, axis, index] = edge_score(edges, found.pixel[found.seen], strength[found.seen])
+                result = project(points, [replace(view, world_from_camera=view.world_from_camera @ matrix)])
+                scores[number, axis, index] = edge_score(edges, result.pixel[result.seen], strength[result.seen])
     return scores
 
 
 def fit_extractor(frame: Frame, backbone: Backbone, *, components: int = 20) -> FeatureExtractor:
     """Feature extractor with a PCA on all patches that points hit: a forest's ground is hard to segment."""
-    found = project(frame.points_body, frame.views)
+    result = project(frame.points_body, frame.views)
     moments = Moments.none(backbone.channels)
     for number, (view, image) in enumerate(zip(frame.views, frame.images, strict=True)):
-        mask = view.camera.grid.hit(found.pixel[found.view == number])
+        mask = view.camera.grid.hit(result.pixel[result.view == number])
         with torch.no_grad():
             moments = moments.add(backbone(image[None]), mask[None])
     return FeatureExtractor(backbone, fit(moments, backbone, components=components))
@@ -200,10 +200,10 @@ def fit_extractor(frame: Frame, backbone: Backbone, *, components: int = 20) -> 
 
 def terrain(frame: Frame, extractor: FeatureExtractor) -> TerrainLayers:
     """The map of the one scan, with the features of the images."""
-    found = project(frame.points_body, frame.views)
-    features = found.gather([extractor.extract(image) for image in frame.images])
+    result = project(frame.points_body, frame.views)
+    features = result.gather([extractor.extract(image) for image in frame.images])
     pipeline = MapPipeline(extractor.channels)
-    cloud = FeatureCloud(frame.points_body, frame.body_from_lidar[:3, 3], features, found.seen)
+    cloud = FeatureCloud(frame.points_body, frame.body_from_lidar[:3, 3], features, result.seen)
     pipeline.add(cloud, np.zeros(3))
     return pipeline.layers()
 

@@ -36,15 +36,15 @@ def read_photographs(folder: Path) -> dict[str, Photograph]:
     Raises:
         PerceptionError: there are none, or one of them cannot be read.
     """
-    found = {}
+    result = {}
     for path in sorted(p for p in folder.glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")):
         picture = cv2.imread(str(path))
         if picture is None:
             raise PerceptionError("not a picture", where=path, how="remove it")
-        found[path.stem] = np.ascontiguousarray(np.asarray(picture, np.uint8)[:, :, ::-1])
-    if not found:
+        result[path.stem] = np.ascontiguousarray(np.asarray(picture, np.uint8)[:, :, ::-1])
+    if not result:
         raise PerceptionError("no pictures", where=folder, how="give a folder of .png or .jpg files")
-    return found
+    return result
 
 
 def fit_on_photographs(

@@ -121,12 +121,12 @@ def planted(
     return lidars, cameras, replace(gathered, scans={**gathered.scans, name: scans})
 
 
-def _errors(found: CheckedSensor, turn: Float[np.ndarray, " 3"], late: float) -> tuple[float, float]:
+def _errors(result: CheckedSensor, turn: Float[np.ndarray, " 3"], late: float) -> tuple[float, float]:
     """Errors of the estimated rotation [deg] and delay [ms]; NaN where nothing was found."""
-    if found.misfit is None:
+    if result.misfit is None:
         return np.nan, np.nan
-    left = Rotation.from_rotvec(found.misfit.parameters[:3]) * Rotation.from_rotvec(turn)
-    return float(np.rad2deg(left.magnitude())), float(1e3 * abs(found.misfit.parameters[3] - late))
+    left = Rotation.from_rotvec(result.misfit.parameters[:3]) * Rotation.from_rotvec(turn)
+    return float(np.rad2deg(left.magnitude())), float(1e3 * abs(result.misfit.parameters[3] - late))
 
 
 def tabulate(results: Sequence[Outcome]) -> Table:

@@ -119,14 +119,14 @@ def _drive_rows(
     settings: CourseDriveSettings,
 ) -> str:
     """Drive a course with several planners, one after the other."""
-    (place, rows), said = course, []
+    (place, rows), message = course, []
     world = make_world(place)
     scene = world_scene(world)
     for number, row in enumerate(rows):
         drive = replace(_at_latency(settings, row), world=place)
-        said.append(_driven(row, drive, _folder(row, place, out), world, scene))
+        message.append(_driven(row, drive, _folder(row, place, out), world, scene))
         report((number + 1) / len(rows))
-    return "\n".join(said)
+    return "\n".join(message)
 
 
 def _driven(row: Entry, drive: CourseDriveSettings, folder: Path, world: World, scene: Scene) -> str:

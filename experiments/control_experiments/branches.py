@@ -102,9 +102,9 @@ def record_on(settings: DriveSettings, world: World, ground: World, log: Path) -
     partial.rename(log)
 
 
-def save_branches(path: Path, found: Branches) -> None:
+def save_branches(path: Path, result: Branches) -> None:
     """Write them whole or not at all."""
-    arrays = {"path": found.path, "step": found.step, "other": found.other}
+    arrays = {"path": result.path, "step": result.step, "other": result.other}
     write_whole(path, lambda partial: save_file(arrays, partial))
 
 

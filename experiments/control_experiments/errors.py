@@ -67,10 +67,10 @@ def same_windows(windows: Windows, index: Int[np.ndarray, " n"], among: Windows)
     wanted = np.array(numbers)[windows.drive[index]].astype(np.int64) << 32 | windows.row_in_drive(index)
     every = np.arange(len(among))
     keys = among.drive.astype(np.int64) << 32 | among.row_in_drive(every)
-    found = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
-    if not np.array_equal(keys[found], wanted):
+    result = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
+    if not np.array_equal(keys[result], wanted):
         raise RunError("two datasets do not hold the same windows", how="extract both from the same logs")
-    return found
+    return result
 
 
 def errors_of(

@@ -60,13 +60,13 @@ def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
                     errors_of(run, windows, index, reading, scale=scale, kept=out / "evaluated") for run in runs[model]
                 ]
     over_b = [
-        gain(FEATURED.get(model, BLIND.get(model, "")), model, found, errors["b", reading], reading)
-        for (model, reading), found in errors.items()
+        gain(FEATURED.get(model, BLIND.get(model, "")), model, result, errors["b", reading], reading)
+        for (model, reading), result in errors.items()
         if model != "b"
     ]
     over_dc = [
-        gain("", model, found, errors["dc", reading], reading, baseline="dc")
-        for (model, reading), found in errors.items()
+        gain("", model, result, errors["dc", reading], reading, baseline="dc")
+        for (model, reading), result in errors.items()
         if "dc" in runs and model not in ("b", "cf", "dc")
     ]
     tables = [gain_table("Control models against b", over_b, ABOUT + "Baseline: b.")]

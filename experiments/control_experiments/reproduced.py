@@ -48,12 +48,12 @@ class Reproduced:
         Raises:
             RunError: there is none.
         """
-        found = sorted(self.folder.glob(f"runs/{model}-[0-9]*/model.json"))
-        if not found:
+        result = sorted(self.folder.glob(f"runs/{model}-[0-9]*/model.json"))
+        if not result:
             raise RunError(
                 f"has no finished run of '{model}'", where=self.folder, how="run `offpiste reproduce fig4` to its end"
             )
-        return [load_run(path.parent) for path in found]
+        return [load_run(path.parent) for path in result]
 
     def has(self, model: str) -> bool:
         """Whether a run of a model is finished."""

@@ -46,10 +46,10 @@ class Differences:
     predicted: Float[np.ndarray, "n 2"]
 
 
-def sensitivity(model: str, found: Differences, seed: int = 0) -> Sensitivity:
+def sensitivity(model: str, result: Differences, seed: int = 0) -> Sensitivity:
     """Slope, correlation and what is left over, each with its interval."""
-    drawn = resampling(blocks(found.drive, found.row), np.random.default_rng(seed))
-    s, p = found.simulated, found.predicted
+    drawn = resampling(blocks(result.drive, result.row), np.random.default_rng(seed))
+    s, p = result.simulated, result.predicted
     ss, pp, sp, rest = ((a * b).sum(axis=1) for a, b in ((s, s), (p, p), (s, p), (s - p, s - p)))
     ahead = s[:, 0] ** 2, p[:, 0] ** 2, s[:, 0] * p[:, 0]
 
@@ -78,7 +78,7 @@ def _correlation(ss: np.ndarray, pp: np.ndarray, sp: np.ndarray) -> np.ndarray:
 def sensitivity_table(rows: Sequence[Sensitivity]) -> TextTable:
     """A line a model."""
 
-    def said(value: PairedDifference) -> str:
+    def message(value: PairedDifference) -> str:
         return f"{number(value.mean)} {interval(value.ci95)}"
 
     lines = [
@@ -87,7 +87,7 @@ def sensitivity_table(rows: Sequence[Sensitivity]) -> TextTable:
             f"{t.n}",
             f"{t.simulated_rms_m:.2f}",
             f"{t.predicted_rms_m:.2f}",
-            *(said(value) for value in (t.slope, t.correlation, t.correlation_ahead, t.left_over)),
+            *(message(value) for value in (t.slope, t.correlation, t.correlation_ahead, t.left_over)),
         )
         for t in rows
     ]
@@ -95,11 +95,11 @@ def sensitivity_table(rows: Sequence[Sensitivity]) -> TextTable:
     return TextTable("Sensitivity to the ground of twins", names, tuple(lines), ABOUT)
 
 
-def draw_sensitivity(found: Mapping[str, Differences], rows: Sequence[Sensitivity]) -> Figure:
+def draw_sensitivity(result: Mapping[str, Differences], rows: Sequence[Sensitivity]) -> Figure:
     """Predicted against simulated differences, a column a model, ahead and to the left."""
-    figure = Figure(figsize=(1.0 + 2.8 * len(found), 5.6), layout="constrained")
-    panels = figure.subplots(2, len(found), squeeze=False, sharex="row", sharey="row")
-    for column, (model, differences) in enumerate(found.items()):
+    figure = Figure(figsize=(1.0 + 2.8 * len(result), 5.6), layout="constrained")
+    panels = figure.subplots(2, len(result), squeeze=False, sharex="row", sharey="row")
+    for column, (model, differences) in enumerate(result.items()):
         for line, name in enumerate(("ahead", "to the left")):
             axes = panels[line, column]
             simulated, predicted = differences.simulated[:, line], differences.predicted[:, line]

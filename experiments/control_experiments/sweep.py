@@ -72,9 +72,9 @@ def sweep_control(of: Reproduced, out: Path, kind: str, sweep: Sweep) -> Path:
     return write_control(out / name, [table], results, {name: draw_gains(gains, axis)})
 
 
-def _named(found: Gain, case: str) -> Gain:
+def _named(result: Gain, case: str) -> Gain:
     """The same under another name."""
-    return msgspec.structs.replace(found, case=case)
+    return msgspec.structs.replace(result, case=case)
 
 
 def _condition(of: Reproduced, folder: Path, sweep: Sweep, contrast: float, looks: float) -> list[Gain]:

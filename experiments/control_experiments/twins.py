@@ -49,21 +49,21 @@ def twins_control(of: Reproduced, out: Path, *, drives: int, seconds: float, ora
                 save_branches(kept, branches_of(drive.settings, world, ground, _snapshot_rows(of.dataset, drive.name)))
             record_on(drive.settings, world, ground, log)
     other = driven_dataset(chosen, folder, pca=of.pca, snapshot_seconds=of.size.snapshot_seconds, min_hindsight=0.0)
-    found: dict[str, Differences] = {}
+    result: dict[str, Differences] = {}
     for model in ("b", *of.present(("cf", "dc"))):
         runs = of.runs(model)
-        found[model] = _mean([_compared(run, of.dataset, other, folder / "branches") for run in runs])
+        result[model] = _mean([_compared(run, of.dataset, other, folder / "branches") for run in runs])
     if oracle is not None and (oracle / "runs" / "df-0" / "model.json").exists():
         logs = [folder / "logs" / f"{drive.name}.mcap" for drive in chosen]
         truth = oracle_dataset(logs, f"drives:{folder / 'parts.txt'}", folder / "truth.zarr")
         run, own = load_run(oracle / "runs" / "df-0"), open_dataset(oracle / "dataset.zarr")
-        found["oracle"] = _compared(run, own, truth, folder / "branches", like=found["b"], names=of.dataset)
-    measured = [sensitivity(model, differences) for model, differences in found.items()]
+        result["oracle"] = _compared(run, own, truth, folder / "branches", like=result["b"], names=of.dataset)
+    measured = [sensitivity(model, differences) for model, differences in result.items()]
     return write_control(
         folder,
         [sensitivity_table(measured)],
         {"control": "twins", "sensitivity": measured},
-        {"twins": draw_sensitivity(found, measured)},
+        {"twins": draw_sensitivity(result, measured)},
     )
 
 
@@ -151,7 +151,7 @@ def _simulated(
     Raises:
         RunError: the drive was not the one that was recorded.
     """
-    found = np.full((len(index), 2), np.nan)
+    result = np.full((len(index), 2), np.nan)
     row = windows.row_in_drive(index)
     for number in np.unique(windows.drive[index]):
         mine = np.flatnonzero(windows.drive[index] == number)
@@ -167,8 +167,8 @@ def _simulated(
             )
         place = np.searchsorted(branches.step, row[mine]).clip(max=len(branches.step) - 1)
         exact = branches.step[place] == row[mine]
-        found[mine[exact]] = branches.difference()[place[exact]]
-    return found, np.isfinite(found).all(axis=1)
+        result[mine[exact]] = branches.difference()[place[exact]]
+    return result, np.isfinite(result).all(axis=1)
 
 
 def _mean(runs: list[Differences]) -> Differences:

@@ -77,12 +77,12 @@ def _lines(plot: Axes, rows: Rows, quantity: str) -> None:
     for name, (colour, line, label) in _STYLES.items():
         mine = {row["feature_set"]: row for row in rows if row["input"] == name}
         at = [n for n, feature_set in enumerate(FEATURE_SETS) if feature_set in mine]
-        found = [mine[FEATURE_SETS[n]] for n in at]
-        value = np.array([row[quantity] for row in found], float)
+        result = [mine[FEATURE_SETS[n]] for n in at]
+        value = np.array([row[quantity] for row in result], float)
         if not np.isfinite(value).any():
             continue
         plot.plot(at, value.clip(_LOWEST), line, color=colour, marker="o", markersize=4, label=label)
-        low, high = np.array([row[f"{quantity}_ci95"] for row in found], float).T
+        low, high = np.array([row[f"{quantity}_ci95"] for row in result], float).T
         if name in ("visual", "brightness", "kind"):
             plot.fill_between(at, low.clip(_LOWEST), high.clip(_LOWEST), color=colour, alpha=0.12, linewidth=0)
     plot.set_xticks(range(len(FEATURE_SETS)), FEATURE_SETS)
@@ -107,8 +107,8 @@ def distance_table(rows: Rows_probe_tables, title: str) -> Table:
             continue  # true inputs hardly change with the cells
         key = tuple(row[name] for name in ("target", "trained", "cells", "input"))
         lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f} ({row['rank']:.2f})"
-    for key, found in lines.items():
-        table.add_row(*key, *(found.get(name, "") for name in FEATURE_SETS))
+    for key, result in lines.items():
+        table.add_row(*key, *(result.get(name, "") for name in FEATURE_SETS))
     return table
 
 
@@ -122,6 +122,6 @@ def flaw_table(rows: Rows_probe_tables) -> Table:
         numbers = (f"{row['degrees']:g}", str(row["direction"]), f"{1000 * row['late']:g}")
         key: tuple[str, ...] = (row["target"], row["probe"], *numbers)
         lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f} ({row['rank']:.2f})"
-    for key, found in sorted(lines.items(), key=lambda item: item[0][:2]):
-        table.add_row(*key, *(found.get(name, "") for name in sets))
+    for key, result in sorted(lines.items(), key=lambda item: item[0][:2]):
+        table.add_row(*key, *(result.get(name, "") for name in sets))
     return table

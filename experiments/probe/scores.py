@@ -86,15 +86,15 @@ def _kind(pooled: Pooled, number: int) -> Float[np.ndarray, "M F"]:
 
 def _averaged(pooled: Pooled, number: int) -> Float[np.ndarray, "M F"]:
     """Visual features, each the mean over valid cells that the drive enters at most `NEARBY` rows before or after."""
-    cells, found = pooled.cells, np.full(pooled.cells.features[number].shape, np.nan)
+    cells, result = pooled.cells, np.full(pooled.cells.features[number].shape, np.nan)
     for drive in np.unique(pooled.drive):
         mine = np.flatnonzero((pooled.drive == drive) & cells.valid[number])
         mine = mine[np.argsort(cells.row[mine], kind="stable")]
         row, features = cells.row[mine], cells.features[number, mine].astype(np.float64)
         sums = np.concatenate((np.zeros((1, features.shape[1])), features.cumsum(axis=0)))
         first, stop = np.searchsorted(row, row - NEARBY), np.searchsorted(row, row + NEARBY, side="right")
-        found[mine] = (sums[stop] - sums[first]) / (stop - first)[:, None]
-    return found
+        result[mine] = (sums[stop] - sums[first]) / (stop - first)[:, None]
+    return result
 
 
 INPUTS: Mapping[str, Input] = {

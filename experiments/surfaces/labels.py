@@ -48,23 +48,23 @@ def recordings(folder: Path) -> tuple[Recording, ...]:
     Raises:
         LogError: a floor has none.
     """
-    found = []
+    result = []
     for floor, name in enumerate(_FOLDERS):
         paths = sorted((folder / name).glob("*.csv"))
         if not paths:
             raise LogError("no recordings", where=folder / name, how="give the folder `dart` of the recorded data")
-        found += [Recording(path, floor) for path in paths]
-    return tuple(found)
+        result += [Recording(path, floor) for path in paths]
+    return tuple(result)
 
 
-def extract_floors(found: Sequence[Recording], out: Path) -> tuple[Dataset, Labels]:
+def extract_floors(result: Sequence[Recording], out: Path) -> tuple[Dataset, Labels]:
     """Rows of all recordings that have windows, and their floors. What is there already stays.
 
     The two presets differ in their names only, so one rig serves both.
     """
-    split = Split("drives:recordings", "drives", drives=tuple((r.name, "train") for r in found))
+    split = Split("drives:recordings", "drives", drives=tuple((r.name, "train") for r in result))
     create(out, load_rig("dart"), split, FLOORS)
-    for recording in found:
+    for recording in result:
         if recording.name in drive_names(out):
             continue
         drive = read_drive(recording.path, load_rig(_RIGS[recording.floor]))
@@ -72,7 +72,7 @@ def extract_floors(found: Sequence[Recording], out: Path) -> tuple[Dataset, Labe
         if len(evaluation_starts(rows, rows.valid)):
             add_drive(out, recording.name, rows, split, drive.notes)
     dataset = open_dataset(out)
-    return dataset, {r.name: r.floor for r in found if r.name in {drive.name for drive in dataset.drives}}
+    return dataset, {r.name: r.floor for r in result if r.name in {drive.name for drive in dataset.drives}}
 
 
 def labelled(rows: Rows, label: int, count: int = len(FLOORS)) -> Rows:
@@ -94,11 +94,11 @@ def relabelled(dataset: Dataset, labels: Labels) -> Dataset:
 
 def halves(floors: Labels) -> Mapping[str, int]:
     """Which half each recording is tested in: every other one of each floor, so that both halves have all floors."""
-    found, count = {}, dict.fromkeys(floors.values(), 0)
+    result, count = {}, dict.fromkeys(floors.values(), 0)
     for name, floor in floors.items():
-        found[name] = count[floor] % 2
+        result[name] = count[floor] % 2
         count[floor] += 1
-    return found
+    return result
 
 
 def held_out(dataset: Dataset, tested: Sequence[str]) -> Dataset:
@@ -121,15 +121,15 @@ def shuffled(floors: Labels, half: Mapping[str, int], count: int, seed: int) -> 
     Labels change places within a half only: each occurs as often as the floors do, in training and in test.
     """
     rng = np.random.default_rng(seed)
-    found: list[Labels] = []
-    while len(found) < count:
+    result: list[Labels] = []
+    while len(result) < count:
         drawn = dict(floors)
         for number in (0, 1):
             names = [name for name in floors if half[name] == number]
             drawn |= dict(zip(names, rng.permutation([floors[name] for name in names]).tolist(), strict=True))
-        if drawn != dict(floors) and drawn not in found:
-            found.append(drawn)
-    return found
+        if drawn != dict(floors) and drawn not in result:
+            result.append(drawn)
+    return result
 
 
 def formats(floors: Labels) -> Labels:

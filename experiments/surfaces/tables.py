@@ -45,21 +45,21 @@ def tables(results: Results, drives: Sequence[str], floors: Mapping[str, int], n
 
 
 def _seeds(results: Results, label: str, model: str) -> Errors:
-    return pool([errors for (found, name, _), errors in results.items() if (found, name) == (label, model)])
+    return pool([errors for (result, name, _), errors in results.items() if (result, name) == (label, model)])
 
 
 def _against(results: Results, label: str, model: str) -> tuple[Errors, Errors]:
     """A single run, and `b` of the same seed."""
-    (seed,) = (s for found, name, s in results if (found, name) == (label, model))
+    (seed,) = (s for result, name, s in results if (result, name) == (label, model))
     return results[label, model, seed], results["none", "b", seed]
 
 
 def _row(begin: str, mine: Errors, blind: Errors, *drawn: Resampling) -> str:
-    found = [relative(mine.distance(), blind.distance(), by) for by in drawn]
-    intervals = "; ".join(_interval(one.ci95) for one in found)
+    result = [relative(mine.distance(), blind.distance(), by) for by in drawn]
+    intervals = "; ".join(_interval(one.ci95) for one in result)
     change = relative(mine.loss, blind.loss, drawn[0])
     return (
-        f"{begin} | {mine.distance().mean():.3f} | {found[0].mean:+.1%} {intervals} | {_vx(mine).mean():.3f} "
+        f"{begin} | {mine.distance().mean():.3f} | {result[0].mean:+.1%} {intervals} | {_vx(mine).mean():.3f} "
         f"| {mine.loss.mean():.3f} ({change.mean:+.0%} {_interval(change.ci95)}) |"
     )
 
@@ -76,8 +76,8 @@ def _each(results: Results, models: Sequence[str], false: Sequence[str]) -> list
             for label, name, seed in results
             if (label, name) == ("floor", model)
         ]
-        said = ", ".join(f"{gain:+.1%}" for gain in gains.values())
-        lines.append(f"`{model}` minus `b` of the same seed: {', '.join(f'{g:+.1%}' for g in true)}; false: {said}.")
+        message = ", ".join(f"{gain:+.1%}" for gain in gains.values())
+        lines.append(f"`{model}` minus `b` of the same seed: {', '.join(f'{g:+.1%}' for g in true)}; false: {message}.")
     return lines
 
 

@@ -99,12 +99,12 @@ def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str
 def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray, " N"]]:
     """Rows at which windows start, for each of some parts."""
     part = job.split.label(job.name, rows.state[:, :2] + rows.origin)
-    found = []
+    result = []
     for number in (PARTS.index(name) for name in parts):
         starts = np.zeros(len(part), bool)
         starts[evaluation_starts(rows, part == number)] = True
-        found.append(starts)
-    return found
+        result.append(starts)
+    return result
 
 
 def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> str:

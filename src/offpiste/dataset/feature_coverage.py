@@ -54,10 +54,10 @@ def valid_rates(cells: Sequence[Cells], reached: Sequence[Bool[np.ndarray, "D _"
     Args:
         reached: cells that count in each set, by drive, e.g. of `within_reach`; all by default.
     """
-    asked = [np.ones_like(c.valid) for c in cells] if reached is None else reached
-    found = sum((c.valid & a).sum(axis=1) for c, a in zip(cells, asked, strict=True))
+    wanted = [np.ones_like(c.valid) for c in cells] if reached is None else reached
+    result = sum((c.valid & a).sum(axis=1) for c, a in zip(cells, wanted, strict=True))
     with np.errstate(invalid="ignore"):
-        return np.asarray(found / sum(a.sum(axis=1) for a in asked))
+        return np.asarray(result / sum(a.sum(axis=1) for a in wanted))
 
 
 def in_hindsight(cells: Sequence[Cells]) -> list[Bool[np.ndarray, "D _"]]:

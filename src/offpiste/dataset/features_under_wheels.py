@@ -214,7 +214,7 @@ class NormalsUnderWheels:
         if self._whole is not None:
             rows = torch.as_tensor(start[:, None] + np.arange(count), device=self._device)
             return self._whole[rows]
-        found = np.empty((len(start), count, 4, 3), np.float32)
+        result = np.empty((len(start), count, 4, 3), np.float32)
         every = np.empty((self._sets, count, 4, 3), np.float32)
         drive = np.searchsorted(self._first, start, side="right") - 1
         first = (start - self._first[drive]).tolist()
@@ -223,9 +223,9 @@ class NormalsUnderWheels:
             reader = self._readers[number]
             if one:
                 chosen = 0 if feature_set_choice.flags_only else int(feature_set_choice.sets[window, 0])
-                reader.read(chosen, first[window], found[window])
+                reader.read(chosen, first[window], result[window])
                 continue
             for chosen in np.unique(feature_set_choice.sets[window]).tolist():
                 reader.read(chosen, first[window], every[chosen])
-            found[window] = every[feature_set_choice.sets[window], np.arange(count)]
-        return torch.from_numpy(found).to(self._device)
+            result[window] = every[feature_set_choice.sets[window], np.arange(count)]
+        return torch.from_numpy(result).to(self._device)

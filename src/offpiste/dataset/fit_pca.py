@@ -53,21 +53,21 @@ def read_image_list(path: Path) -> list[ListedImage]:
         raise PerceptionError(
             "no list of images can be read", where=path, how="give --images a number, or a file"
         ) from error
-    found = []
+    result = []
     for number, line in enumerate(lines, start=1):
         words = line.rsplit(maxsplit=2)
         if not words or line.startswith("#"):
             continue
         try:
             drive, camera, seconds = words
-            found.append(ListedImage(drive.strip(), camera, float(seconds)))
+            result.append(ListedImage(drive.strip(), camera, float(seconds)))
         except ValueError as error:
             raise PerceptionError(
                 f"line {number}: '{line}' names no image", where=path, how="write DRIVE CAMERA SECONDS"
             ) from error
-    if not found:
+    if not result:
         raise PerceptionError("lists no image", where=path, how="write DRIVE CAMERA SECONDS, a line an image")
-    return found
+    return result
 
 
 def write_image_list(path: Path, images: Iterable[ListedImage]) -> None:
@@ -121,33 +121,33 @@ def fit_pca(
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
-    found: list[Candidate] = []
+    result: list[Candidate] = []
     with jobs_bar(len(logs), "finding images") as show:
         for number, log in enumerate(logs):
             # Listed images need not lie apart.
             spacing = SPACING if isinstance(images, int) else 0.0
-            found += _candidates(number, log, rig, split, spacing, partial(show, number))
-    if not found:
+            result += _candidates(number, log, rig, split, spacing, partial(show, number))
+    if not result:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
     names = [drive_name(log) for log in logs]
     if isinstance(images, int):
-        chosen = most_diverse(np.stack([c.statistics for c in found]), images, seed=seed).tolist()
+        chosen = most_diverse(np.stack([c.statistics for c in result]), images, seed=seed).tolist()
     else:
-        chosen = [_listed(image, found, names) for image in images]
+        chosen = [_listed(image, result, names) for image in images]
     moments = Moments.none(backbone.channels)
     with jobs_bar(len(logs), "features of the chosen images") as show:
         for number, log in enumerate(logs):
-            times = {(found[i].camera, found[i].time) for i in chosen if found[i].log == number}
+            times = {(result[i].camera, result[i].time) for i in chosen if result[i].log == number}
             if times:
                 moments = _add_log(moments, _sensors(log, rig), backbone, times, partial(show, number))
             show(number, 1.0)
     pca = fit(moments, backbone, components=components, logs=names, split=split.text)
-    logger.info(f"{len(chosen)} of {len(found)} images, {moments.count:.0f} patches of ground")
-    return FittedPca(pca, [ListedImage(names[found[i].log], found[i].camera, found[i].time) for i in chosen])
+    logger.info(f"{len(chosen)} of {len(result)} images, {moments.count:.0f} patches of ground")
+    return FittedPca(pca, [ListedImage(names[result[i].log], result[i].camera, result[i].time) for i in chosen])
 
 
-def _listed(image: ListedImage, found: Sequence[Candidate], names: Sequence[str]) -> int:
-    for number, candidate in enumerate(found):
+def _listed(image: ListedImage, result: Sequence[Candidate], names: Sequence[str]) -> int:
+    for number, candidate in enumerate(result):
         same = (names[candidate.log], candidate.camera) == (image.drive, image.camera)
         if same and abs(candidate.time - image.time) <= NEAR:
             return number
@@ -169,7 +169,7 @@ def _candidates(
     sensors.coverage()  # refuses clocks that are not the poses'
     rows = extract_rows(drive_from_log(opened, rig))
     part = split.label(drive_name(log), rows.state[:, :2] + rows.origin)
-    found = []
+    result = []
     for done, camera in enumerate(sensors.cameras):
         stamps = np.sort(sensors.stamps(camera))
         stamps = stamps[_in_training(stamps, rows, part == 0)]
@@ -178,8 +178,8 @@ def _candidates(
         for image in sensors.stream([camera]):
             report((done + _share(image.time, sensors)) / len(sensors.cameras))
             if isinstance(image, Image) and round(image.time, 6) in times:
-                found.append(Candidate(number, camera, round(image.time, 6), image_statistics(image.pixels)))
-    return found
+                result.append(Candidate(number, camera, round(image.time, 6), image_statistics(image.pixels)))
+    return result
 
 
 def _share(time: float, log: SensorLog) -> float:
@@ -227,10 +227,10 @@ def _ground_hits(moment: Moment) -> dict[tuple[str, float], tuple[torch.Tensor, 
     """Of each image in view: its features, and the patches in which a ground point of this scan lies."""
     if moment.projection is None:
         return {}
-    ground, found = ground_points(moment), {}
+    ground, result = ground_points(moment), {}
     for number, (view, features) in enumerate(zip(moment.views, moment.features, strict=True)):
         mine = ground & (moment.projection.view == number)
         mask = np.zeros(features.shape[:2], bool)
         mask[moment.projection.row[mine], moment.projection.column[mine]] = True
-        found[view.camera.name, view.time] = torch.from_numpy(features), mask
-    return found
+        result[view.camera.name, view.time] = torch.from_numpy(features), mask
+    return result

@@ -44,15 +44,15 @@ def truth_map(log: str | Path, names: Sequence[str]) -> TerrainMap:
     Raises:
         LogError: the log has none, or lacks a layer.
     """
-    found = read_truth_map(log)
-    layers = found.layers
+    result = read_truth_map(log)
+    layers = result.layers
     missing = [name for name in ("elevation", *names) if name not in layers]
     if missing:
         raise LogError(
             f"its true map has no layer '{missing[0]}'", where=log, how="record it again with `offpiste simulate`"
         )
     features = np.stack([layers[name] for name in names], axis=-1)
-    return TerrainMap(np.array(found.origin), found.resolution, layers["elevation"], features)
+    return TerrainMap(np.array(result.origin), result.resolution, layers["elevation"], features)
 
 
 def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
@@ -68,7 +68,7 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     ny, nx = ground.elevation.shape
 
     places = wheel_positions(np.where(known[:, None], xy, np.inf), rows.state[:, 2], rig.wheel_positions())
-    found = sample_maps(
+    result = sample_maps(
         stack_maps([ground]),
         torch.zeros(places.shape[:2], dtype=torch.long),
         torch.as_tensor(np.where(np.isfinite(places), places, np.inf) - rows.origin),
@@ -76,7 +76,7 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     )
     column, row = np.moveaxis(np.round((np.nan_to_num(places) - ground.origin) / ground.resolution), -1, 0).astype(int)
     cell = np.clip(row, 0, ny - 1) * nx + np.clip(column, 0, nx - 1)
-    valid = found.valid.numpy()
+    valid = result.valid.numpy()
     visited, first, index = np.unique(cell[valid], return_index=True, return_inverse=True)
     order = np.argsort(first)
     number = np.empty(len(order), np.int32)
@@ -87,5 +87,5 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     elevation = ground.elevation.reshape(-1)[visited[order]].astype(np.float32)
     seen = np.ones((1, len(features)), bool)
     cells = Cells(under, features[None], seen, np.zeros(seen.shape, np.float32), elevation[None])
-    normal = found.normal.numpy().astype(np.float32)[None]
+    normal = result.normal.numpy().astype(np.float32)[None]
     return Grounded(replace(rows, normal=normal, cells=cells), ground)

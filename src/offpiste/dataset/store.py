@@ -100,8 +100,8 @@ def create(
     if path.exists() and _attributes(path).get("schema") and not drive_names(path):
         shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
-        found = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
-        refuse_unlike(path, found, json.loads(json.dumps(meta)))
+        result = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
+        refuse_unlike(path, result, json.loads(json.dumps(meta)))
         for partial in path.glob(".*"):
             shutil.rmtree(partial, ignore_errors=True)
         return

@@ -94,12 +94,12 @@ def _farthest(
     """When the vehicle was farthest from each cell between two moments; the last time if there are several."""
     first = np.searchsorted(time, after, side="left")
     stop = np.searchsorted(time, before, side="right")
-    found = np.empty(len(centre))
+    result = np.empty(len(centre))
     for p in range(len(centre)):
         # On the first pass that is the start of the drive: only a return to a place needs the search.
         if not np.isfinite(after[p]):
-            found[p] = time[0]
+            result[p] = time[0]
             continue
         away = np.square(xy[first[p] : stop[p]] - centre[p]).sum(axis=1)
-        found[p] = time[first[p] + len(away) - 1 - int(np.argmax(away[::-1]))]
-    return found
+        result[p] = time[first[p] + len(away) - 1 - int(np.argmax(away[::-1]))]
+    return result

@@ -62,7 +62,7 @@ def evaluation_starts(
         min_speed: of the causal estimate at t [m/s].
         horizon: predicted steps.
     """
-    found = window_starts(rows.valid & mine, horizon=horizon)
-    found = found[np.hypot(rows.state_causal[found, 3], rows.state_causal[found, 4]) > min_speed]
+    result = window_starts(rows.valid & mine, horizon=horizon)
+    result = result[np.hypot(rows.state_causal[result, 3], rows.state_causal[result, 4]) > min_speed]
     enough = enough_hindsight(rows.cells, min_hindsight, horizon=horizon)
-    return found if enough is None else found[enough[found]]
+    return result if enough is None else result[enough[result]]

@@ -64,11 +64,11 @@ class _Segments:
 
     def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
         """The segments of a column that it declares."""
-        found = {segment: values[self.rows[segment]] for segment in column.segments}
+        result = {segment: values[self.rows[segment]] for segment in column.segments}
         if column.relative:
-            for segment, part in found.items():
-                found[segment] = part - (self.place if segment == "start" else self.place[:, None])
-        return found
+            for segment, part in result.items():
+                result[segment] = part - (self.place if segment == "start" else self.place[:, None])
+        return result
 
 
 class Windows:
@@ -121,11 +121,11 @@ class Windows:
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
         starts, drives = [], []
         for number, drive in enumerate(dataset.drives):
-            found = evaluation_starts(
+            result = evaluation_starts(
                 drive.rows, drive.part == PARTS.index(part), dataset.min_hindsight, min_speed, horizon
             )
-            starts.append(offset[number] + found)
-            drives.append(np.full(len(found), number))
+            starts.append(offset[number] + result)
+            drives.append(np.full(len(result), number))
         self.rows: Int[np.ndarray, " n"] = np.concatenate(starts)
         self.drive: Int[np.ndarray, " n"] = np.concatenate(drives)
         self.wheels: Float[Tensor, "4 2"] = torch.as_tensor(

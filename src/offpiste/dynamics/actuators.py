@@ -63,10 +63,10 @@ class Actuators(nn.Module):
 
     def constants(self) -> LagConstants:
         """The lags' constants, each a scalar tensor inside its range."""
-        found: dict[str, dict[str, Tensor]] = {}
+        result: dict[str, dict[str, Tensor]] = {}
         for (label, name), value in zip(self.constant_names, self.flat_constants().unbind(), strict=True):
-            found.setdefault(label, {})[name] = value
-        return dict(found)
+            result.setdefault(label, {})[name] = value
+        return dict(result)
 
     def residual_inputs(
         self,

@@ -31,12 +31,12 @@ def colour_of(label: str) -> str:
 
 def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Colour and line style by label: the colour follows the model's name, the line tells its variants apart."""
-    found: dict[str, tuple[str, str]] = {}
+    result: dict[str, tuple[str, str]] = {}
     for label in labels:
         colour = colour_of(label)
-        used = sum(other == colour for other, _ in found.values())
-        found[label] = (colour, _LINES[used % len(_LINES)])
-    return found
+        used = sum(other == colour for other, _ in result.values())
+        result[label] = (colour, _LINES[used % len(_LINES)])
+    return result
 
 
 def legend_beside(axes: Axes, ends: Mapping[str, float] | None = None) -> None:

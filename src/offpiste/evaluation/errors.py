@@ -106,9 +106,9 @@ def pool(runs: Sequence[Errors]) -> Errors:
 
 def positions(windows: Errors, among: Errors) -> Int[np.ndarray, " n"]:
     """Indices of the windows in `among`, which has them all in ascending order."""
-    found = np.searchsorted(among.key, windows.key)
-    assert np.array_equal(among.key[np.minimum(found, len(among.key) - 1)], windows.key), "not the same windows"
-    return np.asarray(found)
+    result = np.searchsorted(among.key, windows.key)
+    assert np.array_equal(among.key[np.minimum(result, len(among.key) - 1)], windows.key), "not the same windows"
+    return np.asarray(result)
 
 
 @torch.no_grad()

@@ -165,12 +165,14 @@ def _by_case(predictions: Sequence[Prediction]) -> Cases:
 
 def _shown_case(errors: dict[Case, Errors], model: EvaluatedModel, start: Start) -> Case:
     """The case that decides about a model: from the first start, on the map where there is one."""
-    found = [case for case in errors if case.label == model.label and case.start == start]
-    return max(found, key=lambda case: case.lookup == "map")
+    result = [case for case in errors if case.label == model.label and case.start == start]
+    return max(result, key=lambda case: case.lookup == "map")
 
 
 def _loss_units(weights: Weights, scale: Float[Tensor, " 5"]) -> LossUnits:
-    of_weights, of_scale = (dict(zip(COMPONENTS, found, strict=True)) for found in (weights.in_order(), scale.tolist()))
+    of_weights, of_scale = (
+        dict(zip(COMPONENTS, result, strict=True)) for result in (weights.in_order(), scale.tolist())
+    )
     return LossUnits(of_weights, of_scale)
 
 

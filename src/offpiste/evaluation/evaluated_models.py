@@ -79,7 +79,7 @@ def with_baselines(
     Raises:
         RunError: models were trained under different splits, or two runs are the same one.
     """
-    found = list(models)
+    result = list(models)
     vehicle = vehicle_of(dataset)
     for name in (name for name, model in MODELS.items() if model.baseline and model.fits(vehicle)):
         if any(model.label == name for model in models):
@@ -87,18 +87,18 @@ def with_baselines(
         for split in dict.fromkeys(model.split for model in models) or {None: None}:
             beside = [model for model in models if model.split == split]
             fold = beside[0].fold if beside else None
-            found.append(EvaluatedModel(name, _baseline(name, beside, vehicle).to(device), fold=fold, split=split))
-    _refuse_unlike(found, dataset)
-    return found
+            result.append(EvaluatedModel(name, _baseline(name, beside, vehicle).to(device), fold=fold, split=split))
+    _refuse_unlike(result, dataset)
+    return result
 
 
 def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> Dynamics:
     """A baseline; its actuators, if it has any, have the delays that a model beside it fitted."""
     baseline = MODELS[name](vehicle)
     fitted = [model.dynamics.actuators for model in beside if _channels(model.dynamics.vehicle) == _channels(vehicle)]
-    found = next((lags for lags in fitted if lags is not None), None)
-    if baseline.actuators is not None and found is not None:
-        baseline.actuators.load_state_dict(found.state_dict())
+    result = next((lags for lags in fitted if lags is not None), None)
+    if baseline.actuators is not None and result is not None:
+        baseline.actuators.load_state_dict(result.state_dict())
     return baseline
 
 

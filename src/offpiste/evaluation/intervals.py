@@ -147,6 +147,6 @@ def relative(values: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], dr
 def _quantiles(values: Float[np.ndarray, " n"], at: tuple[float, ...]) -> list[float]:
     """Quantiles, linear between values; infinite as soon as an infinite value has a part in them."""
     huge = 1e300
-    found = np.quantile(np.minimum(values, huge), at)
+    result = np.quantile(np.minimum(values, huge), at)
     # Any share of 1e300 worth naming is far above any error in metres.
-    return [float(value) if value < 1e200 else np.inf for value in found]
+    return [float(value) if value < 1e200 else np.inf for value in result]

@@ -82,16 +82,16 @@ def distribution_table(rows: Sequence[ResultRow]) -> TextTable:
 
 def difference_table(rows: Sequence[ResultRow]) -> TextTable:
     """Paired differences after 5 s: a line per pair, each once; starts side by side."""
-    found: dict[tuple[str, str], dict[str, Minus]] = {}
+    result: dict[tuple[str, str], dict[str, Minus]] = {}
     learned = [row for row in _at_last_horizon(rows) if not is_baseline(row.model)]
     order = list(dict.fromkeys(row.label for row in learned))
     for row in learned:
         for other, minus in row.minus.items():
             if other not in order or order.index(other) > order.index(row.label):
-                found.setdefault((row.reading_label, other), {})[row.start] = minus
+                result.setdefault((row.reading_label, other), {})[row.start] = minus
     starts = list(dict.fromkeys(row.start for row in rows))
     lines: list[tuple[str | Cell, ...]] = []
-    for (name, other), by_start in found.items():
+    for (name, other), by_start in result.items():
         minuses = [by_start[start] for start in starts]
         cells = [cell for minus in minuses for cell in (_difference(minus.distance_error_m), _difference(minus.loss))]
         lines.append((f"{name} minus {other}", *cells))

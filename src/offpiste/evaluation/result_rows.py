@@ -61,13 +61,13 @@ def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
 def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
     """Comparison of each model but the baselines with `kinematic`, at 5 s."""
     together = pooled(cases)
-    found = []
+    result = []
     for case, errors in together.items():
         reference = _counterpart(together, REFERENCE, case)
         if is_baseline(case.model) or reference is None:
             continue
         ratio = relative(errors.distance(), reference.distance(), sampling.on(errors))
-        found.append(
+        result.append(
             Headline(
                 model=case.label,
                 start=case.start,
@@ -80,7 +80,7 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
                 ci95=ratio.ci95,
             )
         )
-    return found
+    return result
 
 
 def _rows(
@@ -94,7 +94,7 @@ def _rows(
         counterpart = _counterpart(together, other, case)
         if other != case.label and counterpart is not None:
             others[other] = counterpart.take(positions(errors, counterpart))
-    loss_minus = {other: paired(errors.loss, found.loss, drawn) for other, found in others.items()}
+    loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
     return [
         ResultRow(
             model=case.model,
@@ -111,8 +111,8 @@ def _rows(
             **{name: summary(errors.values[:, h, c], drawn) for c, name in enumerate(COMPONENTS)},
             loss=loss,
             minus={
-                other: Minus(paired(errors.values[:, h, 0], found.values[:, h, 0], drawn), loss_minus[other])
-                for other, found in others.items()
+                other: Minus(paired(errors.values[:, h, 0], result.values[:, h, 0], drawn), loss_minus[other])
+                for other, result in others.items()
             },
         )
         for h, seconds in enumerate(HORIZONS)
@@ -135,8 +135,8 @@ def _counterpart(together: Mapping[Case, Errors], other: str, case: Case) -> Err
 
 def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
     """Groups of rows that differ only in the horizon, in ascending order of it."""
-    found: dict[tuple[object, ...], list[ResultRow]] = {}
+    result: dict[tuple[object, ...], list[ResultRow]] = {}
     for row in rows:
         key = (row.model, row.variant, row.seed, row.fold, row.start, row.feature_set, row.lookup)
-        found.setdefault(key, []).append(row)
-    return [sorted(group, key=lambda row: row.horizon_s) for group in found.values()]
+        result.setdefault(key, []).append(row)
+    return [sorted(group, key=lambda row: row.horizon_s) for group in result.values()]

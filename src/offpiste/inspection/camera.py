@@ -143,21 +143,21 @@ def _squares(
     """Points that an image shows, and where: the ones with most texture around them, spread over the image."""
     pinhole = camera.rectifier.pinhole
     points = transformed(world, inverse(world_from_camera))
-    found, at = project_to_pinhole(points, pinhole)
+    result, at = project_to_pinhole(points, pinhole)
     reach = float(pinhole.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
-    kept = ~occluded_points(at, points[found, 2], pinhole.size, reach=reach) & (points[found, 2] < _FURTHEST)
-    found, at = found[kept], at[kept]
+    kept = ~occluded_points(at, points[result, 2], pinhole.size, reach=reach) & (points[result, 2] < _FURTHEST)
+    result, at = result[kept], at[kept]
     column, row = np.rint(at).astype(np.int64).T
     to_edge = (np.minimum(at, last - at) for at, last in ((column, pinhole.width - 1), (row, pinhole.height - 1)))
     inside = np.logical_and(*(pixels > _HALF for pixels in to_edge))
     inside &= camera.free[row, column]
-    found, at, column, row = found[inside], at[inside], column[inside], row[inside]
+    result, at, column, row = result[inside], at[inside], column[inside], row[inside]
     texture = cv2.cornerMinEigenVal(image.pixels, 2 * _HALF + 1, ksize=3)[row, column]
     order = np.argsort(-texture, kind="stable")
     # One a tile: squares that overlap carry the same information.
     _, firsts = np.unique((row // 16 * 10_000 + column // 16)[order], return_index=True)
     chosen = order[np.sort(firsts)[:_SQUARES]]
-    return world[found[chosen]], at[chosen]
+    return world[result[chosen]], at[chosen]
 
 
 def _shifts(

@@ -95,9 +95,9 @@ def _vectors(topic: Topic) -> Iterator[Guess]:
                 yield Guess(channel, topic.name, fields)
 
 
-def by_topic(found: Iterable[Guess]) -> dict[str, dict[str, Guess]]:
+def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:
     """First guess for each channel, by topic."""
     sorted_out: dict[str, dict[str, Guess]] = {}
-    for guess in found:
+    for guess in result:
         sorted_out.setdefault(guess.topic, {}).setdefault(guess.channel, guess)
     return sorted_out

@@ -33,7 +33,7 @@ class WheelSpeed:
 
 def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set[str]) -> list[WheelSpeed]:
     """Fields, of other topics than the pose's, that are proportional to the speed, lagging by up to two seconds."""
-    found = []
+    result = []
     for topic, r in recorded.items():
         if topic in besides or len(r.time) < 200:
             continue
@@ -41,8 +41,8 @@ def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set
         for field, values in zip(r.fields, r.values[keep].T, strict=True):
             wheel = _proportional(path, topic, field, r.time[keep], values)
             if wheel is not None:
-                found.append(wheel)
-    return found
+                result.append(wheel)
+    return result
 
 
 def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides: set[str]) -> list[Finding]:

@@ -115,9 +115,9 @@ def _toml(value: object) -> str:
 
 
 def _entries(log: Log, frame: str) -> dict[str, _Entry]:
-    found = guess_channels(log)
-    entries = _pose(log, found, frame)
-    for guess in found:
+    result = guess_channels(log)
+    entries = _pose(log, result, frame)
+    for guess in result:
         if guess.channel in entries or guess.channel in ("position", "orientation", "linear_velocity"):
             continue
         if guess.channel == "yaw" and ("orientation" in entries or "position" not in entries):
@@ -131,11 +131,11 @@ def _entries(log: Log, frame: str) -> dict[str, _Entry]:
     return entries
 
 
-def _pose(log: Log, found: list[Guess], frame: str) -> dict[str, _Entry]:
+def _pose(log: Log, result: list[Guess], frame: str) -> dict[str, _Entry]:
     """The topic with most of a pose and velocities, by their number, its rate, then its place in the log."""
     best: dict[str, Guess] = {}
     best_score = (0, 0)
-    for topic, channels in by_topic(found).items():
+    for topic, channels in by_topic(result).items():
         if "position" not in channels or not {"orientation", "yaw"} & set(channels):
             continue
         moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(_values(log, g))}

@@ -56,12 +56,12 @@ def missing(draft: str) -> list[str]:
 
 def _images(log: Log) -> list[str]:
     """Topics of pictures, one a camera: compressed where both are there, as that is what is usually recorded whole."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for kind in _IMAGES:
         for name, topic in log.topics.items():
             if topic.type == kind and topic.count and not _NO_PICTURE.search(name):
-                found.setdefault(name.removesuffix("/compressed"), name)
-    return sorted(found.values())
+                result.setdefault(name.removesuffix("/compressed"), name)
+    return sorted(result.values())
 
 
 def _scans(log: Log) -> list[str]:

@@ -113,7 +113,7 @@ _STYLE = {"fatal": "bold red", "warning": "yellow", "note": "dim"}
 def render(inspection: Inspection) -> RenderableType:
     """A header, the table of topics, the findings with evidence and remedy, a verdict; for `rich.print`."""
     parts: list[RenderableType] = [Text(_headline(inspection), style="bold"), _topics(inspection)]
-    parts += [Text(f"reader: {said}", style="dim") for said in inspection.warnings]
+    parts += [Text(f"reader: {message}", style="dim") for message in inspection.warnings]
     if inspection.findings:
         parts += [_finding(i, finding) for i, finding in enumerate(inspection.findings, start=1)]
     else:
@@ -167,10 +167,10 @@ def _finding(index: int, finding: Finding) -> Text:
 
 def _verdict(inspection: Inspection) -> Text:
     count = {s: sum(f.severity == s for f in inspection.findings) for s in _STYLE}
-    said = ", ".join(f"{n} {name}{'s' if n > 1 and name != 'fatal' else ''}" for name, n in count.items() if n)
+    message = ", ".join(f"{n} {name}{'s' if n > 1 and name != 'fatal' else ''}" for name, n in count.items() if n)
     verdict = "usable for training" if inspection.usable else "NOT usable for training"
     return Text(
-        f"\n{verdict}" + (f" ({said})" if said else ""), style="bold green" if inspection.usable else "bold red"
+        f"\n{verdict}" + (f" ({message})" if message else ""), style="bold green" if inspection.usable else "bold red"
     )
 
 

@@ -50,8 +50,8 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
     chosen, here = chosen[usable], here[usable]
     tree = cKDTree(there[known])
     distance, nearest = tree.query(here, distance_upper_bound=_REACH)
-    found = np.isfinite(distance)
-    chosen, here, nearest = chosen[found], here[found], known[nearest[found]]
+    result = np.isfinite(distance)
+    chosen, here, nearest = chosen[result], here[result], known[nearest[result]]
     normal, flat = planes(there[known], tree, there[nearest])
     chosen, here, nearest, normal = chosen[flat], here[flat], nearest[flat], normal[flat]
 

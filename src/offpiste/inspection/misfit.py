@@ -72,16 +72,16 @@ def fit_misfit(compare: Callable[[Parameters], Sequence[Pair]], *, rounds: int =
     Returns:
         None with fewer than `LEAST_PAIRS` pairs.
     """
-    found = None
+    result = None
     for _ in range(rounds):
-        before = np.zeros(4) if found is None else found.parameters
+        before = np.zeros(4) if result is None else result.parameters
         pairs = [pair for pair in compare(before) if len(pair.residual)]
         if len(pairs) < LEAST_PAIRS:
             return None
-        found = _step(pairs, before)
-        if (np.abs(found.parameters - before) < 0.2 * found.sigma).all():
+        result = _step(pairs, before)
+        if (np.abs(result.parameters - before) < 0.2 * result.sigma).all():
             break
-    return found
+    return result
 
 
 def _step(pairs: Sequence[Pair], start: Parameters) -> Misfit:

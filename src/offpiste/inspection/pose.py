@@ -151,19 +151,19 @@ def _heading_apart(drive: Drive, path: Path, channel: str, fits: float) -> Findi
     if channel == "yaw":
         # Degrees read as radians were unwrapped at the wrong turn: go back to the samples.
         raw = drive.channels["yaw"]
-    found = {}
+    result = {}
     for name, factor in tried.items():
         yaw = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0] * factor))
-        found[name] = _resultant(path, 1.0, yaw)
-    best = max(found, key=lambda name: found[name])
+        result[name] = _resultant(path, 1.0, yaw)
+    best = max(result, key=lambda name: result[name])
     evidence = f"they agree to {fits:.2f} (1: always, 0: never)"
-    if found[best] < _TOGETHER or channel != "yaw":
-        if found["sign"] > _TOGETHER:
-            evidence += f", and to {found['sign']:.2f} with the heading mirrored"
+    if result[best] < _TOGETHER or channel != "yaw":
+        if result["sign"] > _TOGETHER:
+            evidence += f", and to {result['sign']:.2f} with the heading mirrored"
         how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
         return Finding("warning", channel, "the heading does not follow the course", evidence, how, 1.0)
     line = f"sign = {-drive.rig.channels['yaw'].sign}" if best == "sign" else f'unit = "{best}"'
-    evidence += f", and to {found[best]:.2f} with the line below"
+    evidence += f", and to {result[best]:.2f} with the line below"
     return Finding("fatal", "yaw", "the heading does not follow the course", evidence, f"channels.yaw.{line}", 1.0)
 
 

@@ -116,7 +116,7 @@ def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
     """
     start, end = driving(log.poses)
     period = max((end - start) / _PAIRS, APART)
-    found = Gathered({n: [] for n in log.lidars}, {n: [] for n in cameras}, start, end, period)
+    result = Gathered({n: [] for n in log.lidars}, {n: [] for n in cameras}, start, end, period)
     names = [*log.lidars, *cameras]
     done: dict[str, int] = dict.fromkeys(names, 0)
     for measured in track(log.stream(names, start=start, end=end), "sensors"):
@@ -126,10 +126,10 @@ def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
         while start + _wanted(done[name], period) - 1e-3 <= measured.time:
             done[name] += 1
         if isinstance(measured, Cloud):
-            found.scans[name].append(_scan(measured))
+            result.scans[name].append(_scan(measured))
         else:
-            found.images[name].append(cameras[name].grey(measured))
-    return found
+            result.images[name].append(cameras[name].grey(measured))
+    return result
 
 
 def driving(poses: Poses) -> tuple[float, float]:

@@ -52,13 +52,13 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
 
 def untimed_points(log: Log, lidars: Mapping[str, Lidar]) -> dict[str, str]:
     """LiDARs whose points have a field of times that the rig does not name: from the LiDAR's name to the field's."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for name, lidar in lidars.items():
         first = None if lidar.source.time_field else next(log.clouds(lidar.source.topic), None)
         times = [field for field in TIME_FIELDS if first is not None and field in (first.points.dtype.names or ())]
         if times:
-            found[name] = times[0]
-    return found
+            result[name] = times[0]
+    return result
 
 
 def _recorded(log: Log, topic: str, rig: Rig) -> Recorded:
@@ -74,14 +74,14 @@ def _drift(sensor: Recorded, pose: Recorded, stamps: str) -> list[Finding]:
         return []
     clocks = (sensor.time, sensor.other), (pose.time, pose.other)
     own, poses = clocks if stamps == "header" else ((arrived, header) for header, arrived in clocks)
-    found = clock_difference(*own, *poses)
-    if found is None or not abs(found.drift) > _DRIFT:
+    result = clock_difference(*own, *poses)
+    if result is None or not abs(result.drift) > _DRIFT:
         return []
     evidence = (
-        f"from start to end, arrival moves by {found.drift:+.2f} s against the header's stamp, compared with the pose"
+        f"from start to end, arrival moves by {result.drift:+.2f} s against the header's stamp, compared with the pose"
     )
     remedy = 'synchronise its clock; or clock.stamps = "receive"'
-    return [Finding("warning", sensor.topic.name, "its clock drifts", evidence, remedy, min(1.0, abs(found.drift)))]
+    return [Finding("warning", sensor.topic.name, "its clock drifts", evidence, remedy, min(1.0, abs(result.drift)))]
 
 
 def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[float, float]]) -> list[Finding]:

@@ -82,22 +82,22 @@ class CheckedSensor:
 
 def check_mountings(checked: Sequence[CheckedSensor]) -> list[Finding]:
     """Warnings for sensors that are turned or late, and notes for what could not be checked."""
-    found: list[Finding] = []
+    result: list[Finding] = []
     for one in checked:
         if one.misfit is None:
-            found.append(_unseen(one))
+            result.append(_unseen(one))
             continue
         if isinstance(one.sensor, Lidar) and one.misfit.scale > APART:
-            found.append(_apart(one, one.misfit))
+            result.append(_apart(one, one.misfit))
             continue
         if one.is_turned:
             alike = _alike([other for other in checked if other.is_turned], slice(0, 3), TURN, len(checked))
-            found.append(_turned(one, one.misfit, alike))
+            result.append(_turned(one, one.misfit, alike))
         if one.is_late:
             alike = _alike([other for other in checked if other.is_late], slice(3, 4), LATE, len(checked))
-            found.append(_late(one, one.misfit, alike))
-        found += _unknown(one, one.misfit)
-    return found
+            result.append(_late(one, one.misfit, alike))
+        result += _unknown(one, one.misfit)
+    return result
 
 
 def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
@@ -245,8 +245,8 @@ def camera_misfits(
     lidar, scans = ruler.sensor, gathered.scans[ruler.sensor.name]
     assert isinstance(lidar, Lidar), "rulers are LiDARs"
     known = ruler.misfit.parameters if ruler.misfit and (ruler.is_turned or ruler.is_late) else None
-    found = []
+    result = []
     for name, camera in track(cameras.items(), "cameras", total=len(cameras)):
         misfit = check_camera(camera, gathered.images[name], lidar, scans, poses, known)
-        found.append(CheckedSensor(camera.camera, misfit))
-    return found
+        result.append(CheckedSensor(camera.camera, misfit))
+    return result

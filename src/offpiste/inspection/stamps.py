@@ -81,8 +81,8 @@ def check_stamps(recorded: dict[str, Recorded], clock: Clock, *, used: Collectio
     for name, topic in recorded.items():
         where = name or "table"
         seen = timing(topic.time, max_gap=clock.max_gap)
-        said = _order(where, topic, seen, origin, clock) + _intervals(where, seen, origin, clock, used=name in used)
-        findings += said if name in used else [replace(f, severity="note") for f in said]
+        message = _order(where, topic, seen, origin, clock) + _intervals(where, seen, origin, clock, used=name in used)
+        findings += message if name in used else [replace(f, severity="note") for f in message]
     return _merged(findings) + _clocks(recorded, clock)
 
 
@@ -195,8 +195,8 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
         # Vehicles are recorded at some 50 Hz: the unit that comes nearest to that.
         wanted = np.log10(_SECONDS[clock.unit] * seen.rate / 50)
         unit = min(_SECONDS, key=lambda name: abs(np.log10(_SECONDS[name]) - wanted))
-        said = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
-        return [Finding("fatal", where, "stamps are in another unit", said, f'clock.unit = "{unit}"', 1.0)]
+        message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
+        return [Finding("fatal", where, "stamps are in another unit", message, f'clock.unit = "{unit}"', 1.0)]
     if 1 / seen.rate > clock.max_gap and used:
         findings.append(
             Finding(
@@ -246,13 +246,13 @@ def _clocks(recorded: dict[str, Recorded], clock: Clock) -> list[Finding]:
     findings = []
     for name, r in both.items():
         if np.ptp(r.time) == 0:
-            what, said, score = "all header stamps are equal", f"{r.time[0]:.3f} s in {len(r.time)} messages", 1.0
+            what, message, score = "all header stamps are equal", f"{r.time[0]:.3f} s in {len(r.time)} messages", 1.0
         elif abs(late[name] - usual) > _APART and len(both) > 1:
             what, score = "its header's clock is apart from the others'", 0.6
-            said = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
+            message = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
         else:
             continue
-        findings.append(Finding("warning", name, what, said, 'clock.stamps = "receive"', score))
+        findings.append(Finding("warning", name, what, message, 'clock.stamps = "receive"', score))
     return findings
 
 

@@ -141,7 +141,7 @@ def _drift(name: str, channel: Channel, path: Path, rig: Rig) -> list[Finding]:
 
 def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " w"]:
     turning = path.forward * lagged(channel, path.time, rig)
-    found = []
+    result = []
     usual = np.nanstd(path.yaw_rate[path.speed > max(0.3, 0.2 * path.cruise)])
     for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW):
         rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
@@ -152,8 +152,8 @@ def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " 
             continue
         best = fit.best()
         if abs(fit.r[best]) > 0.93 and 0 < best < len(LAGS) - 1:
-            found.append(float(LAGS[best]))
-    return np.array(found)
+            result.append(float(LAGS[best]))
+    return np.array(result)
 
 
 _LAGS = np.arange(-2.0, 2.01, 0.1)
@@ -205,7 +205,7 @@ def _copy_window_lags(
     at = np.arange(time[0] + 2, time[-1] - 2, 0.1)
     x = np.interp(at, time, values)
     shifted = np.stack([np.interp(at + lag, other_time, other) for lag in _LAGS])
-    found, moving = [], 0
+    result, moving = [], 0
     size = int(_COPY_WINDOW / 0.1)
     for begin in range(0, len(at) - size, size):
         part, moved = x[begin : begin + size], shifted[:, begin : begin + size]
@@ -216,5 +216,5 @@ def _copy_window_lags(
         power = np.sqrt((moved**2).sum(axis=1) * (part**2).sum())
         correlation = np.abs(moved @ part) / np.maximum(power, 1e-12)
         if correlation.max() > _ALIKE:
-            found.append(_LAGS[correlation.argmax()])
-    return np.array(found), max(moving, 1)
+            result.append(_LAGS[correlation.argmax()])
+    return np.array(result), max(moving, 1)

@@ -139,17 +139,17 @@ class Log(ABC):
         Raises:
             LogError: no such topic or field, no sample in it, or the file is damaged there.
         """
-        found = self._found(topic)
-        if found.count == 0:
+        result = self._find(topic)
+        if result.count == 0:
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="declare its channels absent in the rig")
-        missing = [f for f in fields if f not in found.fields]
+        missing = [f for f in fields if f not in result.fields]
         if missing:
             raise LogError(
-                f"topic '{topic}' ({found.type}) has no field '{missing[0]}'",
+                f"topic '{topic}' ({result.type}) has no field '{missing[0]}'",
                 where=self.path,
-                how=f"it has: {', '.join(found.fields[:40]) or 'no numeric field'}",
+                how=f"it has: {', '.join(result.fields[:40]) or 'no numeric field'}",
             )
-        return self._read(found, fields, stamps)
+        return self._read(result, fields, stamps)
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
         """Stamps of all messages of a topic [s], in the order of the file, without decoding more than needed.
@@ -157,7 +157,7 @@ class Log(ABC):
         Raises:
             LogError: as for `read`.
         """
-        return self.read(topic, self._found(topic).fields[:1], stamps=stamps).time
+        return self.read(topic, self._find(topic).fields[:1], stamps=stamps).time
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
         """Stamps [s] and decoded ROS messages of a topic, in the order of the file, one at a time.
@@ -215,12 +215,12 @@ class Log(ABC):
         how = f"give {_formats('has_sensors')}"
         return LogError("this format holds no images or clouds", where=self.path, how=how)
 
-    def _found(self, topic: str) -> Topic:
-        found = self.topics.get(topic)
-        if found is None:
+    def _find(self, topic: str) -> Topic:
+        result = self.topics.get(topic)
+        if result is None:
             known = ", ".join(sorted(self.topics)) or "none"
             raise LogError(f"no topic '{topic}'", where=self.path, how=f"it has: {known}")
-        return found
+        return result
 
 
 def _formats(capability: str) -> str:

@@ -103,12 +103,12 @@ _TURN_RATE: Final = 4.0
 
 def find_jumps(position: Channel, orientation: Channel | None = None) -> Float[np.ndarray, "j 2"]:
     """Last moment before and first moment after each jump, in the order of time [s]."""
-    found = [_between(position, position_excess(position) > FARTHEST)]
+    result = [_between(position, position_excess(position) > FARTHEST)]
     if orientation is not None and len(orientation.time) > 1:
         turned = _turns(orientation)
         limit = np.maximum(_TURN, _TURN_RATE * np.diff(orientation.time))
-        found.append(_between(orientation, turned > limit))
-    jumps = np.concatenate(found)
+        result.append(_between(orientation, turned > limit))
+    jumps = np.concatenate(result)
     return jumps[np.lexsort(jumps.T[::-1])]
 
 

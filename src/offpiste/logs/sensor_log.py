@@ -70,8 +70,8 @@ class SensorLog:
         chosen = (*self.cameras, *self.lidars) if names is None else tuple(names)
         streams: list[Iterator[Image | Cloud]] = []
         for name in chosen:
-            found = self._images(self.cameras[name]) if name in self.cameras else self._clouds(self.lidars[name])
-            streams.append(_between(found, start, end))
+            result = self._images(self.cameras[name]) if name in self.cameras else self._clouds(self.lidars[name])
+            streams.append(_between(result, start, end))
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
 
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
@@ -107,13 +107,13 @@ class SensorLog:
             return []
         arrivals, pose_arrivals = (self._log.stamps(t, stamps="receive") for t in (topic, position.topic))
         pose_stamps = self._log.stamps(position.topic) - position.delay
-        found = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
-        if found is None:
+        result = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
+        if result is None:
             return []
-        if abs(found.drift) > DRIFT_LIMIT:
-            what = f"'{name}': its stamps drift against the poses' by {abs(found.drift):.2f} s over the drive"
+        if abs(result.drift) > DRIFT_LIMIT:
+            what = f"'{name}': its stamps drift against the poses' by {abs(result.drift):.2f} s over the drive"
             raise LogError(what, where=self.path, how='use clock.stamps = "receive", or remove the sensor from the rig')
-        return clock_note(name, found)
+        return clock_note(name, result)
 
     def _sensor(self, name: str) -> Camera | Lidar:
         return self.cameras[name] if name in self.cameras else self.lidars[name]
@@ -182,8 +182,8 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
     present: dict[str, CameraSource | LidarSource] = {}
     for name, entry in entries.items():
-        found = log.topics.get(entry.topic)
-        if found is not None and found.count:
+        result = log.topics.get(entry.topic)
+        if result is not None and result.count:
             present[name] = entry
         elif entry.optional:
             absent.append(name)

@@ -19,10 +19,10 @@ def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyp
         jj, right = j + offsets[k, 0], offsets[k, 1]
         if 0 <= jj < n:
             to, at = slice(max(0, -right), min(n, n - right)), slice(max(0, right), min(n, n + right))
-            found, height_here, height_there, number = which[to], ground[to], height[jj, at], np.int32(k)
-            for i in range(len(found)):
-                found[i] = number if height_there[i] == height_there[i] else found[i]
-            for i in range(len(found)):
+            result, height_here, height_there, number = which[to], ground[to], height[jj, at], np.int32(k)
+            for i in range(len(result)):
+                result[i] = number if height_there[i] == height_there[i] else result[i]
+            for i in range(len(result)):
                 height_here[i] = height_there[i] if height_there[i] == height_there[i] else height_here[i]
 
 
@@ -35,10 +35,10 @@ def nearest_features(j, offsets, limit, feature_height, ground, which):  # type:
         jj, right = j + offsets[k, 0], offsets[k, 1]
         if 0 <= jj < n:
             to, at = slice(max(0, -right), min(n, n - right)), slice(max(0, right), min(n, n + right))
-            found, here, height, number = which[to], ground[to], feature_height[jj, at], np.int32(k)
-            for i in range(len(found)):
+            result, here, height, number = which[to], ground[to], feature_height[jj, at], np.int32(k)
+            for i in range(len(result)):
                 off = height[i] - here[i]
-                found[i] = number if (off <= limit) & (off >= -limit) else found[i]
+                result[i] = number if (off <= limit) & (off >= -limit) else result[i]
 
 
 @MAPPING.entry

@@ -141,13 +141,13 @@ class MapTerrain:
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """The ground under the wheels of vehicles in `state`; `t` is not used."""
         place = wheel_positions_of_states(state, self.wheels)
-        found = sample_maps(
+        result = sample_maps(
             self.maps, self.number[:, None].expand(-1, 4), place, self.offset[:, None].expand(-1, 4, -1)
         )
         if self.encode is None:
-            return Terrain(found.normal, found.normal[..., :0])
-        codes = self.encode(found.features.flatten(0, 1), found.valid.flatten())
-        return Terrain(found.normal, codes.unflatten(0, (-1, 4)))
+            return Terrain(result.normal, result.normal[..., :0])
+        codes = self.encode(result.features.flatten(0, 1), result.valid.flatten())
+        return Terrain(result.normal, codes.unflatten(0, (-1, 4)))
 
 
 @dataclass(frozen=True)

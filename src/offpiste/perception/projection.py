@@ -92,11 +92,11 @@ class Projection:
         Args:
             features: one feature image for each view [rows, columns, f].
         """
-        found = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
+        result = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
         for index, image in enumerate(features):
             mine = self.view == index
-            found[mine] = image[self.row[mine], self.column[mine]]
-        return found
+            result[mine] = image[self.row[mine], self.column[mine]]
+        return result
 
 
 def project(
@@ -115,25 +115,25 @@ def project(
     row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
     for index, this in enumerate(views):
         points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
-        found, at = project_to_pinhole(points, model)
+        result, at = project_to_pinhole(points, model)
         if settings.occlusion:
             focal_length = float(model.matrix[0, 0])
             occluded = occluded_points(
                 at,
-                points[found, 2],
+                points[result, 2],
                 model.size,
                 reach=focal_length * np.tan(np.deg2rad(settings.reach)),
                 relative=settings.relative,
                 absolute=settings.absolute,
             )
-            found, at = found[~occluded], at[~occluded]
+            result, at = result[~occluded], at[~occluded]
         r, c, inside = this.camera.grid.cells(at)
         inside &= this.camera.free[r, c]
-        found, at, r, c = found[inside], at[inside], r[inside], c[inside]
-        far = np.linalg.norm(points[found], axis=1)
-        cost = -points[found, 2] / far if settings.rule == "centre" else np.full(len(found), -this.time)
-        better = cost < best[found]
-        chosen = found[better]
+        result, at, r, c = result[inside], at[inside], r[inside], c[inside]
+        far = np.linalg.norm(points[result], axis=1)
+        cost = -points[result, 2] / far if settings.rule == "centre" else np.full(len(result), -this.time)
+        better = cost < best[result]
+        chosen = result[better]
         best[chosen], view[chosen], distance[chosen] = cost[better], index, far[better]
         pixel[chosen], row[chosen], column[chosen] = at[better], r[better], c[better]
     return Projection(view, pixel, row, column, distance)

@@ -132,9 +132,9 @@ def kernel_model_state(
     packed = model_state.pack()
     after = torch.empty(1, len(controls), packed.shape[1])
     _bind(dynamics, model_state, situation, CostWeights(), codes, holds=False)(controls[None], after)
-    found = ModelState.unpack(after[:, -1])
+    result = ModelState.unpack(after[:, -1])
     recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
-    return replace(found, actuators=found.actuators.where(recorded, model_state.actuators))
+    return replace(result, actuators=result.actuators.where(recorded, model_state.actuators))
 
 
 @torch.no_grad()
@@ -165,8 +165,8 @@ def _bind(
     def roll(controls: Tensor, states: Tensor) -> Tensor:
         width, wanted = len(CONTROL), (torch.float32, torch.device("cpu"))
         if controls.ndim != 3 or controls.shape[2] != width or (controls.dtype, controls.device) != wanted:
-            found = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
-            raise ValueError(f"controls are {found}; the kernel wants [K, T, {width}], float32 on the CPU")
+            result = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
+            raise ValueError(f"controls are {result}; the kernel wants [K, T, {width}], float32 on the CPU")
         total = torch.empty(len(controls))
         blocks = -(-len(controls) // layout.LANES)
         arrays = start, controls.contiguous().numpy(), *given, total.numpy(), states.numpy()
@@ -209,8 +209,8 @@ def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
     wanted, units = dynamics.codes, dynamics.recurrent_size
-    found, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + 2 * units]
-    if found != needed:
-        raise ValueError(f"the start is {found}; the kernel wants {needed}")
+    result, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + 2 * units]
+    if result != needed:
+        raise ValueError(f"the start is {result}; the kernel wants {needed}")
     if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:
         raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {wanted}")

@@ -90,10 +90,10 @@ class CameraModel:
         coefficients = np.array(self.distortion or (0.0,) * 4, dtype=np.float64)
         places = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
         if self.distortion_model == FISHEYE:
-            found = cv2.fisheye.undistortPoints(places, self.matrix, coefficients)
+            result = cv2.fisheye.undistortPoints(places, self.matrix, coefficients)
         else:
-            found = cv2.undistortPoints(places, self.matrix, coefficients, criteria=_ITERATIONS)
-        directions = found.reshape(-1, 2)
+            result = cv2.undistortPoints(places, self.matrix, coefficients, criteria=_ITERATIONS)
+        directions = result.reshape(-1, 2)
         seen = np.all(np.abs(directions) < 1e3, axis=1)
         rays = np.column_stack((np.where(seen[:, None], directions, 0.0), np.ones(len(directions))))
         # The iteration may end anywhere where the polynomial folds back: only what leads back to the pixel counts.

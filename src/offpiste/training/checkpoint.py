@@ -74,8 +74,8 @@ def save_checkpoint(
 ) -> None:
     """Write weights, and the optimiser's `state_dict`: its tensors beside the weights, the rest as JSON."""
     state = optimiser.state_dict()
-    tensors = {f"{name}.{key}": value for name, found in weights.items() for key, value in found.items()}
-    tensors |= {f"optimiser.{n}.{key}": value for n, found in state["state"].items() for key, value in found.items()}
+    tensors = {f"{name}.{key}": value for name, result in weights.items() for key, value in result.items()}
+    tensors |= {f"optimiser.{n}.{key}": value for n, result in state["state"].items() for key, value in result.items()}
     save_tensors(path, tensors, param_groups=state["param_groups"], **about)
 
 

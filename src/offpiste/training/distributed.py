@@ -55,13 +55,13 @@ class Group:
         """Add up the gradients of all processes; where one has none, it counts as zero."""
         if self.size == 1:
             return
-        found = list(parameters)
-        for parameter in found:
+        result = list(parameters)
+        for parameter in result:
             if parameter.grad is None:
                 parameter.grad = torch.zeros_like(parameter)
-        flat = torch.cat([p.grad.flatten() for p in found if p.grad is not None])
+        flat = torch.cat([p.grad.flatten() for p in result if p.grad is not None])
         dist.all_reduce(flat)
-        for parameter, part in zip(found, flat.split([p.numel() for p in found]), strict=True):
+        for parameter, part in zip(result, flat.split([p.numel() for p in result]), strict=True):
             parameter.grad = part.view_as(parameter).clone()
 
     def together(self, error: OffpisteError | None) -> None:

@@ -43,8 +43,8 @@ def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "reco
         DatasetError: the model reads features and the dataset has none, or a drive has no map.
     """
     parts = in_parts(np.arange(len(windows)), windows, lookup)
-    found = [roll_out(dynamics, windows, part, lookup)[1] for part in parts]
-    return Trajectory(torch.cat([part.state for part in found]), torch.cat([part.actuators for part in found]))
+    result = [roll_out(dynamics, windows, part, lookup)[1] for part in parts]
+    return Trajectory(torch.cat([part.state for part in result]), torch.cat([part.actuators for part in result]))
 
 
 def in_parts(

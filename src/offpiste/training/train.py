@@ -165,9 +165,9 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
     if path.exists():
         if not resume:
             raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
-        found = load_json(path)
+        result = load_json(path)
         for key in ("train", "dataset", "split"):
-            if found.get(key) != described[key]:
+            if result.get(key) != described[key]:
                 raise RunError(
                     f"was begun with other settings ({key})",
                     where=folder,

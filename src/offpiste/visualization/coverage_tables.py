@@ -70,13 +70,13 @@ def measure_coverage(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | No
     Args:
         seed: of the random pairs of unrelated cells.
     """
-    found = [(drive, drive.rows.cells) for drive in dataset.drives if by_distance(drive.rows.cells)]
-    cells = [c for _, c in found if c is not None]
+    result = [(drive, drive.rows.cells) for drive in dataset.drives if by_distance(drive.rows.cells)]
+    cells = [c for _, c in result if c is not None]
     if not sum(c.valid.shape[1] for c in cells):
         return None
-    passes = [passes_of(drive, dataset.rig) for drive, _ in found]
-    reached = [_reached(drive, p) for (drive, _), p in zip(found, passes, strict=True)]
-    drives = [_rates(d.name, [c], [r]) for (d, _), c, r in zip(found, cells, reached, strict=True)]
+    passes = [passes_of(drive, dataset.rig) for drive, _ in result]
+    reached = [_reached(drive, p) for (drive, _), p in zip(result, passes, strict=True)]
+    drives = [_rates(d.name, [c], [r]) for (d, _), c, r in zip(result, cells, reached, strict=True)]
     span, total = feature_coverage.feature_range(cells), feature_coverage.feature_range(cells, (0.0, 100.0))
     counts = [feature_coverage.contacts_by_pass(p) for p in passes if p is not None]
     contacts = np.zeros(max((len(c) for c in counts), default=0), np.int64)

@@ -17,8 +17,8 @@ LONG = 3.0
 def stamps_of(log: SensorLog) -> dict[str, Float[np.ndarray, " _"]]:
     """Sorted times of poses, cameras and LiDARs, after the first pose [s]."""
     first = log.poses.span[0]
-    found = {"poses": log.poses.position.time, **{name: log.stamps(name) for name in (*log.cameras, *log.lidars)}}
-    return {name: np.sort(time) - first for name, time in found.items()}
+    result = {"poses": log.poses.position.time, **{name: log.stamps(name) for name in (*log.cameras, *log.lidars)}}
+    return {name: np.sort(time) - first for name, time in result.items()}
 
 
 def gaps(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " _"]:

@@ -103,15 +103,15 @@ def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
     Returns:
         Paths of the files, each written whole or not at all.
     """
-    found = measure_coverage(dataset)
-    if found is not None:
-        for table in tables(found):
+    result = measure_coverage(dataset)
+    if result is not None:
+        for table in tables(result):
             logger.info(table.text())
-        logger.info(headline(found))
-    return write_page(dataset_page(dataset, found), out)
+        logger.info(headline(result))
+    return write_page(dataset_page(dataset, result), out)
 
 
-def dataset_page(dataset: Dataset, found: FeatureCoverage | None) -> Page:
+def dataset_page(dataset: Dataset, result: FeatureCoverage | None) -> Page:
     """Report of a dataset.
 
     Args:
@@ -122,12 +122,12 @@ def dataset_page(dataset: Dataset, found: FeatureCoverage | None) -> Page:
     sheets = pages(dataset.drives)
     names = [f"paths-{number}" for number in range(1, len(sheets) + 1)] if len(sheets) > 1 else ["paths"]
     paths = [Picture(name, png(draw_paths(drives)), caption) for name, drives in zip(names, sheets, strict=True)]
-    sections = [*(coverage_sections(found) if found else []), Section("Drives from above", pictures=paths)]
+    sections = [*(coverage_sections(result) if result else []), Section("Drives from above", pictures=paths)]
     notes = [f"{drive.name}: {note}" for drive in dataset.drives for note in drive.notes]
     if notes:
         sections.append(Section("Notes", notes=notes))
     title = f"dataset {dataset.path.resolve().name}"
-    return Page(title, [headline(found) if found else without], _facts(dataset), sections)
+    return Page(title, [headline(result) if result else without], _facts(dataset), sections)
 
 
 def _facts(dataset: Dataset) -> dict[str, str]:

@@ -133,8 +133,8 @@ def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, normal
         raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
     for name, (tensor, shape) in expected.items():
         if tuple(tensor.shape) != shape or (tensor.device, tensor.dtype) != (controls.device, controls.dtype):
-            found = f"{list(tensor.shape)}, {tensor.dtype} on {tensor.device}"
-            raise ValueError(f"{name} is {found}; kernels want {list(shape)}, {controls.dtype} on {controls.device}")
+            result = f"{list(tensor.shape)}, {tensor.dtype} on {tensor.device}"
+            raise ValueError(f"{name} is {result}; kernels want {list(shape)}, {controls.dtype} on {controls.device}")
     drive_train(
         dynamics.vehicle, model_state.state, model_state.actuators, controls[:, 0]
     )  # says what the vehicle lacks

@@ -108,17 +108,17 @@ def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
     residuals = []
     for one in layout.LAGGING:
         if one.lag.residual:
-            found = actuators.networks.get(one.label)
+            result = actuators.networks.get(one.label)
             command = layout.CONTROLS[CONTROL.index(one.actuator.follows)]
             residuals.append(
                 network(
-                    found,
-                    weights(found),
+                    result,
+                    weights(result),
                     inputs=[layout.ROW[row] for row in (*one.columns, command, "vx")],
                     first_hidden=hidden,
                     first_output=layout.ROW[f"{one.label}_residual"],
                 )
             )
-            hidden += layout.HIDDEN if found is not None else 0
+            hidden += layout.HIDDEN if result is not None else 0
     brake, steer = residuals
     return first, brake, steer

@@ -78,15 +78,15 @@ class BagLog(Log):
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
         """Stamps [s] and decoded messages of a topic, in the order of the file, one at a time (see `Log`)."""
-        found = self._found(topic)
-        for received, message in self._messages(found.name, found.type):
+        result = self._find(topic)
+        for received, message in self._messages(result.name, result.type):
             yield stamp_of(received, message, stamps), message
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
         """Stamps of all messages of a topic [s], in the order of the file; no more than their headers is decoded."""
-        found = self._found(topic)
+        result = self._find(topic)
         return np.array(
-            [stamp_of(at, head, stamps) for at, head in self._messages(found.name, found.type, headers_only)]
+            [stamp_of(at, head, stamps) for at, head in self._messages(result.name, result.type, headers_only)]
         )
 
     def _describe(self, name: str, notes: list[str]) -> Topic:
@@ -139,13 +139,13 @@ class BagLog(Log):
 
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
         """Transforms of tf2_msgs/TFMessage: the first of each pair of frames."""
-        found: dict[tuple[str, str], Transform] = {}
+        result: dict[tuple[str, str], Transform] = {}
         for topic in topics:
             if topic in self.topics:
                 for _, message in self._typed(topic, _TRANSFORMS):
                     for transform in map(_transform, message.transforms):
-                        found.setdefault((transform.parent, transform.child), transform)
-        return list(found.values())
+                        result.setdefault((transform.parent, transform.child), transform)
+        return list(result.values())
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
         """Calibration by the topic's first CameraInfo."""
@@ -175,10 +175,10 @@ class BagLog(Log):
 
     def _typed(self, topic: str, types: Sequence[str], stamps: str = "header") -> Iterator[tuple[float, Any]]:
         """Messages of a topic that has to be of one of these types."""
-        found = self.topics.get(topic)
-        if found is not None and found.type not in types:
+        result = self.topics.get(topic)
+        if result is not None and result.type not in types:
             wanted = " or ".join(types)
-            raise LogError(f"topic '{topic}' is {found.type}, not {wanted}", where=self.path, how="fix the rig")
+            raise LogError(f"topic '{topic}' is {result.type}, not {wanted}", where=self.path, how="fix the rig")
         return self.messages(topic, stamps=stamps)
 
 

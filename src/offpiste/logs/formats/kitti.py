@@ -119,14 +119,14 @@ class KittiLog(Log):
         rectified_from_reference = np.eye(4)
         rectified_from_reference[:3, :3] = _numbers(cameras, "R_rect_00", (3, 3))
         velodyne_from_rectified = np.linalg.inv(rectified_from_reference @ reference_from_velodyne)
-        found = [Transform("oxts", "velodyne_points", np.linalg.inv(velodyne_from_body))]
+        result = [Transform("oxts", "velodyne_points", np.linalg.inv(velodyne_from_body))]
         for name in sorted(self.topics):
             if name.startswith("image_"):
                 matrix, baseline = np.split(self._projection(name), (3,), axis=1)
                 shift = np.eye(4)
                 shift[:3, 3:] = -np.linalg.solve(matrix, baseline)
-                found.append(Transform("velodyne_points", name, velodyne_from_rectified @ shift))
-        return found
+                result.append(Transform("velodyne_points", name, velodyne_from_rectified @ shift))
+        return result
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
         """Calibration of the rectified images (P_rect); `transforms` has their positions already."""
@@ -217,14 +217,14 @@ def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
     except OSError as error:
         how = "put the day's calibration files into the folder above the drive"
         raise LogError("no calibration file", where=path, how=how) from error
-    found = {}
+    result = {}
     for line in lines:
         key, _, values = line.partition(":")
         try:
-            found[key] = np.array(values.split(), dtype=np.float64)
+            result[key] = np.array(values.split(), dtype=np.float64)
         except ValueError:  # calib_time
             continue
-    return found
+    return result
 
 
 def _numbers(calibration: dict[str, Float[np.ndarray, " n"]], key: str, shape: tuple[int, ...]) -> np.ndarray:

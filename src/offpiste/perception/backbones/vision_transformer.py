@@ -111,7 +111,7 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
     bars = logging.is_progress_bar_enabled()
     logging.disable_progress_bar()  # type: ignore[no-untyped-call]
     try:
-        model, found = AutoModel.from_pretrained(
+        model, result = AutoModel.from_pretrained(
             folder, local_files_only=True, use_safetensors=True, dtype=torch.float32, output_loading_info=True
         )
     except (OSError, ValueError, RuntimeError) as error:
@@ -123,7 +123,7 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
     finally:
         if bars:
             logging.enable_progress_bar()  # type: ignore[no-untyped-call]
-    lacking = sorted(found["missing_keys"]) + sorted(str(key) for key in found["mismatched_keys"])
+    lacking = sorted(result["missing_keys"]) + sorted(str(key) for key in result["mismatched_keys"])
     if lacking:
         raise PerceptionError(
             f"weights lack {lacking[0]} and {len(lacking) - 1} others", where=folder, how="fetch them again"

@@ -106,8 +106,8 @@ def layer_sources() -> list[LayerSource]:
 
 def computed(source: LayerSource, inputs: dict[str, Any]) -> Float[np.ndarray, "ny nx C"]:
     """Layers of a source, from the inputs that its function names."""
-    found = source.compute(**{name: inputs[name] for name in inspect.signature(source.compute).parameters})
-    return found.reshape(*found.shape[:2], len(source.layers))
+    result = source.compute(**{name: inputs[name] for name in inspect.signature(source.compute).parameters})
+    return result.reshape(*result.shape[:2], len(source.layers))
 
 
 @cost_layer(

@@ -70,11 +70,11 @@ class Scene:
     def cast(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """`cast_rays`, in the calling thread alone."""
         origins, directions = _single(origins), _single(directions)
-        found = self._embree.run(origins, directions, output=True)
+        result = self._embree.run(origins, directions, output=True)
         surface, item = np.empty(len(directions), np.int8), np.empty(len(directions), np.int32)
-        hits = Hits(found["tfar"], surface, item, found["Ng"])
+        hits = Hits(result["tfar"], surface, item, result["Ng"])
         tables = (self._surfaces, self._first, self._items)
-        _identify(found["geomID"], found["primID"], directions, *tables, hits.distance, surface, item, hits.normal)
+        _identify(result["geomID"], result["primID"], directions, *tables, hits.distance, surface, item, hits.normal)
         return hits
 
     def occluded(

@@ -77,8 +77,8 @@ def octaves(lattice, turn, sun, x, y, footprint, value, slope):  # type: ignore[
                 value[finer] = slope[finer] = 0.0
             break
         # Lattices are shifted against each other: no place in the world is the origin of all.
-        found, slope_x, slope_y = value_noise(lattice, cos * x + sin * y + o * 17, cos * y - sin * x + o * 29)
-        value[o] = fade * found
+        result, slope_x, slope_y = value_noise(lattice, cos * x + sin * y + o * 17, cos * y - sin * x + o * 29)
+        value[o] = fade * result
         slope[o] = -fade * (slope_x * sun[o, 0] + slope_y * sun[o, 1])
 
 

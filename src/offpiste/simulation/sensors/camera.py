@@ -146,8 +146,8 @@ def _shade(
         rays = camera.rays[first:last] @ turned
         own = Hits(**{name: values[first:last] for name, values in vars(camera.own).items()})
         hits = nearest(own, scene.cast(np.broadcast_to(origin, rays.shape), rays))
-        found = (hits.distance, hits.surface, hits.item, hits.normal)
-        shade_rays(*look, origin, position, rotation, rays, *found, linear[first:last])
+        result = (hits.distance, hits.surface, hits.item, hits.normal)
+        shade_rays(*look, origin, position, rotation, rays, *result, linear[first:last])
 
     scene.spread(len(linear), block)
 
