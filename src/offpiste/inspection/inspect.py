@@ -81,7 +81,7 @@ class Inspection:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, texts and lists, for JSON."""
-        return {"schema": 1, "usable": self.usable, **asdict(self)}
+        return {"schema": 2, "usable": self.usable, **asdict(self)}
 
 
 def summarise(recorded: dict[str, Recorded], path: Path | None) -> Summary:
