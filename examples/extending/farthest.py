@@ -1,6 +1,7 @@
 """A fusion rule from outside the package: a voxel keeps the observation taken from farthest away.
 
-It compares what a map from far off looks like with the usual one, which keeps the closest observation:
+It shows what a map from far off looks like beside the usual one, which keeps the closest observation. With this module
+named in `OFFPISTE_EXTENSIONS`, or imported, maps take the rule by its name:
 
     MapSettings(VoxelSettings(rule="farthest"))
 """

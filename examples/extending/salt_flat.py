@@ -1,6 +1,9 @@
-"""A world with a name of its own: `OFFPISTE_EXTENSIONS=salt_flat offpiste simulate --world salt-flat`.
+"""A world with a name of its own, from outside the package.
 
-Worlds that differ in numbers only need no Python: `offpiste simulate --world salt_flat.toml` reads the file itself.
+    OFFPISTE_EXTENSIONS=salt_flat PYTHONPATH=examples/extending offpiste simulate --world salt-flat
+
+Worlds that differ in numbers only need no Python: `offpiste simulate --world salt_flat.toml` reads the file itself. The
+name is part of a world's seed: the two commands lay other trails.
 """
 
 from pathlib import Path

@@ -65,7 +65,9 @@ def evaluate_runs(
     write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
     if (result := evaluation.metrics.windows.blocks) < MIN_BLOCKS:
-        logger.info(f"–: no interval, since windows lie in {result} blocks of 10 s; at least {MIN_BLOCKS} are needed")
+        logger.info(
+            f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_BLOCKS} are needed"
+        )
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
 

@@ -249,7 +249,7 @@ class TestWeights:
         message = str(caught.value)
         assert message.startswith("facebook/dinov2-small: weights are neither in the hub's cache nor could they be")
         assert "hf download facebook/dinov2-small" in message
-        assert message.endswith("or use the backbone 'filterbank', which needs no weights")
+        assert message.endswith("or give --backbone filterbank, which needs no weights")
         assert "\n" not in message
 
     def test_the_cache_is_used_without_asking_the_hub(self, monkeypatch: pytest.MonkeyPatch, folder: Path):

@@ -27,7 +27,7 @@ FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
 """`model_type` of the configurations whose tokens are known to be: class, registers, patches row after row."""
 
 _FILES = ("config.json", "preprocessor_config.json", "model.safetensors")
-_OTHERWISE = "use the backbone 'filterbank', which needs no weights"
+_OTHERWISE = "give --backbone filterbank, which needs no weights"
 _INSTEAD = f"or {_OTHERWISE}"
 
 
