@@ -17,7 +17,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Iterable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import astuple, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -675,7 +675,7 @@ def training() -> Results:
         stride=20,
     )
     for case, errors in evaluation.errors.items():
-        label = " ".join(map(str, case))
+        label = " ".join(map(str, astuple(case)))
         found |= parts(f"errors {label}", errors, keep=60)
     judged = msgspec.to_builtins(evaluation.metrics)
     kept = {key: judged[key] for key in judged if key not in ("made", "dataset", "split")}
