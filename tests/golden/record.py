@@ -91,7 +91,7 @@ def digest(*parts: bytes) -> str:
     return made.hexdigest()[:16]
 
 
-def told(name: str, array: np.ndarray | torch.Tensor, *, keep: int = SMALL) -> Results:
+def summarised(name: str, array: np.ndarray | torch.Tensor, *, keep: int = SMALL) -> Results:
     """A large array: its hash, shape, a few numbers of it, and a selection."""
     if isinstance(array, torch.Tensor):
         array = array.detach().cpu().numpy()
@@ -117,7 +117,7 @@ def parts(name: str, thing: object, *, keep: int = SMALL) -> Results:
     for number, field in enumerate(names):
         value = getattr(thing, field)
         if isinstance(value, np.ndarray | torch.Tensor):
-            found |= told(f"{name}.{number}", value, keep=keep)
+            found |= summarised(f"{name}.{number}", value, keep=keep)
         elif isinstance(value, float | int):
             found[f"{name}.{number}"] = np.array(float(value))
         elif value is not None and (is_dataclass(value) or hasattr(value, "_fields")):
@@ -208,7 +208,9 @@ def learned(name: str, dynamics: Dynamics, trajectory: object, batch: Batch) -> 
     dtype = batch.state.dtype
     scale = torch.tensor([2.0, 0.1, 0.5, 0.2, 0.3], dtype=dtype)
     losses = summed_loss(trajectory.state, batch.target, scale, torch.tensor([1.0, 0.5, 2.0, 1.0, 1.5], dtype=dtype))
-    found = told(f"{name}.state", trajectory.state, keep=180) | told(f"{name}.actuators", trajectory.actuators, keep=60)
+    found = summarised(f"{name}.state", trajectory.state, keep=180) | summarised(
+        f"{name}.actuators", trajectory.actuators, keep=60
+    )
     found[f"{name}.losses"] = losses.detach().double().numpy()
     wanted = [p for p in dynamics.parameters() if p.requires_grad]
     if not wanted or not losses.requires_grad:
@@ -238,13 +240,13 @@ def models() -> Results:
         standardised(dynamics, batch)
         read = encoded(dynamics, batch)
         model_state = dynamics.start(read.history, read.state, read.actuators)
-        found |= told(f"{label}.carry", torch.nan_to_num(model_state.pack()), keep=120)
+        found |= summarised(f"{label}.carry", torch.nan_to_num(model_state.pack()), keep=120)
         source = RecordedTerrain(read.terrain)
         found |= learned(f"{label}.eager", dynamics, rollout(dynamics, model_state, read.control, source), read)
         call, packed = as_callable(dynamics, source), model_state.pack()
         for step in range(3):
             packed = call(packed, read.control[:, step], step)
-        found |= told(f"{label}.callable", torch.nan_to_num(packed), keep=60)
+        found |= summarised(f"{label}.callable", torch.nan_to_num(packed), keep=60)
 
         dynamics, batch = dynamics.float(), as_type(batch, torch.float32)
         if dynamics.actuators is not None:
@@ -259,7 +261,7 @@ def models() -> Results:
             f"{label}.kernel", dynamics, rollout_recorded(dynamics, model_state, read.control, read.terrain), read
         )
         with torch.no_grad():
-            found |= told(f"{label}.predict", predict(dynamics, batch).state, keep=60)
+            found |= summarised(f"{label}.predict", predict(dynamics, batch).state, keep=60)
     return found
 
 
@@ -339,8 +341,8 @@ def simulated_log() -> Results:
         name = log.stem if log != full else "full"
         found |= messages(name, log)
         found[f"{name}.metres"] = np.array([driven.seconds, driven.metres, len(driven.events)])
-        found |= told(f"{name}.path", driven.path, keep=100)
-        found |= told(f"{name}.speed", driven.speed, keep=50)
+        found |= summarised(f"{name}.path", driven.path, keep=100)
+        found |= summarised(f"{name}.speed", driven.speed, keep=50)
     return found
 
 
@@ -378,11 +380,11 @@ def map_layers() -> Results:
     cameras = pinhole_cameras(sensors, look.patch)
     for number, moment in enumerate(replay(sensors, cameras, look.extract, look.channels), start=1):
         if number in (1, 10):
-            found |= told(f"scan.{number}.points", moment.points_world, keep=100)
+            found |= summarised(f"scan.{number}.points", moment.points_world, keep=100)
             for view, seen in enumerate(moment.features):
-                found |= told(f"scan.{number}.look.{view}", seen, keep=150)
+                found |= summarised(f"scan.{number}.look.{view}", seen, keep=150)
             for view, pixels in enumerate(moment.images):
-                found |= told(f"scan.{number}.image.{view}", pixels, keep=100)
+                found |= summarised(f"scan.{number}.image.{view}", pixels, keep=100)
         if number == 20:
             found |= parts("drive", moment.layers)
             break
@@ -432,7 +434,7 @@ def dataset() -> Results:
     """What `extract` makes of a simulated drive: rows, features by distance, snapshots of the map, windows."""
     made = visual_dataset()
     (drive,) = made.drives
-    found: Results = parts("rows", drive.rows) | told("part", drive.part)
+    found: Results = parts("rows", drive.rows) | summarised("part", drive.part)
     found["names"] = json.dumps([list(made.features), list(FEATURE_SETS), list(CONTROL), list(ACTUATORS)])
     found["min_hindsight"] = np.array(made.min_hindsight)
     kept = drive.snapshots
@@ -440,7 +442,7 @@ def dataset() -> Results:
     found |= {
         key: value
         for number, name in enumerate(kept.cells)
-        for key, value in told(f"cells.{number}", np.asarray(kept.cells[name][:])).items()
+        for key, value in summarised(f"cells.{number}", np.asarray(kept.cells[name][:])).items()
     }
     windows = Windows(made, "test")
     found["windows"] = np.asarray(windows.rows, int)
@@ -455,7 +457,7 @@ def dataset() -> Results:
     )
     for number, one in enumerate(oracle.drives):
         found |= parts(f"oracle.{number}", one.rows, keep=150)
-        found |= told(f"oracle.{number}.part", one.part, keep=50)
+        found |= summarised(f"oracle.{number}.part", one.part, keep=50)
         if one.load_map is not None:
             found |= parts(f"oracle.{number}.map", one.load_map(), keep=100)
     return found
@@ -531,20 +533,20 @@ def plan() -> Results:
             for update in range(3):
                 better = improve(controls, cost_of, planned, generator, previous=torch.tensor([0.3, 0.0, 0.0]))
                 found[f"{label}.{reading}.{update}.controls"] = better.controls.double().numpy()[::3]
-                found |= told(f"{label}.{reading}.{update}.costs", better.costs, keep=24)
+                found |= summarised(f"{label}.{reading}.{update}.costs", better.costs, keep=24)
                 controls = shift(better.controls, 5)
         draw = torch.Generator().manual_seed(9)
         drawn = torch.rand(24, 40, 3, generator=draw) * torch.tensor([0.8, 0.2, 1.0]) - torch.tensor([0.0, 0.0, 0.5])
         price, states = fused_rollout(dynamics, past, drawn, at, weights, codes)
         found[f"{label}.fused.price"] = price.double().numpy()
-        found |= told(f"{label}.fused.states", states, keep=150)
+        found |= summarised(f"{label}.fused.states", states, keep=150)
         source = situation_terrain(dynamics, at, len(drawn), encoder)
         trajectory = rollout(dynamics, spread_model_state(past, len(drawn)), drawn, source)
-        found |= told(f"{label}.eager.states", trajectory.state, keep=150)
+        found |= summarised(f"{label}.eager.states", trajectory.state, keep=150)
         terms = driving_terms(trajectory, drawn, at, weights)
         found[f"{label}.eager.terms"] = torch.stack(tuple(terms.values())).double().numpy()
         after = kernel_model_state(dynamics, past, drawn[0, :8], at, codes)
-        found |= told(f"{label}.carry", torch.nan_to_num(after.pack()), keep=60)
+        found |= summarised(f"{label}.carry", torch.nan_to_num(after.pack()), keep=60)
     return found
 
 
@@ -723,7 +725,7 @@ def closed_loop() -> Results:
     out = temporary_folder() / "closed-loop"
     driven = drive_course(Planner("parametric", Path("nowhere"), parametric()), asked, out)
     found = messages("log", out / "drive.mcap")
-    found |= told("controls", np.stack([c.command for c in driven.driving.controls]))
+    found |= summarised("controls", np.stack([c.command for c in driven.driving.controls]))
     found["modes"] = json.dumps([c.mode for c in driven.driving.controls])
     found |= parts("course", driven.chosen.course, keep=100)
     found["surprise"] = np.array(driven.chosen.surprise)

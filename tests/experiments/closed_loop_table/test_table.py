@@ -64,7 +64,7 @@ def test_driving_is_separated_from_how_often_they_stop():
     rows += [result("dc-100ms", 0, 2000.0, finished=False), *(result("dc-100ms", seed, 10.0) for seed in (1, 2, 3))]
     (line,) = (line for line in table(rows, limit=40.0).splitlines() if line.startswith("| dc-100ms − b"))
     cells = [cell.strip() for cell in line.strip("|").split("|")]
-    whole = 100 * ((100 * 0.5**3) ** 0.25 - 1)  # 100 times as dear once, half three times
+    whole = 100 * ((100 * 0.5**3) ** 0.25 - 1)  # 100 times as expensive once, half three times
     assert cells[1].startswith(f"{whole:+.0f} %")
     assert cells[-1] == "-50 % [-50, -50] (3)"
 
