@@ -257,11 +257,12 @@ def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
         f"8/{STEPS}  offpiste drive {run} --pca {pca} --world {WORLD} --seed {seed}"
         f" --seconds {settings.course_seconds:g} --speed {settings.course_speed:g} --out {folder}"
     )
-    if not (folder / "result.json").exists():
+    if (result := folder / "result.json").exists():
+        logger.info(described(json.loads(result.read_text("utf-8"))))
+    else:
         shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
         course = CourseSettings(speed=settings.course_speed)
         drive = CourseDriveSettings(world, settings.course_seconds, course=course)
         drive_course(load_planner(run, pca), drive, folder)
-    logger.info(described(json.loads((folder / "result.json").read_text("utf-8"))))
     logger.info(f"picture: {folder / 'drive.png'}")
