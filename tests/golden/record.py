@@ -679,8 +679,8 @@ def training() -> Results:
     for case, errors in evaluation.errors.items():
         label = " ".join(map(str, astuple(case)))
         found |= parts(f"errors {label}", errors, keep=60)
-    judged = msgspec.to_builtins(evaluation.metrics)
-    kept = {key: judged[key] for key in judged if key not in ("made", "dataset", "split")}
+    metrics = msgspec.to_builtins(evaluation.metrics)
+    kept = {key: metrics[key] for key in metrics if key not in ("made", "dataset", "split")}
     found["evaluation"] = np.array(list(all_numbers(kept)), float)
     return found
 

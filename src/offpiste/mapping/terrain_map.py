@@ -1,7 +1,7 @@
 """The terrain map: layers on a world-aligned grid, the indices of its cells, and where wheels stand on it.
 
-Plain arithmetic on numbers or arrays; loops compile it (`MAPPING.inlined(bilinear)`), the sampler calls it as it is.
-Coordinates are in cells: cell [j, i] has its centre at x = i, y = j.
+`on_map` and `bilinear` are plain arithmetic on numbers or arrays, in coordinates of cells (cell [j, i] has its centre at
+x = i, y = j): loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them as they are.
 """
 
 from dataclasses import dataclass, field, fields
