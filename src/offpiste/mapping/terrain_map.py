@@ -1,7 +1,7 @@
 """The terrain map: layers on a world-aligned grid, the indices of its cells, and where wheels stand on it.
 
-`on_map` and `bilinear` are plain arithmetic on numbers or arrays, in coordinates of cells (cell [j, i] has its centre at
-x = i, y = j): loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them as they are.
+`on_map` and `bilinear` are plain arithmetic on numbers or arrays, in coordinates of cells: cell [j, i] has its centre
+at x = i, y = j. Loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them as they are.
 """
 
 from dataclasses import dataclass, field, fields
