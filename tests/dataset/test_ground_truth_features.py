@@ -97,7 +97,7 @@ def test_hold_keeps_the_codes_of_the_start_on_the_record_and_on_the_map(tmp_path
 def test_models_without_an_encoder_do_not_see_features(tmp_path):
     dataset = made(tmp_path / "data.zarr")
     windows, index = Windows(dataset, "test"), np.array([0, 50])
-    b = MODELS["b"](vehicle_of(dataset))
+    b = MODELS["b"](vehicle_of(dataset), seed=0)
     batch = encoded(b, windows.gather(index))
     assert batch.terrain.latent.shape[-1] == 0
     assert on_map(b, windows, index, batch)[1].at(0, batch.state).latent.shape == (2, 4, 0)

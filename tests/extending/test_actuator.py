@@ -27,7 +27,7 @@ batch = windows.gather(windows.every(50))
 train = drive_train(vehicle, batch.state, batch.actuators, batch.control[:, 0])
 torch.testing.assert_close(train.throttle, batch.actuators[:, 4])
 for name in ("parametric", "b"):
-    model = MODELS[name](vehicle)
+    model = MODELS[name](vehicle, seed=0)
     rate = model.actuators.constant_names.index(("throttle", "rate"))
     model.actuators.raw.data[rate] = torch.logit(torch.tensor(1.9 / 39.9))  # 2 / s
     predicted = predict(model, batch).actuators[..., 4]

@@ -655,7 +655,6 @@ def training() -> Results:
     runs = []
     for name in ("b", "dc", "lstm", "dc-step", "cf-masked"):
         folder = temporary_folder() / "runs" / name
-        torch.manual_seed(0)
         # Two drives are enough for those that only draw otherwise.
         dynamics = train(made, replace(quick, model=name), folder)
         found |= trained(name, dynamics, folder)
@@ -666,7 +665,6 @@ def training() -> Results:
     real = make_dataset(logs, load_rig("proving_ground"), temporary_folder() / "real.zarr", split=f"drives:{listed}")
     for name in ("b", "kinematic"):
         folder = temporary_folder() / "runs" / f"real-{name}"
-        torch.manual_seed(0)
         found |= trained(f"real-{name}", train(real, replace(quick, model=name, epochs=1), folder), folder)
     loaded = [load_run(folder) for folder in runs[:2]]
     evaluation = evaluate_models(

@@ -1,5 +1,7 @@
 """The hybrid model: parametric bicycle, and a recurrent network that compensates its forces (paper, eq. 5)."""
 
+from copy import deepcopy
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -19,13 +21,17 @@ from offpiste.state import History, ModelState, Terrain
 
 @register_model("parametric", colour="#56b4e9")
 class Parametric(Dynamics):
-    """Actuator lags and the bicycle, nothing learned but constants (`parametric`)."""
+    """Actuator lags and the bicycle, nothing learned but constants (`parametric`).
+
+    Args:
+        actuators: delay models to use; new ones where none are given.
+    """
 
     actuators: Actuators
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, actuators: Actuators | None = None) -> None:
         super().__init__(vehicle)
-        self.actuators = Actuators(vehicle)
+        self.actuators = actuators or Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
 
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
@@ -128,8 +134,8 @@ class Hybrid(Dynamics):
         return KernelParts(self.bicycle, self.compensator, self.force_scale)
 
     def physics(self) -> Parametric:
-        """The bicycle alone, with the same actuators."""
-        return Parametric(self.vehicle)
+        """The bicycle alone, with a copy of the actuators."""
+        return Parametric(self.vehicle, deepcopy(self.actuators))
 
     def adopt_physics(self, fitted: Dynamics) -> None:
         """Take over the bicycle's constants."""

@@ -1,10 +1,14 @@
 """Models by name: each registers itself where it is defined."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+import torch
+
 from offpiste.dataset.feature_sets import Draw
+from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.errors import RunError
@@ -33,9 +37,19 @@ class Model:
     colour: str = ""
     fits: Callable[[Vehicle], bool] = lambda vehicle: True
 
-    def __call__(self, vehicle: Vehicle) -> Dynamics:
-        """An untrained model of this vehicle."""
-        return self.build(vehicle)
+    def __call__(self, vehicle: Vehicle, *, seed: int) -> Dynamics:
+        """An untrained model of this vehicle, whose initial weights follow from the seed alone."""
+        with seeded(seed):
+            return self.build(vehicle)
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Networks that are made inside draw their initial weights from this seed, and from nothing that came before."""
+    # torch's layers draw from the global generator and take no other; it is left as it was.
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        yield
 
 
 MODELS: Final[Registry[Model]] = Registry("model", package="offpiste.dynamics", error=RunError)
@@ -62,6 +76,12 @@ def register_model(
         return build
 
     return add
+
+
+def initial_actuators(vehicle: Vehicle, seed: int) -> Actuators:
+    """Delay models to be fitted, with the same initial weights for every model of a vehicle and seed."""
+    with seeded(seed):
+        return Actuators(vehicle)
 
 
 def reference_of(vehicle: Vehicle) -> str:

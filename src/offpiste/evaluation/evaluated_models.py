@@ -94,7 +94,7 @@ def with_baselines(
 
 def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> Dynamics:
     """A baseline; its actuators, if it has any, have the delays that a model beside it fitted."""
-    baseline = MODELS[name](vehicle)
+    baseline = MODELS[name](vehicle, seed=0)
     fitted = [model.dynamics.actuators for model in beside if _channels(model.dynamics.vehicle) == _channels(vehicle)]
     result = next((lags for lags in fitted if lags is not None), None)
     if baseline.actuators is not None and result is not None:

@@ -217,9 +217,7 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
         raise RunError(
             f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}", how="give a smaller --pca"
         )
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        dynamics = make(vehicle)
+    dynamics = make(vehicle, seed=seed)
     if dynamics.encoder is not None and not vehicle.features:
         raise RunError(
             f"model '{model}' reads terrain features and the dataset has none",

@@ -18,8 +18,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
-from offpiste.dynamics.actuators import Actuators
-from offpiste.dynamics.models import reference_of
+from offpiste.dynamics.models import initial_actuators, reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_json, save_json
@@ -75,10 +74,11 @@ def train(
     ) -> None:
         run_stage(Stage(name, module, loss, epochs, draw), windows, validation, config, folder, record, group)
 
-    reference = MODELS[reference_of(vehicle)](vehicle).to(config.device)
+    reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(config.device)
     if vehicle.actuators:
-        lags = reference.actuators or Actuators(vehicle).to(config.device)
+        lags = initial_actuators(vehicle, config.seed).to(config.device)
         fit("actuators", lags, actuator_loss(lags, windows), config.actuator_epochs)
+        _freeze(reference, lags)
         _freeze(dynamics, lags)
     scale = loss_scale(reference, windows, config)
     weights = torch.tensor(config.weights.in_order(), device=config.device)
@@ -87,9 +87,8 @@ def train(
         return lambda batch: summed_loss(_checked(predict(model, batch), batch).state, batch.target, scale, weights)
 
     if (physics := dynamics.physics()) is not None:
-        physics = physics.to(config.device)
-        if dynamics.actuators is not None:
-            _freeze(physics, dynamics.actuators)
+        if physics.actuators is not None:
+            physics.actuators.requires_grad_(False)
         fit("bicycle", physics, loss_of(physics), config.bicycle_epochs)
         dynamics.adopt_physics(physics)
     standardise(dynamics, windows)

@@ -56,7 +56,7 @@ def test_the_same_windows_are_found_where_more_are_kept(dataset: Dataset) -> Non
 
 def test_a_shifted_map_has_ahead_of_here_what_lies_ahead_there(dataset: Dataset) -> None:
     windows = Windows(dataset, "test")
-    model = MODELS["df"](vehicle_of(dataset))
+    model = MODELS["df"](vehicle_of(dataset), seed=0)
     index = np.array([0, 40, 200])
     ground = ShiftedMap(windows, 8.0)
     other = ground._other[index]
@@ -76,7 +76,7 @@ def test_a_shifted_map_has_ahead_of_here_what_lies_ahead_there(dataset: Dataset)
 
 def test_a_map_shifted_by_nothing_is_the_map(dataset: Dataset) -> None:
     windows, index = Windows(dataset, "test"), np.array([5, 300])
-    model = MODELS["df"](vehicle_of(dataset))
+    model = MODELS["df"](vehicle_of(dataset), seed=0)
     batch = encoded(model, windows.gather(index))
     standard_model, source = on_map(model, windows, index, batch)
     moved, other = ShiftedMap(windows, 0.0)(model, windows, index, batch)
