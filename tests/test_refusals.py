@@ -109,13 +109,22 @@ def test_rows_that_are_not_finite(
         assert "row 100" in line
 
 
-@pytest.mark.parametrize(("key", "named"), [("normal", "surface normals"), ("cells/features", "terrain features")])
-def test_ground_that_is_not_finite(
-    copied: Path, tmp_path: Path, error_of: Callable[..., str], key: str, named: str
-) -> None:
-    change(copied, key, lambda values: np.full_like(values, np.nan))
+def test_features_that_are_not_finite(copied: Path, tmp_path: Path, error_of: Callable[..., str]) -> None:
+    change(copied, "cells/features", lambda values: np.full_like(values, np.nan))
     line = error_of("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
-    assert f"{named} of the dataset are not finite" in line
+    assert "terrain features of the dataset are not finite" in line
+    assert "extract it again" in line
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, 2.0])
+def test_normals_that_are_neither_unit_vectors_nor_unknown(
+    copied: Path, tmp_path: Path, error_of: Callable[..., str], number: float
+) -> None:
+    change(
+        copied, "normal", lambda values: np.concatenate((values[..., :2], np.full_like(values[..., 2:], number)), -1)
+    )
+    line = error_of("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
+    assert "surface normals of the dataset are not unit vectors" in line
     assert "extract it again" in line
 
 

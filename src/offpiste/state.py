@@ -24,6 +24,11 @@ class Terrain:
     latent: Float[Tensor, "*batch 4 E"]
 
 
+def straight_up_where_unknown(normal: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
+    """Surface normals, (0, 0, 1) in the place of NaN."""
+    return torch.where(normal.isnan(), normal.new_tensor([0.0, 0.0, 1.0]), normal)
+
+
 @dataclass(frozen=True)
 class History:
     """The rows t-10 ... t-1 before a prediction; row t itself enters as the first step's input.

@@ -60,7 +60,7 @@ def passes_of(time: np.ndarray, xy: np.ndarray):
 
 
 class ChangingMap:
-    """Every cell's value tells the cell and the moment; some are invalid at some moments."""
+    """Every cell's value tells the cell and the moment; features, elevation and normal are missing at some moments."""
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
@@ -71,14 +71,16 @@ class ChangingMap:
             mixed = (column * 7919 + row * 104729 + step * 31 + self.seed) % 97
             valid = mixed % 3 > 0
             value = np.where(valid, mixed.astype(float), np.nan)
-            up = np.tile([0.0, 0.6, 0.8], (len(cells), 1))
-            return MapCellValues(value[:, None], valid, mixed / 2.0, mixed / 4.0, up)
+            elevation = np.where(mixed % 5 > 0, mixed / 4.0, np.nan)
+            slope = np.where(mixed % 7 > 1, mixed / 100.0, np.nan)
+            normal = np.column_stack((0 * slope, np.sin(slope), np.cos(slope)))
+            return MapCellValues(value[:, None], valid, mixed / 2.0, elevation, normal)
 
         return read
 
 
 def brute_force(time, xy, passes, changing: ChangingMap):
-    """By pass and set: (step or None); nothing shared with the code but the definition."""
+    """By pass, set and quantity: the step (or None) it is from; nothing shared with the code but the definition."""
     chosen = {}
     for p in range(len(passes.contact)):
         centre = (passes.cell[p] + 0.5) * RESOLUTION
@@ -92,12 +94,15 @@ def brute_force(time, xy, passes, changing: ChangingMap):
                 steps.append(step)
         signed = {s: np.hypot(*(centre - xy[s])) * (-1 if time[s] > passes.contact[p] else 1) for s in steps}
         for number, name in enumerate(FEATURE_SETS):
-            if name == "hindsight":
-                valid = [s for s in steps if changing.at(s)(passes.cell[p : p + 1]).valid[0]]
-                chosen[p, number] = valid[-1] if valid else None
-            else:
-                near = [s for s in steps if abs(signed[s] - float(name)) <= TOLERANCE]
-                chosen[p, number] = min(near, key=lambda s: abs(signed[s] - float(name))) if near else None
+            near = [s for s in steps if name != "hindsight" and abs(signed[s] - float(name)) <= TOLERANCE]
+            held = [(s, changing.at(s)(passes.cell[p : p + 1])) for s in steps] if name == "hindsight" else []
+            for quantity in ("features", "elevation", "normal"):
+                if name == "hindsight":
+                    known = [s for s, values in held if np.isfinite(getattr(values, quantity)).all()]
+                    chosen[p, number, quantity] = known[-1] if known else None
+                else:
+                    nearest = min(near, key=lambda s: abs(signed[s] - float(name))) if near else None
+                    chosen[p, number, quantity] = nearest
     return chosen
 
 
@@ -109,18 +114,19 @@ def test_every_set_holds_what_brute_force_finds():
         feature_sets_recorder.update(time[step], xy[step], changing.at(step))
     wanted = brute_force(time, xy, passes, changing)
     assert any(step is None for step in wanted.values())
-    for (p, number), step in wanted.items():
+    assert any(
+        len({wanted[p, 0, q] for q in ("features", "elevation", "normal")}) == 3 for p in range(len(passes.cell))
+    )
+    for (p, number, quantity), step in wanted.items():
+        found = getattr(feature_sets_recorder, quantity)[number, p]
         if step is None:
-            assert not feature_sets_recorder.valid[number, p]
+            assert np.isnan(found).all()
             continue
-        feature_set_choice = changing.at(step)(passes.cell[p : p + 1])
-        assert feature_sets_recorder.valid[number, p] == feature_set_choice.valid[0]
-        np.testing.assert_equal(
-            feature_sets_recorder.features[number, p], feature_set_choice.features[0].astype(np.float16)
-        )
-        assert feature_sets_recorder.distance[number, p] == pytest.approx(feature_set_choice.distance[0])
-        assert feature_sets_recorder.elevation[number, p] == pytest.approx(feature_set_choice.elevation[0])
-        np.testing.assert_allclose(feature_sets_recorder.normal[number, p], feature_set_choice.normal[0])
+        held = changing.at(step)(passes.cell[p : p + 1])
+        np.testing.assert_array_equal(found, getattr(held, quantity)[0].astype(found.dtype))
+        if quantity == "features":
+            assert feature_sets_recorder.valid[number, p] == held.valid[0]
+            assert feature_sets_recorder.distance[number, p] == pytest.approx(held.distance[0])
 
 
 def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():

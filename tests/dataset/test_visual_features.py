@@ -112,7 +112,20 @@ def test_elevation_and_normals_are_those_of_the_world(dataset: Dataset, folder: 
     rise_y, rise_x = np.gradient(truth.layers["elevation"], truth.resolution)
     slope = read_grid(np.stack((rise_x, rise_y), axis=-1), truth.origin, truth.resolution, places[known])
     normal = rows.normal[0][known]
-    assert np.median(np.abs(-normal[:, :2] / normal[:, 2:] - slope)) < 0.06
+    fitted = np.isfinite(normal).all(axis=1)
+    assert fitted.mean() > 0.9
+    assert np.median(np.abs(-normal[fitted, :2] / normal[fitted, 2:] - slope[fitted])) < 0.06
+
+
+def test_what_the_map_did_not_know_is_said_to_be_unknown(dataset: Dataset) -> None:
+    normal = dataset.drives[0].rows.normal
+    unknown = np.isnan(normal).any(axis=-1)
+    np.testing.assert_array_equal(unknown, np.isnan(normal).all(axis=-1))
+    share = dict(zip(FEATURE_SETS, unknown.mean(axis=(1, 2)), strict=True))
+    assert share["hindsight"] < share["20"] < share["40"]
+    assert (np.abs(np.linalg.norm(normal[~unknown], axis=-1) - 1) < 1e-3).all()
+    index = Windows(dataset, "test").every(25)
+    assert torch.isfinite(Windows(dataset, "test", feature_set="40").gather(index).terrain.normal).all()
 
 
 def test_windows_give_the_features_to_models(dataset: Dataset) -> None:

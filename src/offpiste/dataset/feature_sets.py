@@ -1,7 +1,7 @@
 """Feature sets: what the map held of passed cells by viewing distance, and which set each trajectory reads."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -80,7 +80,7 @@ class MapCellValues:
         valid: whether the map has features there that still lie on the ground.
         distance: from sensor to point when they were observed [m].
         elevation: NaN where unknown [m].
-        normal: unit surface normal in the world frame; straight up where unknown.
+        normal: unit surface normal in the world frame; NaN where unknown.
     """
 
     features: Float[np.ndarray, "K F"]
@@ -89,6 +89,9 @@ class MapCellValues:
     elevation: Float[np.ndarray, " K"]
     normal: Float[np.ndarray, "K 3"]
 
+
+QUANTITIES = tuple(f.name for f in fields(MapCellValues))
+"""What is kept of a cell for each feature set."""
 
 Read = Callable[[Int[np.ndarray, "K 2"]], MapCellValues]
 """Reads cells (column, row on the world-aligned grid) of the map as it is now."""
@@ -99,7 +102,8 @@ class FeatureSetRecorder:
 
     The set of distance d holds the map's value at the update when the horizontal distance from the pose point to the
     cell's centre, negative after first contact, was nearest to d, if within `TOLERANCE`: whether that was valid or not.
-    Hindsight is the last valid value before the cell leaves the map or the next pass over it begins.
+    Hindsight is the last that was known before the cell leaves the map or the next pass over it begins, of features,
+    elevation and normal each: a normal is no worse for a feature that is missing.
 
     Args:
         passes: of the drive.
@@ -118,8 +122,7 @@ class FeatureSetRecorder:
         self.valid = np.zeros((sets, count), bool)
         self.distance = np.full((sets, count), np.nan, np.float32)
         self.elevation = np.full((sets, count), np.nan, np.float32)
-        self.normal = np.zeros((sets, count, 3), np.float32)
-        self.normal[..., 2] = 1
+        self.normal = np.full((sets, count, 3), np.nan, np.float32)
 
     def update(self, time: float, xy: Float[np.ndarray, " 2"], read: Read) -> None:
         """Take in the map after a scan.
@@ -146,19 +149,18 @@ class FeatureSetRecorder:
         for number in range(1, len(FEATURE_SETS)):
             chosen = better[number - 1]
             self._nearest[number, active[chosen]] = miss[number - 1, chosen]
-            self._keep(number, active, values, chosen)
-        self._keep(0, active, values, values.valid)
+            self._keep(number, active, values, QUANTITIES, chosen)
+        self._keep(0, active, values, ("features", "valid", "distance"), values.valid)
+        self._keep(0, active, values, ("elevation",), np.isfinite(values.elevation))
+        self._keep(0, active, values, ("normal",), np.isfinite(values.normal).all(axis=1))
 
     def _keep(
         self,
         number: int,
         active: Int[np.ndarray, " K"],
         values: MapCellValues,
+        names: Iterable[str],
         chosen: Bool[np.ndarray, " K"],
     ) -> None:
-        where = active[chosen]
-        self.features[number, where] = values.features[chosen]
-        self.valid[number, where] = values.valid[chosen]
-        self.distance[number, where] = values.distance[chosen]
-        self.elevation[number, where] = values.elevation[chosen]
-        self.normal[number, where] = values.normal[chosen]
+        for name in names:
+            getattr(self, name)[number, active[chosen]] = getattr(values, name)[chosen]

@@ -191,7 +191,7 @@ class NormalsUnderWheels:
     """Surface normals of all drives; those of a map are many, and are read when windows need them.
 
     Args:
-        normals: [D, N, 4, 3] of the drives, in the order of their rows.
+        normals: [D, N, 4, 3] of the drives, in the order of their rows; NaN where unknown.
         device: where what is read goes.
     """
 

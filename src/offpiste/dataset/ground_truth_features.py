@@ -87,5 +87,5 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     elevation = ground.elevation.reshape(-1)[visited[order]].astype(np.float32)
     seen = np.ones((1, len(features)), bool)
     cells = Cells(under, features[None], seen, np.zeros(seen.shape, np.float32), elevation[None])
-    normal = result.normal.numpy().astype(np.float32)[None]
+    normal = torch.where(result.known[..., None], result.normal, torch.nan).numpy().astype(np.float32)[None]
     return Grounded(replace(rows, normal=normal, cells=cells), ground)

@@ -23,7 +23,8 @@ class Rows:
         origin: what was subtracted from px, py [m], so that float32 is fine.
         state, state_causal: targets, and the estimate from the past only (`conventions.STATE`).
         actuators, control: in the columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
-        normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel.
+        normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel; NaN where a map does
+            not know them.
         valid: rows where nothing that the log should have is missing.
         cells: the ground cells under the wheels and their features, where a map gave them.
         extra: columns of `COLUMNS` beyond these, by name.

@@ -17,9 +17,6 @@ from offpiste.mapping.terrain_map import TerrainLayers, wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
-UP = np.array([0, 0, 1], np.float32)
-"""Surface normal where none is known."""
-
 
 @dataclass(frozen=True)
 class SnapshotKeeper:
@@ -75,7 +72,7 @@ def with_visual_features(
             snapshots.update(moment, rows)
         report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
     under = passes.index
-    normal = np.where((under >= 0)[None, :, :, None], recorder.normal[:, under], UP)
+    normal = np.where((under >= 0)[None, :, :, None], recorder.normal[:, under], np.float32(np.nan))
     cells = Cells(
         under,
         recorder.features,
@@ -83,7 +80,7 @@ def with_visual_features(
         recorder.distance,
         recorder.elevation,
     )
-    return replace(rows, normal=normal.astype(np.float32), cells=cells)
+    return replace(rows, normal=normal, cells=cells)
 
 
 def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], MapCellValues]:
@@ -102,7 +99,7 @@ def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], MapCellValues]:
             valid=valid,
             distance=np.where(valid, layers.distance[row, column], np.nan).astype(np.float32),
             elevation=np.where(ground, layers.elevation[row, column], np.nan).astype(np.float32),
-            normal=np.where(known[:, None], normal, UP),
+            normal=np.where(known[:, None], normal, np.float32(np.nan)),
         )
 
     return read
