@@ -70,9 +70,10 @@ def draw(scene: Scene, controls: Tensor, out: str) -> None:
     """The plan from above on the slope of the map, and its controls."""
     figure, (above, below) = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
     maps, number = scene.terrain.maps, int(scene.terrain.number[0])
-    slope = torch.linalg.vector_norm(maps.slope[number], dim=-1)
+    ny, nx = maps.shape
+    rise = maps.slope_at(torch.tensor(number), torch.arange(ny)[:, None], torch.arange(nx))
+    slope = torch.linalg.vector_norm(rise.float(), dim=-1)
     x, y = (maps.origin[number] - scene.terrain.offset[0]).tolist()
-    ny, nx = slope.shape
     box = (x, x + nx * maps.resolution, y, y + ny * maps.resolution)
     picture = above.imshow(slope, origin="lower", extent=box, cmap="Greys", vmin=0, vmax=0.6)
     figure.colorbar(picture, ax=above, label="slope (rise over run)")

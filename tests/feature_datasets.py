@@ -9,6 +9,7 @@ import numpy as np
 from factories import circle_rows, small_rig
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
+from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
@@ -46,3 +47,21 @@ def dataset_with_features(path: Path, parts: Sequence[str] = PARTS, *, rows: int
         terrain = TerrainMap(driven.origin - 20.0, 0.4, np.zeros((100, 100), np.float32), looks)
         add_drive(path, name, driven, split, (), terrain)
     return open_dataset(path)
+
+
+def with_snapshots(dataset: Dataset, folder: Path, rows: Sequence[int]) -> Dataset:
+    """Every drive with maps of its own at some rows: a slope of random looks."""
+    rng, drives = np.random.default_rng(4), []
+    for drive in dataset.drives:
+        writer = SnapshotWriter(folder / drive.name, 0.4, FEATURES)
+        for row in rows:
+            looks = rng.normal(size=(300, 300, FEATURES)).astype(np.float32)
+            flat = np.ones((300, 300), np.float32)
+            rise = np.broadcast_to(np.array([0.1, -0.2], np.float32), (300, 300, 2))
+            terrain = TerrainMap(drive.rows.origin - 60.0, 0.4, flat, looks, rise)
+            state = drive.rows.state[row].astype(np.float64)
+            state[:2] += drive.rows.origin
+            writer.add(row, crop(terrain, state, 40.0))
+        writer.close()
+        drives.append(replace(drive, snapshots=open_snapshots(folder / drive.name)))
+    return replace(dataset, drives=tuple(drives))

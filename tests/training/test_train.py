@@ -77,6 +77,7 @@ def test_every_epoch_is_recorded(run: Path) -> None:
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [(line["stage"], line["epoch"]) for line in lines] == [("bicycle", 1), ("model", 1), ("model", 2)]
     assert all(line["train_loss"] > 0 and line["validation_loss"] > 0 for line in lines)
+    assert {line["validation_on"] for line in lines} == {"recorded"}
 
 
 def test_the_seed_alone_decides_the_weights(dataset: Dataset, run: Path, tmp_path: Path) -> None:

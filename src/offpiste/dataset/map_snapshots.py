@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import zarr
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
+from scipy.spatial.distance import cdist
+from torch import Tensor
 from zarr.codecs import ZstdCodec
 
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.mapping.terrain_sampler import CellStack
 
 CELL_ARRAYS = ("place", "elevation", "rise", "features")
 """Arrays of a `CellList`; on disk those of all snapshots lie one after the other."""
@@ -72,6 +76,43 @@ class CellList:
 
         rise = spread(self.rise)
         return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
+
+    def near(self, path: Float[np.ndarray, "P 2"], margin: float, resolution: float) -> "CellList":
+        """The cells within `margin` of the points of a path, on a grid that is no larger than they need.
+
+        Args:
+            path: x, y in the world frame [m].
+            margin, resolution: [m].
+        """
+        cell = np.stack(np.divmod(self.place, self.shape[1]), axis=-1)
+        kept = cdist(self.origin + resolution * cell[:, ::-1], path).min(axis=1) <= margin
+        low = cell[kept].min(axis=0, initial=max(self.shape))
+        ny, nx = (cell[kept].max(axis=0, initial=0) - low + 1).clip(min=1).tolist()
+        place = ((cell[kept] - low) @ [nx, 1]).astype(np.int32)
+        origin = self.origin + resolution * low[::-1]
+        return CellList(origin, (ny, nx), place, self.elevation[kept], self.rise[kept], self.features[kept])
+
+
+def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.device | str = "cpu") -> CellStack:
+    """Maps as tensors, for lookups."""
+    ny, nx = (max(c.shape[axis] for c in cells) for axis in (0, 1))
+    place = np.full((len(cells), ny, nx), -1, np.int32)
+    first = np.cumsum([0] + [len(c.place) for c in cells])
+    for number, known in enumerate(cells):
+        row, column = np.divmod(known.place, known.shape[1])
+        place[number, row, column] = first[number] + np.arange(len(known.place))
+
+    def listed(parts: Sequence[np.ndarray]) -> Tensor:
+        nothing = np.full((1, parts[0].shape[1]), np.nan, parts[0].dtype)
+        return torch.from_numpy(np.concatenate([*parts, nothing])).to(device)
+
+    return CellStack(
+        resolution,
+        torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64).to(device),
+        torch.from_numpy(place).to(device),
+        listed([c.rise for c in cells]),
+        listed([c.features for c in cells]),
+    )
 
 
 class SnapshotSchedule:
@@ -193,12 +234,16 @@ class Snapshots:
     shape: Int[np.ndarray, "S 2"]
     cells: dict[str, Any]
 
-    def load(self, number: int) -> TerrainMap:
-        """The map of snapshot `number`."""
+    def known_cells(self, number: int) -> CellList:
+        """The known cells of snapshot `number`."""
         begin, end = self.first[number : number + 2]
         ny, nx = self.shape[number].tolist()
         read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}
-        return CellList(self.origin[number], (ny, nx), **read).terrain_map(self.resolution)
+        return CellList(self.origin[number], (ny, nx), **read)
+
+    def load(self, number: int) -> TerrainMap:
+        """The map of snapshot `number`."""
+        return self.known_cells(number).terrain_map(self.resolution)
 
 
 def open_snapshots(folder: Path) -> Snapshots:

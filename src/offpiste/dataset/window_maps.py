@@ -5,10 +5,11 @@ from copy import copy
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
+from offpiste.dataset.map_snapshots import CellList, stack_cells
 from offpiste.dataset.store import StoredDrive
-from offpiste.mapping.terrain_sampler import MapStack, stack_maps
+from offpiste.mapping.terrain_sampler import CellStack, MapStack, stack_maps
 
 
 class WindowMaps:
@@ -55,10 +56,15 @@ class WindowMaps:
         """Whether there are maps."""
         return bool(self.snapped.any()) or any(drive.load_map is not None for drive in self._drives)
 
-    def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack, Int[np.ndarray, " B"]]:
+    def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack | CellStack, Int[np.ndarray, " B"]]:
         """Maps of some windows, and the number of the map that each reads; -1 where it has none."""
         if self.snapped.any():
-            return self._snapshots(index)
+            have = self._snapshot[index] >= 0
+            keys = np.stack((self._drive[index], self._snapshot[index]), axis=1)[have]
+            different, place = np.unique(keys, axis=0, return_inverse=True)
+            number = np.full(len(index), -1)
+            number[have] = place.ravel()
+            return self._stacked([self._load(*key) for key in different.tolist()]), number
         if self._whole is None:
             used = [n for n in np.unique(self._drive) if self._drives[n].load_map is not None]
             loaders = [self._drives[n].load_map for n in used]
@@ -66,11 +72,24 @@ class WindowMaps:
             self._numbers[used] = np.arange(len(used))
         return self._whole, self._numbers[self._drive[index]]
 
-    def _snapshots(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack, Int[np.ndarray, " B"]]:
-        have = self._snapshot[index] >= 0
-        maps = []
-        for window in index[have]:
-            snapshots = self._drives[self._drive[window]].snapshots
-            assert snapshots is not None
-            maps.append(snapshots.load(int(self._snapshot[window])))
-        return stack_maps(maps, device=self._device), np.where(have, np.cumsum(have) - 1, -1)
+    def near(self, index: Int[np.ndarray, " B"], paths: Float[np.ndarray, "B P 2"], margin: float) -> CellStack:
+        """One map for each of some windows with a snapshot, of the cells within `margin` of a path [m].
+
+        Args:
+            paths: x, y in the world frame [m].
+        """
+        cells = []
+        keys = zip(self._drive[index].tolist(), self._snapshot[index].tolist(), strict=True)
+        for key, path in zip(keys, paths, strict=True):
+            known, resolution = self._load(*key)
+            cells.append((known.near(path, margin, resolution), resolution))
+        return self._stacked(cells)
+
+    def _load(self, drive: int, snapshot: int) -> tuple[CellList, float]:
+        snapshots = self._drives[drive].snapshots
+        assert snapshots is not None
+        return snapshots.known_cells(snapshot), snapshots.resolution
+
+    def _stacked(self, cells: list[tuple[CellList, float]]) -> CellStack:
+        assert len({resolution for _, resolution in cells}) == 1, "maps of one resolution are needed"
+        return stack_cells([known for known, _ in cells], cells[0][1], device=self._device)

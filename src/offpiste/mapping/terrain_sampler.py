@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int32
 from torch import Tensor
 
 from offpiste.mapping.terrain_map import TerrainMap, bilinear, on_map, wheel_positions_of_states
@@ -33,6 +33,50 @@ class MapStack:
     origin: Float[Tensor, "S 2"]
     slope: Float[Tensor, "S ny nx 2"]
     features: Float[Tensor, "S ny nx F"]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of each map, padding included."""
+        return self.slope.shape[1], self.slope.shape[2]
+
+    def slope_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P 2"]:
+        """Slopes of cells."""
+        return self.slope[number, row, column]
+
+    def features_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P F"]:
+        """Features of cells."""
+        return self.features[number, row, column]
+
+
+@dataclass(frozen=True)
+class CellStack:
+    """Maps of one resolution side by side as lists of their known cells, for maps that are mostly unknown.
+
+    Attributes:
+        origin: x, y of the centre of cell [0, 0] of each [m].
+        place: number of each cell in the lists; -1, their last entry, where nothing is known.
+        slope: rise towards +x and towards +y at cell centres; NaN where unknown, and in the last entry.
+        features: NaN where missing, and in the last entry.
+    """
+
+    resolution: float
+    origin: Float[Tensor, "S 2"]
+    place: Int32[Tensor, "S ny nx"]
+    slope: Float[Tensor, "C 2"]
+    features: Float[Tensor, "C F"]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of each map, padding included."""
+        return self.place.shape[1], self.place.shape[2]
+
+    def slope_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P 2"]:
+        """Slopes of cells."""
+        return self.slope[self.place[number, row, column].long()]
+
+    def features_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P F"]:
+        """Features of cells."""
+        return self.features[self.place[number, row, column].long()]
 
 
 @dataclass(frozen=True)
@@ -85,7 +129,7 @@ def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
 
 
 def sample_maps(
-    maps: MapStack, number: Int[Tensor, "*P"], place: Float[Tensor, "*P 2"], offset: Float[Tensor, "*P 2"]
+    maps: MapStack | CellStack, number: Int[Tensor, "*P"], place: Float[Tensor, "*P 2"], offset: Float[Tensor, "*P 2"]
 ) -> TerrainSample:
     """Sample maps at places.
 
@@ -94,7 +138,7 @@ def sample_maps(
         place: x, y [m].
         offset: of the frame of `place` in the world frame (float64), so that places can be float32 [m].
     """
-    _, ny, nx, _ = maps.slope.shape
+    ny, nx = maps.shape
     cell = (place + (offset - maps.origin[number]).to(place.dtype)) / maps.resolution
     limit = cell.new_tensor([nx - 1, ny - 1])
     # A place belongs to the map while it is nearest to one of its cells.
@@ -103,7 +147,7 @@ def sample_maps(
     cell = torch.minimum(cell, limit)
 
     nearest = cell.round().long()
-    features = maps.features[number, nearest[..., 1], nearest[..., 0]].to(place.dtype)
+    features = maps.features_at(number, nearest[..., 1], nearest[..., 0]).to(place.dtype)
     valid = inside & torch.isfinite(features).all(dim=-1)
 
     corner = torch.minimum(cell.floor(), (limit - 1).clamp(min=0)).long()
@@ -112,7 +156,7 @@ def sample_maps(
     x1, y1 = (x0 + 1).clamp(max=nx - 1), (y0 + 1).clamp(max=ny - 1)
 
     def at(y: Tensor, x: Tensor) -> Tensor:
-        return maps.slope[number, y, x].to(place.dtype)
+        return maps.slope_at(number, y, x).to(place.dtype)
 
     slope = bilinear(at(y0, x0), at(y0, x1), at(y1, x0), at(y1, x1), u[..., None], v[..., None], 1)
     known = inside & torch.isfinite(slope).all(dim=-1)
@@ -132,7 +176,7 @@ class MapTerrain:
         encode: features to codes; None for models without features.
     """
 
-    maps: MapStack
+    maps: MapStack | CellStack
     number: Int[Tensor, " B"]
     offset: Float[Tensor, "B 2"]
     wheels: Float[Tensor, "4 2"]

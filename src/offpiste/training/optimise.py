@@ -75,6 +75,8 @@ class Stage:
         loss: loss of each window of a batch.
         epochs: passes over the training windows.
         draw: feature sets that windows read; the windows' own where there is none.
+        on_map: mean loss of the module on maps of validation, by which epochs are chosen; None: by the mean of `loss`
+            over all validation windows, at recorded places.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Stage:
     loss: Callable[[Batch], Float[Tensor, " B"]]
     epochs: int
     draw: Draw | None = None
+    on_map: Callable[[], float] | None = None
 
 
 def run_stage(
@@ -111,7 +114,7 @@ def run_stage(
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
         loss = _train_epoch(stage, state, train, config, epoch, group)
-        score = mean_loss(stage, validation, config, group)
+        score = stage.on_map() if stage.on_map is not None else mean_loss(stage, validation, config, group)
         state.keep_if_best(score)
         state.epoch = epoch + 1
         if group.writes:
@@ -122,6 +125,7 @@ def run_stage(
                 "epoch": epoch + 1,
                 "train_loss": loss,
                 "validation_loss": score,
+                "validation_on": "recorded" if stage.on_map is None else "map",
                 "seconds": round(time.perf_counter() - began, 3),
             }
         )

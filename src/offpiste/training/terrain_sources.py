@@ -85,7 +85,11 @@ def on_map(
     """
     if not windows.maps.any:
         return batch, path_terrain(windows, index)
-    source = map_terrain(dynamics, windows, index)
+    return read_on(dynamics, map_terrain(dynamics, windows, index), batch)
+
+
+def read_on(dynamics: Dynamics, source: MapTerrain, batch: Batch) -> tuple[Batch, TerrainSource]:
+    """The batch, its past read on a map, and what lies ahead as the model reads it there."""
     batch = with_past_on(source, batch)
     return batch, HeldCodes.of(source, batch.state) if dynamics.holds_codes else source
 

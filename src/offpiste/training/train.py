@@ -2,8 +2,8 @@
 
 import json
 import logging
-from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
+from offpiste.training.map_loss import map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import predict
 from offpiste.training.run import build, check_device, save_run, vehicle_of
@@ -69,31 +70,35 @@ def train(
     if tensorboard and group.writes:
         record = also_tensorboard(record, folder / "tensorboard")
 
-    def fit(
-        name: str, module: nn.Module, loss: Callable[[Batch], Tensor], epochs: int, draw: Draw | None = None
-    ) -> None:
-        run_stage(Stage(name, module, loss, epochs, draw), windows, validation, config, folder, record, group)
+    def fit(stage: Stage) -> None:
+        run_stage(stage, windows, validation, config, folder, record, group)
 
     reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(config.device)
     if vehicle.actuators:
         lags = initial_actuators(vehicle, config.seed).to(config.device)
-        fit("actuators", lags, actuator_loss(lags, windows), config.actuator_epochs)
+        fit(Stage("actuators", lags, actuator_loss(lags, windows), config.actuator_epochs))
         _freeze(reference, lags)
         _freeze(dynamics, lags)
     scale = loss_scale(reference, windows, config)
     weights = torch.tensor(config.weights.in_order(), device=config.device)
 
-    def loss_of(model: Dynamics) -> Callable[[Batch], Float[Tensor, " B"]]:
-        return lambda batch: summed_loss(_checked(predict(model, batch), batch).state, batch.target, scale, weights)
+    def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
+        return summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
+
+    maps = map_loss(validation, group)
+
+    def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw | None = None) -> Stage:
+        on_map = None if maps is None else partial(maps.of, model, window_loss)
+        return Stage(name, model, lambda batch: window_loss(predict(model, batch), batch), epochs, draw, on_map)
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
             physics.actuators.requires_grad_(False)
-        fit("bicycle", physics, loss_of(physics), config.bicycle_epochs)
+        fit(rolled_out("bicycle", physics, config.bicycle_epochs))
         dynamics.adopt_physics(physics)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
-        fit("model", dynamics, loss_of(dynamics), config.epochs, draw)
+        fit(rolled_out("model", dynamics, config.epochs, draw))
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale)
         logger.info(f"{folder}: each stage kept its best epoch by validation")

@@ -1,46 +1,24 @@
 """Windows as drives of their own: the usual features are the usual batch, a snapshot's are those of its map."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 from experiments.control_experiments.snapshots import own_drives, read_as_stored, read_on_snapshot
-from feature_datasets import FEATURES, dataset_with_features
+from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.conventions import FEATURE_SETS
-from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
+from offpiste.mapping.terrain_map import wheel_positions
 
 ROWS = (20, 75, 300, 880)
 """The last one is too near the end for a window."""
 
 
-def with_snapshots(dataset: Dataset, folder: Path) -> Dataset:
-    """Every drive with maps of its own at `ROWS`."""
-    rng, drives = np.random.default_rng(4), []
-    for drive in dataset.drives:
-        writer = SnapshotWriter(folder / drive.name, 0.4, FEATURES)
-        for row in ROWS:
-            looks = rng.normal(size=(300, 300, FEATURES)).astype(np.float32)
-            flat = np.ones((300, 300), np.float32)
-            rise = np.broadcast_to(np.array([0.1, -0.2], np.float32), (300, 300, 2))
-            terrain = TerrainMap(drive.rows.origin - 60.0, 0.4, flat, looks, rise)
-            state = drive.rows.state[row].astype(np.float64)
-            state[:2] += drive.rows.origin
-            writer.add(row, crop(terrain, state, 40.0))
-        writer.close()
-        drives.append(replace(drive, snapshots=open_snapshots(folder / drive.name)))
-    return replace(dataset, drives=tuple(drives))
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("data")
-    return with_snapshots(dataset_with_features(folder / "seen.zarr"), folder / "snapshots")
+    return with_snapshots(dataset_with_features(folder / "seen.zarr"), folder / "snapshots", ROWS)
 
 
 def test_the_usual_features_give_the_usual_batch(dataset: Dataset) -> None:

@@ -1,0 +1,84 @@
+"""Loss of validation windows read on the map at predicted places: what epochs are chosen by, as it decides."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics, rollout
+from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
+from offpiste.state import Trajectory
+from offpiste.training.distributed import Group
+from offpiste.training.terrain_sources import read_on
+
+WINDOWS: Final = 300
+"""Most windows that an epoch is chosen by."""
+
+CORRIDOR: Final = 10.0
+"""Of each snapshot, the cells within this distance of the recorded path are kept in memory [m].
+
+Predictions that stray further find unknown ground. A window takes some 2 MB with 40 features.
+"""
+
+EVERY: Final = 10
+"""Rows between the points of the path that the corridor is laid around."""
+
+WindowLoss = Callable[[Trajectory, Batch], Float[Tensor, " B"]]
+"""Loss of each window, from what is predicted for it."""
+
+
+@dataclass(frozen=True)
+class MapLoss:
+    """Mean loss over validation windows with a snapshot, each read on its own at predicted places.
+
+    Maps are read from disk once, when the first epoch asks; features are encoded as wheels come over them.
+
+    Attributes:
+        windows: of validation.
+        index: of the windows that are rolled out.
+        group: the processes that share them out.
+    """
+
+    windows: Windows
+    index: Int[np.ndarray, " n"]
+    group: Group
+
+    @torch.no_grad()
+    def of(self, dynamics: Dynamics, loss: WindowLoss) -> float:
+        """The mean loss of a model."""
+        total = torch.zeros((), dtype=torch.float64, device=self.windows.device)
+        if len(self._mine):
+            batch, maps = self._kept
+            number = torch.arange(len(self._mine), device=self.windows.device)
+            places = self.windows.places(self._mine)
+            source = MapTerrain(maps, number, places, self.windows.wheels, dynamics.encoder)
+            batch, ahead = read_on(dynamics, source, batch)
+            start = dynamics.start(batch.history, batch.state, batch.actuators)
+            total += loss(rollout(dynamics, start, batch.control, ahead), batch).double().sum()
+        return float(self.group.sum(total)) / len(self.index)
+
+    @cached_property
+    def _mine(self) -> Int[np.ndarray, " m"]:
+        return self.index[self.group.share(len(self.index))]
+
+    @cached_property
+    def _kept(self) -> tuple[Batch, CellStack]:
+        batch = replace(self.windows.gather(self._mine), ground=None)
+        path = torch.cat((batch.state[:, None, :2], batch.target[:, EVERY - 1 :: EVERY, :2]), dim=1)
+        places = path.double() + self.windows.places(self._mine)[:, None]
+        return batch, self.windows.maps.near(self._mine, places.cpu().numpy(), CORRIDOR)
+
+
+def map_loss(windows: Windows, group: Group, *, most: int = WINDOWS) -> MapLoss | None:
+    """The loss on windows with a snapshot, `most` of them, evenly spread; None where there is no snapshot."""
+    snapped = np.flatnonzero(windows.maps.snapped)
+    if not len(snapped):
+        return None
+    chosen = np.unique(np.linspace(0, len(snapped) - 1, min(most, len(snapped))).round().astype(int))
+    return MapLoss(windows, snapped[chosen], group)

@@ -1,0 +1,144 @@
+"""Epochs are chosen by what decides: the loss on the map at predicted places, as evaluation measures it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
+
+from feature_datasets import dataset_with_features, with_snapshots
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics
+from offpiste.evaluation.errors import prediction_errors
+from offpiste.state import Trajectory
+from offpiste.training import map_loss as module
+from offpiste.training import optimise
+from offpiste.training.config import TrainConfig
+from offpiste.training.distributed import ALONE, Group
+from offpiste.training.losses import summed_loss
+from offpiste.training.map_loss import map_loss
+from offpiste.training.prediction import roll_out
+from offpiste.training.run import build, vehicle_of
+from offpiste.training.train import train
+
+ROWS = tuple(range(20, 600, 40))
+QUICK = TrainConfig(model="cf", epochs=1, bicycle_epochs=1, actuator_epochs=1, stride=50, batch=16)
+ONE = torch.ones(5)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("data")
+    return with_snapshots(dataset_with_features(folder / "seen.zarr"), folder / "snapshots", ROWS)
+
+
+@pytest.fixture(scope="module")
+def validation(dataset: Dataset) -> Windows:
+    return Windows(dataset, "validation", horizon=25)
+
+
+def loss(predicted: Trajectory, batch: Batch) -> Tensor:
+    return summed_loss(predicted.state, batch.target, ONE, ONE)
+
+
+@torch.no_grad()
+def evaluated(dynamics: Dynamics, windows: Windows) -> float:
+    """The mean loss on the map, as evaluation rolls out."""
+    batch, predicted = roll_out(dynamics, windows, windows.evaluation_indices(5), "map")
+    return float(loss(predicted, batch).mean())
+
+
+@pytest.mark.parametrize("model", ["dc", "hold"])
+def test_it_is_the_loss_that_evaluation_measures_on_the_map(
+    dataset: Dataset, validation: Windows, model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "CORRIDOR", 1000.0)
+    dynamics = build(model, vehicle_of(dataset, TrainConfig(model=model)), seed=0)
+    measured = map_loss(validation, ALONE)
+    assert measured is not None
+    assert len(measured.index) == len(ROWS)
+    wanted = evaluated(dynamics, validation)
+    assert measured.of(dynamics, loss) == pytest.approx(wanted, rel=1e-6)
+    # The maps are kept, the weights are not.
+    with torch.no_grad():
+        for parameter in dynamics.parameters():
+            parameter *= 1.5
+    assert measured.of(dynamics, loss) != pytest.approx(wanted, rel=1e-3)
+
+
+def test_ground_is_kept_along_the_recorded_path(dataset: Dataset, validation: Windows) -> None:
+    measured = map_loss(validation, ALONE)
+    assert measured is not None
+    _, maps = measured._kept
+    whole, _ = validation.maps.of(measured.index)
+    assert len(maps.features) < 0.5 * len(whole.features)
+    dynamics = build("cf", vehicle_of(dataset, QUICK), seed=0)
+
+    def along(predicted: Trajectory, batch: Batch) -> Tensor:
+        away = predicted.state[..., :2] - batch.target[..., :2]
+        return away.norm(dim=-1).amax(dim=1)
+
+    furthest = measured.of(dynamics, along)
+    assert 0 < furthest < 8
+    assert measured.of(dynamics, loss) == pytest.approx(evaluated(dynamics, validation), rel=1e-6)
+
+
+def test_processes_share_the_windows_out(
+    dataset: Dataset, validation: Windows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dynamics = build("b", vehicle_of(dataset, QUICK), seed=0)
+
+    def of(group: Group) -> float:
+        measured = map_loss(validation, group, most=5)
+        assert measured is not None
+        return measured.of(dynamics, loss)
+
+    alone = of(ALONE)
+    # Without other processes: what each one adds to the sum.
+    monkeypatch.setattr(Group, "sum", lambda self, value: value)
+    assert sum(of(Group(rank, 8)) for rank in range(8)) == pytest.approx(alone, rel=1e-6)
+
+
+def test_windows_are_spread_evenly_and_none_without_snapshots(dataset: Dataset, validation: Windows) -> None:
+    few = map_loss(validation, ALONE, most=4)
+    assert few is not None
+    every = np.flatnonzero(validation.maps.snapped)
+    np.testing.assert_array_equal(few.index, every[[0, 5, 9, 14]])
+    bare = replace(dataset, drives=tuple(replace(drive, snapshots=None) for drive in dataset.drives))
+    assert map_loss(Windows(bare, "validation"), ALONE) is None
+
+
+def test_the_epoch_that_is_best_on_the_map_is_kept(validation: Windows, tmp_path: Path) -> None:
+    line = torch.nn.Linear(1, 1)
+    scores, seen, lines = iter([3.0, 1.0, 2.0]), [], []
+
+    def on_map() -> float:
+        seen.append(line.weight.detach().clone())
+        return next(scores)
+
+    stage = optimise.Stage("line", line, lambda batch: line(batch.state[:, 3:4])[:, 0].square(), 3, on_map=on_map)
+    optimise.run_stage(stage, validation, validation, QUICK, tmp_path, lines.append)
+    assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], seen[1])
+    assert [(each["validation_loss"], each["validation_on"]) for each in lines] == [
+        (3.0, "map"),
+        (1.0, "map"),
+        (2.0, "map"),
+    ]
+
+
+def test_training_chooses_on_the_map_where_there_are_snapshots(dataset: Dataset, tmp_path: Path) -> None:
+    dynamics = train(dataset, QUICK, tmp_path / "run")
+    lines = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert [(line["stage"], line["validation_on"]) for line in lines] == [("bicycle", "map"), ("model", "map")]
+    about = json.loads((tmp_path / "run" / "model.json").read_text())["loss"]
+    windows = Windows(dataset, "validation")
+    scale, weights = torch.tensor(list(about["scale"].values())), ONE
+    errors = prediction_errors(
+        dynamics, windows, windows.evaluation_indices(5), lookup="map", scale=scale, weights=weights
+    )
+    assert errors.loss.mean() == pytest.approx(lines[-1]["validation_loss"], rel=1e-3)
