@@ -14,7 +14,6 @@ from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.errors import prediction_errors
 from offpiste.state import Trajectory
 from offpiste.training import map_loss as module
 from offpiste.training import optimise
@@ -132,13 +131,6 @@ def test_the_epoch_that_is_best_on_the_map_is_kept(validation: Windows, tmp_path
 
 
 def test_training_chooses_on_the_map_where_there_are_snapshots(dataset: Dataset, tmp_path: Path) -> None:
-    dynamics = train(dataset, QUICK, tmp_path / "run")
+    train(dataset, QUICK, tmp_path / "run")
     lines = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert [(line["stage"], line["validation_on"]) for line in lines] == [("bicycle", "map"), ("model", "map")]
-    about = json.loads((tmp_path / "run" / "model.json").read_text())["loss"]
-    windows = Windows(dataset, "validation")
-    scale, weights = torch.tensor(list(about["scale"].values())), ONE
-    errors = prediction_errors(
-        dynamics, windows, windows.evaluation_indices(5), lookup="map", scale=scale, weights=weights
-    )
-    assert errors.loss.mean() == pytest.approx(lines[-1]["validation_loss"], rel=1e-3)
