@@ -66,7 +66,7 @@ def paper(x, u, eta, c):
     throttle, brake, delta, rpm = u
     below = max(c.min_slip_speed, abs(vx))
     alpha_r = np.arctan((vy - c.rear_length * r) / below)
-    alpha_f = np.arctan((vy + c.front_length * r) / below) - delta * np.tanh(vx / c.min_slip_speed)
+    alpha_f = np.arctan((vy + c.front_length * r) / below) - delta * np.clip(vx / c.min_slip_speed, -1, 1)
     p_rpm = max(np.polyval([c.engine_2, c.engine_1, 1], rpm), 0)
     p_throttle = np.polyval([c.drive_2, c.drive_1, 0], throttle)
     p_brake = np.polyval([c.brake_2, c.brake_1, 0], max(brake, 0))
@@ -131,6 +131,37 @@ def test_tyres_oppose_slip_at_every_slip_angle(c, vx, vy, yaw_rate, steer):
     assert force.lateral_front * front <= 0
     assert force.lateral_rear != 0 or abs(rear) < 1e-6
     assert force.lateral_front != 0 or abs(front) < 1e-6
+
+
+SLIP = Constants(**dict.fromkeys(Constants._fields, 0.0))._replace(
+    rear_length=1.0, front_length=1.0, min_slip_speed=1.25
+)
+
+
+@pytest.mark.parametrize(
+    ("vx", "rear", "front"),
+    [
+        (5.0, math.atan(-0.1 / 5), math.atan(0.5 / 5) - 0.1),
+        (1.25, math.atan(-0.08), math.atan(0.4) - 0.1),
+        (0.625, math.atan(-0.08), math.atan(0.4) - 0.05),
+        (0.0, math.atan(-0.08), math.atan(0.4)),
+        (-0.625, math.atan(-0.08), math.atan(0.4) + 0.05),
+        (-5.0, math.atan(-0.1 / 5), math.atan(0.5 / 5) + 0.1),
+    ],
+)
+def test_slip_worked_by_hand_all_of_the_steering_angle_enters_above_c_max(vx, rear, front):
+    """vy 0.2 m/s, yaw rate 0.3 rad/s, steered 0.1 rad, axles 1 m from the pose point: they move at -0.1 and 0.5 m/s."""
+    assert slip_angles(vx, 0.2, 0.3, 0.1, SLIP, SCALARS) == pytest.approx((rear, front), rel=1e-12)
+
+
+@pytest.mark.parametrize("steer", [-0.3, 0.1])
+@pytest.mark.parametrize("vx", [0.02, 0.3, 1.0, 1.3, 8.0, -0.3, -8.0])
+def test_wheels_that_roll_where_they_point_do_not_slip_at_any_speed(vx, steer):
+    yaw_rate = vx * math.tan(steer) / 2
+    rear, front = slip_angles(vx, yaw_rate, yaw_rate, steer, SLIP, SCALARS)
+    assert rear == 0
+    assert abs(front) < 0.04 * abs(steer)
+    assert abs(front) < 1e-12 or abs(vx) < SLIP.min_slip_speed
 
 
 def test_slip_counts_against_the_motion_in_reverse_too():
@@ -264,10 +295,11 @@ def test_forces_that_oppose_motion_fade_below_walking_pace():
     assert strong < 5 * weak < 0
 
 
-def test_gradients_equal_finite_differences():
+@pytest.mark.parametrize("vx", [6.0, 0.3, 0.0, -0.3, -6.0])
+def test_gradients_equal_finite_differences(vx):
     raw = torch.zeros(COUNT, dtype=torch.float64, requires_grad=True)
     module = BicycleConstants(COMMANDED).double()
-    inputs = torch.tensor([6.0, 0.4, 0.3, 0.3, 0.2, 2.0, 0.5], dtype=torch.float64, requires_grad=True)
+    inputs = torch.tensor([vx, 0.4, 0.3, 0.3, 0.2, 2.0, 0.5], dtype=torch.float64, requires_grad=True)
 
     def change(raw, inputs):
         vx, vy, yaw_rate, brake, steer, engine, throttle = inputs.unbind()

@@ -103,11 +103,13 @@ def slip_angles(
 ) -> tuple[Scalar, Scalar]:
     """Slip angles of the rear and the front tyre [rad] (eqs. 2-3).
 
-    |vx| for vx, and a steering term that fades at standstill: as printed, a parked car with turned wheels drives off.
+    |vx| for vx, and below C_max a steering term in proportion to vx: as printed, a parked car with turned wheels drives
+    off. Below C_max all of the slip then fades alike, so that it stays zero where the front axle moves the way its
+    wheels point; a steering term that fades slower or faster than that turns a slow car too little, or propels it.
     """
     forward = f.maximum(f.maximum(vx, -vx), c.min_slip_speed)
     rear = f.atan((vy - c.rear_length * yaw_rate) / forward)
-    front = f.atan((vy + c.front_length * yaw_rate) / forward) - steer * f.tanh(vx / c.min_slip_speed)
+    front = f.atan((vy + c.front_length * yaw_rate) / forward) - steer * (vx / forward)
     return rear, front
 
 
