@@ -39,14 +39,19 @@ def noise(rng: np.random.Generator) -> Rows:
     shape = (len(FEATURE_SETS), CELLS)
     far = np.full(shape, 20, np.float32)
     cells = Cells(index, rng.normal(size=(*shape, FEATURES)).astype(np.float16), rng.random(shape) < 0.7, far, far)
+    actuators = rng.uniform(0, 1, (ROWS, len(ACTUATORS))).astype(np.float32)
+    control = rng.uniform(0, 1, (ROWS, len(CONTROL))).astype(np.float32)
     return Rows(
         time=DT * np.arange(ROWS),
         origin=np.zeros(2),
         state=state,
         state_causal=state,
-        actuators=rng.uniform(0, 1, (ROWS, len(ACTUATORS))).astype(np.float32),
-        control=rng.uniform(0, 1, (ROWS, len(CONTROL))).astype(np.float32),
+        actuators=actuators,
+        actuators_causal=actuators,
+        control=control,
+        control_causal=control,
         normal=normal,
+        normal_causal=normal[0, :, 0],
         valid=np.ones(ROWS, bool),
         cells=cells,
     )

@@ -190,13 +190,19 @@ def circle_rows(rows: int, *, speed: float = 5.0, yaw_rate: float = 0.5, seed: i
     state = np.column_stack((place, yaw, np.full(rows, speed), np.zeros(rows), np.full(rows, yaw_rate)))
     normal = np.zeros((1, rows, 4, 3), dtype=np.float32)
     normal[..., 2] = 1
+    known = (state + rng.normal(0, 0.01, state.shape)).astype(np.float32)
+    actuators = np.full((rows, 4), np.nan, dtype=np.float32)
+    control = rng.uniform((0, 0, -1), 1, (rows, 3)).astype(np.float32)
     return Rows(
         time=time,
         origin=np.array([100.0, -50.0]),
         state=state.astype(np.float32),
-        state_causal=(state + rng.normal(0, 0.01, state.shape)).astype(np.float32),
-        actuators=np.full((rows, 4), np.nan, dtype=np.float32),
-        control=rng.uniform((0, 0, -1), 1, (rows, 3)).astype(np.float32),
+        state_causal=known,
+        actuators=actuators,
+        actuators_causal=actuators.copy(),
+        control=control,
+        control_causal=control.copy(),
         normal=normal,
+        normal_causal=normal[0, :, 0].copy(),
         valid=np.ones(rows, dtype=bool),
     )

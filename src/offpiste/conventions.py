@@ -33,5 +33,8 @@ MIN_EVALUATION_SPEED: Final = 1.5
 EVALUATION_STRIDE: Final = 5
 """Rows between the starts of evaluation windows: one every 0.1 s."""
 
+PERCEPTION_LATENCY: Final = 0.1
+"""From the last measurement in a map to the first control that was planned on it [s]."""
+
 GRAVITY: Final = 9.80665
 """Standard gravity [m/s^2] (CGPM 1901)."""

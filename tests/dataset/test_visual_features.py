@@ -9,7 +9,7 @@ import torch
 
 from log_messages import logged
 from offpiste.cli import main
-from offpiste.conventions import FEATURE_SETS
+from offpiste.conventions import FEATURE_SETS, PERCEPTION_LATENCY
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.store import Dataset, drive_names
 from offpiste.dataset.windows import Windows
@@ -140,10 +140,16 @@ def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Data
     log, extractor = open_log(folder / "drive.mcap"), load_feature_extractor(folder / "pca.safetensors")
     sensors = open_sensors(log, dataset.rig)
     moments = replay(sensors, pinhole_cameras(sensors, extractor.patch), extractor.extract, extractor.channels)
+    assert snapshots.latency == PERCEPTION_LATENCY
     compared, before, after = 0, -np.inf, rows.time[snapshots.row]
-    held = None
+    held, pose_stamps = None, sensors.poses.position.time
     for moment in moments:
-        for number in np.flatnonzero((after > before) & (after < moment.time)):
+        # All of a sweep is measured a latency before, and the pose after its last point is there.
+        assert moment.measured > moment.time + 0.05
+        placed = pose_stamps[np.searchsorted(pose_stamps, moment.measured)]
+        assert moment.placed >= placed
+        ready = max(moment.measured + PERCEPTION_LATENCY, moment.placed)
+        for number in np.flatnonzero((after >= before) & (after < ready)):
             found = snapshots.load(int(number))
             low = np.round((found.origin - held.origin) / found.resolution).astype(int)
             ny, nx = found.elevation.shape
@@ -154,7 +160,7 @@ def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Data
             compared += 1
         if compared >= 3:
             return
-        before, held = moment.time, copy.deepcopy(moment.layers.terrain_map())
+        before, held = ready, copy.deepcopy(moment.layers.terrain_map())
     raise AssertionError("too few snapshots")
 
 

@@ -50,7 +50,9 @@ def winding(rows: int, seed: int = 0) -> Rows:
         state=state.astype(np.float32),
         state_causal=(state + noise).astype(np.float32),
         control=control.astype(np.float32),
+        control_causal=control.astype(np.float32),
         normal=np.repeat(normal[None, :, None], 4, axis=2).astype(np.float32),
+        normal_causal=normal.astype(np.float32),
     )
 
 

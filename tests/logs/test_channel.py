@@ -29,6 +29,13 @@ def test_hold_gives_the_last_value_at_or_before():
     assert held[:, 0].tolist() == [5, 5, 6, 6, 7]
 
 
+def test_latest_does_not_look_whether_another_sample_follows():
+    at = np.array([0.99, 1.0, 1.1, 1.5, 1.75, 2.0, 3.4])
+    found = channel([1.0, 1.1, 3.0], [1.0, 2.0, 3.0]).latest(at, max_gap=0.5)[:, 0]
+    np.testing.assert_array_equal(found, [np.nan, 1, 2, 2, np.nan, np.nan, 3])
+    np.testing.assert_array_equal(channel([1.0, 1.1], [1.0, 2.0]).latest(at[:5], max_gap=0.5)[:, 0], found[:5])
+
+
 @pytest.mark.parametrize("how", ["linear", "hold"])
 def test_outside_the_record_and_in_gaps_nothing_is_known(how):
     signal = channel([1.0, 1.1, 3.0, 3.1], [1.0, 1.0, 2.0, 2.0])

@@ -154,7 +154,8 @@ def test_in_a_gap_nothing_is_known():
     motion = estimate_motion(Drive("gap", drive.rig, channels), circle.time)
     inside = (circle.time > 2.01) & (circle.time < 3.99)
     assert np.isnan(motion.state[inside]).all()
-    assert np.isnan(motion.state_causal[inside]).all()
+    # Whether a gap has begun shows only after max_gap.
+    assert np.isnan(motion.state_causal[inside & (circle.time > 2.01 + drive.rig.clock.max_gap)]).all()
     assert np.isfinite(motion.state[(circle.time > 0.5) & (circle.time < 1.8)]).all()
 
 
@@ -192,6 +193,28 @@ def test_reversing_down_a_hill_leaves_the_slope_along_the_heading_as_it_was():
     speeds = np.concatenate((np.full(500, 3.0), np.full(400, -3.0)))
     slope = driven_slope(hill(speeds, 0.2), speeds, dt=0.02, length=6.0)
     np.testing.assert_allclose(slope, 0.2, atol=0.02)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_slope_behind_is_the_grade_after_two_metres_and_never_reads_a_later_row(direction):
+    speeds = np.full(600, direction * 3.0)
+    speeds[200:260] = 0.0
+    place = hill(speeds, 0.2, noise=0.002)
+    slope = driven_slope(place, speeds, dt=0.02, length=6.0, causal=True)
+    assert (slope[:20] == 0).all()
+    np.testing.assert_allclose(slope[60:], 0.2, atol=0.02)
+    for row in (90, 230, 400):
+        later, faster = place.copy(), speeds.copy()
+        later[row + 1 :], faster[row + 1 :] = 7.0, -5.0
+        again = driven_slope(later, faster, dt=0.02, length=6.0, causal=True)
+        np.testing.assert_array_equal(again[: row + 1], slope[: row + 1])
+    assert not np.array_equal(again, slope)
+
+
+def test_the_slope_behind_is_kept_where_the_vehicle_turns_back():
+    speeds = np.concatenate((np.full(500, 3.0), np.full(400, -3.0)))
+    slope = driven_slope(hill(speeds, 0.2), speeds, dt=0.02, length=6.0, causal=True)
+    np.testing.assert_allclose(slope[60:], 0.2, atol=1e-6)
 
 
 def test_a_gap_between_two_heights_is_no_cliff():

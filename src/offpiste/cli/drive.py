@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.conventions import PERCEPTION_LATENCY
 
 
 @COMMANDS.register("drive")
@@ -28,7 +29,7 @@ class Drive:
     """For runs with visual features: the file that their dataset was extracted with."""
     speed: float = 7.0
     """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
-    latency: float = 0.1
+    latency: float = PERCEPTION_LATENCY
     """From the data of a plan to its first control [s]."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
     """Fault of the sensors."""

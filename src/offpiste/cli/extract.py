@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.conventions import PERCEPTION_LATENCY
 
 
 @COMMANDS.register("extract")
@@ -35,6 +36,8 @@ class Extract:
     """Windows are left out if a smaller share of their ground was ever seen; 0 keeps all."""
     snapshot_seconds: float = 0.5
     """Shortest time between snapshots of the map, which are kept for windows that validate and test [s]."""
+    latency: float = PERCEPTION_LATENCY
+    """Snapshots hold what was measured this long before their windows start, or earlier [s]; `drive` has the same."""
     processes: int = 0
     """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
     flat: bool = False
@@ -57,7 +60,7 @@ class Extract:
             pca=self.pca,
             device=self.device,
             min_hindsight=self.min_hindsight,
-            snapshots=SnapshotSettings(self.snapshot_seconds),
+            snapshots=SnapshotSettings(self.snapshot_seconds, latency=self.latency),
             replay=MapperSettings(self.keyframe_metres),
             processes=self.processes,
         )

@@ -64,10 +64,10 @@ def extract_drive(job: Job, report: Report) -> str:
         notes += _seen_by_pca(extractor, rows, job)
         replay = job.replay or MapperSettings()
         with temporary_folder(job.out, job.name) as folder:
-            writer = SnapshotWriter(folder / "snapshots", replay.map.voxels.size, extractor.channels)
-            settings = job.snapshots or SnapshotSettings()
+            settings, size = job.snapshots or SnapshotSettings(), replay.map.voxels.size
+            writer = SnapshotWriter(folder / "snapshots", size, extractor.channels, settings.latency)
             schedule = SnapshotSchedule(_starts(rows, job, settings.parts), settings)
-            keeper = SnapshotKeeper(writer, schedule, settings.margin)
+            keeper = SnapshotKeeper(writer, schedule, settings)
             rows = with_visual_features(rows, sensors, job.rig, extractor, replay, snapshots=keeper, report=report)
             writer.close()
             stored = add_drive(
@@ -130,7 +130,8 @@ def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> s
         if unseen:
             lines.append(f"  {unseen} windows left out: less than {min_hindsight:.0%} of their ground was ever seen")
     if drive.snapshots is not None and len(drive.snapshots.row):
-        lines.append(f"  {len(drive.snapshots.row)} snapshots of the map")
+        count, latency = len(drive.snapshots.row), drive.snapshots.latency
+        lines.append(f"  {count} snapshots of the map, of what was measured {latency:g} s before their windows start")
     return "\n".join(lines + [f"  {note}" for note in drive.notes])
 
 

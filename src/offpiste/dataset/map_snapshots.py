@@ -16,7 +16,8 @@ from scipy.spatial.distance import cdist
 from torch import Tensor
 from zarr.codecs import ZstdCodec
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.conventions import DT, HORIZON_STEPS, PERCEPTION_LATENCY
+from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import CellStack
 
@@ -37,12 +38,21 @@ class SnapshotSettings:
         most: snapshots of one part of one drive; a longer part has them further apart.
         margin: the map is kept within this and half the way of five seconds at the window's first speed, around the
             place half that way straight ahead [m].
+        latency: the map holds what was measured this long before the window's start, or earlier [s].
+
+    Raises:
+        DatasetError: the latency is not a time from 0 to 1 s.
     """
 
     seconds: float = 0.5
     parts: tuple[str, ...] = ("validation", "test")
     most: int = 2000
     margin: float = 18.0
+    latency: float = PERCEPTION_LATENCY
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.latency <= 1:
+            raise DatasetError(f"a latency of {self.latency:g} s", how="give one from 0 to 1")
 
 
 @dataclass(frozen=True)
@@ -169,10 +179,12 @@ class SnapshotWriter:
         folder: of a Zarr group.
         resolution: of the maps [m].
         features: F.
+        latency: of `SnapshotSettings` [s].
     """
 
-    def __init__(self, folder: Path, resolution: float, features: int) -> None:
-        self._group = zarr.open_group(folder, mode="w", attributes={"resolution": resolution}, zarr_format=3)
+    def __init__(self, folder: Path, resolution: float, features: int, latency: float = PERCEPTION_LATENCY) -> None:
+        about = {"resolution": resolution, "latency": latency}
+        self._group = zarr.open_group(folder, mode="w", attributes=about, zarr_format=3)
         self._row: list[int] = []
         self._first = [0]
         self._origin: list[np.ndarray] = []
@@ -221,6 +233,7 @@ class Snapshots:
 
     Attributes:
         resolution: of the maps [m].
+        latency: from their last measurement to the start of their windows, at least [s].
         row: at which windows they were taken, rising.
         first: of the cells of each, and how many there are in all.
         origin, shape: of each.
@@ -228,6 +241,7 @@ class Snapshots:
     """
 
     resolution: float
+    latency: float
     row: Int[np.ndarray, " S"]
     first: Int[np.ndarray, " S+1"]
     origin: Float[np.ndarray, "S 2"]
@@ -259,6 +273,7 @@ def open_snapshots(folder: Path) -> Snapshots:
             # Zarr would read a missing chunk as zeros.
             raise ValueError(f"a chunk of the snapshots' '{name}' is missing")
     row, first, origin, shape = (np.asarray(arrays[name][...]) for name in ("row", "first", "origin", "shape"))
-    resolution = group.attrs["resolution"]
+    resolution, latency = group.attrs["resolution"], group.attrs["latency"]
     assert isinstance(resolution, float)
-    return Snapshots(resolution, row, first, origin, shape, {name: arrays[name] for name in CELL_ARRAYS})
+    assert isinstance(latency, float)
+    return Snapshots(resolution, latency, row, first, origin, shape, {name: arrays[name] for name in CELL_ARRAYS})

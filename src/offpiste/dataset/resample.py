@@ -23,8 +23,10 @@ class Rows:
         origin: what was subtracted from px, py [m], so that float32 is fine.
         state, state_causal: targets, and the estimate from the past only (`conventions.STATE`).
         actuators, control: in the columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
+        actuators_causal, control_causal: the same from samples stamped at or before each row only.
         normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel; NaN where a map does
             not know them.
+        normal_causal: of the path driven until each row, whatever else gives `normal`.
         valid: rows where nothing that the log should have is missing.
         cells: the ground cells under the wheels and their features, where a map gave them.
         extra: columns of `COLUMNS` beyond these, by name.
@@ -35,8 +37,11 @@ class Rows:
     state: Float[np.ndarray, "N 6"]
     state_causal: Float[np.ndarray, "N 6"]
     actuators: Float[np.ndarray, "N A"]
+    actuators_causal: Float[np.ndarray, "N A"]
     control: Float[np.ndarray, "N U"]
+    control_causal: Float[np.ndarray, "N U"]
     normal: Float[np.ndarray, "D N 4 3"]
+    normal_causal: Float[np.ndarray, "N 3"]
     valid: Bool[np.ndarray, " N"]
     cells: Cells | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -101,7 +106,8 @@ def extract_rows(drive: Drive) -> Rows:
             where=drive.name,
             how="run `offpiste inspect` on it; widen clock.max_gap or motion.window, or declare a channel absent",
         )
-    origin = columns["state"][np.flatnonzero(valid)[0], :2].copy()
+    known = np.isfinite(columns["state_causal"]).all(axis=1)
+    origin = columns["state_causal"][np.argmax(known), :2].copy()
     for name, column in COLUMNS.items():
         if column.relative:
             columns[name] = columns[name] - np.concatenate((origin, np.zeros(column.shape[0] - 2)))

@@ -25,7 +25,7 @@ from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
-SCHEMA = 2  # 1 held straight up for surface normals that were unknown, and did not say which
+SCHEMA = 2  # 1 held straight up for unknown surface normals, and no causal actuators and controls
 SNAPSHOTS = "snapshots"
 
 

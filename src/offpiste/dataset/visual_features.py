@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from offpiste.conventions import DT
 from offpiste.dataset.feature_sets import FeatureSetRecorder, MapCellValues
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotWriter, crop
+from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter, crop
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.sensor_log import SensorLog
@@ -24,20 +23,23 @@ class SnapshotKeeper:
 
     Attributes:
         writer, schedule: where to, and when.
-        margin: of `SnapshotSettings` [m].
+        settings: how far it reaches, and how late it is.
     """
 
     writer: SnapshotWriter
     schedule: SnapshotSchedule
-    margin: float
+    settings: SnapshotSettings
 
     def update(self, moment: Moment, rows: Rows) -> None:
-        """Keep the map of this moment if a window starts in the row that follows it."""
-        row = int(np.ceil((moment.time - rows.time[0]) / DT - 1e-6))
+        """Keep the map of this moment if a window starts in the first row at which it was known.
+
+        Its points and images are known a latency after they were measured, and not before the poses that place them.
+        """
+        row = int(np.searchsorted(rows.time, max(moment.measured + self.settings.latency, moment.placed)))
         if self.schedule.at(row):
             state = rows.state_causal[row].astype(np.float64)
             state[:2] += rows.origin
-            self.writer.add(row, crop(moment.layers.terrain_map(), state, self.margin))
+            self.writer.add(row, crop(moment.layers.terrain_map(), state, self.settings.margin))
 
 
 def with_visual_features(

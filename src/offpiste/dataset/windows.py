@@ -80,7 +80,7 @@ class Windows:
     Args:
         dataset: rows and split.
         part: "train", "validation" or "test".
-        start: "causal" starts from the estimate that was known at the time, "smoothed" from the target's.
+        start: "causal" gives starts and histories as they were known at the time, "smoothed" as targets are.
         min_speed: of the causal estimate at the start [m/s].
         horizon: predicted steps.
         feature_set: of `conventions.FEATURE_SETS`; features and normals are read from it where a batch names no other.
@@ -111,7 +111,8 @@ class Windows:
         }
         self._gathered = [(name, COLUMNS[name]) for name in self._columns]
         if start != "causal":
-            self._columns["state_causal"] = self._columns["state"]
+            for name in ("state", "actuators", "control"):
+                self._columns[f"{name}_causal"] = self._columns[name]
         self._state, self._start = self._columns["state"], self._columns["state_causal"]
         self._normals = NormalsUnderWheels([r.normal for r in rows], self.device)
         self._valid = self._joined([r.valid for r in rows])
@@ -189,19 +190,22 @@ class Windows:
             Terrain(part, part[..., :0]) for part in (normal[:, :HISTORY_STEPS], normal[:, HISTORY_STEPS:])
         )
         ground = None
+        if self._cells is None and self.start == "causal":
+            driven = read["normal_causal"]["past"][:, :, None].expand_as(before.normal)
+            before = Terrain(driven, before.latent)
         if self._cells is not None:
             ground = self._cells.under(first[:, None] + np.arange(count), feature_set_choice, HISTORY_STEPS)
-        start, actuators, control = read["state_causal"], read["actuators"], read["control"]
+        state, actuators, control = read["state_causal"], read["actuators_causal"], read["control_causal"]
         extra = {name: values for name, values in read.items() if name not in OWN_COLUMNS}
         past = {name: values["past"] for name, values in extra.items() if "past" in values}
         return Batch(
-            history=History(start["past"], actuators["past"], control["past"], before, past),
-            state=start["start"],
+            history=History(state["past"], actuators["past"], control["past"], before, past),
+            state=state["start"],
             actuators=actuators["start"],
-            control=control["ahead"],
+            control=read["control"]["ahead"],
             terrain=after,
             target=read["state"]["target"],
-            target_actuators=actuators["target"],
+            target_actuators=read["actuators"]["target"],
             ground=ground,
             extra=extra,
         )

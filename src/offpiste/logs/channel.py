@@ -41,6 +41,16 @@ class Channel:
         values[~self._covered(at, max_gap)] = np.nan
         return values
 
+    def latest(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
+        """Last value known at each time, stamped at or before it; NaN where it is older than `max_gap` [s].
+
+        Unlike `hold` it does not look whether, or when, another sample follows.
+        """
+        index = np.searchsorted(self.time, at, side="right") - 1
+        values = self.values[np.maximum(index, 0)].copy()
+        values[(index < 0) | (at - self.time[np.maximum(index, 0)] > max_gap)] = np.nan
+        return values
+
     def _covered(self, at: Float[np.ndarray, " N"], max_gap: float) -> Bool[np.ndarray, " N"]:
         after = np.clip(np.searchsorted(self.time, at, side="right"), 1, len(self.time) - 1)
         inside = (at >= self.time[0]) & (at <= self.time[-1])

@@ -76,6 +76,11 @@ class Cloud:
         """Moment of each point [s]."""
         return self.time + (np.zeros(len(self.points)) if self.offset is None else self.offset)
 
+    @property
+    def end(self) -> float:
+        """Moment at which the last of its points was measured, or its stamp if that is later [s]."""
+        return float(max(self.times.max(initial=-np.inf), self.time))
+
 
 def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
     """Usable points of a recorded cloud.

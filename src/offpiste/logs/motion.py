@@ -17,6 +17,8 @@ from offpiste.logs.drive import Drive
 
 _MOVING = 0.2
 """Speed below which the vehicle is at a standstill [m/s]: noise does not count as path."""
+_SPACING = 0.1
+"""Path of which one elevation counts [m]."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,12 @@ def heading(drive: Drive) -> Channel:
 
 
 def driven_slope(
-    position: Float[np.ndarray, "N 3"], speed: Float[np.ndarray, " N"], *, dt: float, length: float
+    position: Float[np.ndarray, "N 3"],
+    speed: Float[np.ndarray, " N"],
+    *,
+    dt: float,
+    length: float,
+    causal: bool = False,
 ) -> Float[np.ndarray, " N"]:
     """Slope of the driven path, dz/ds, in place of the ground's where a log has no map.
 
@@ -64,6 +71,8 @@ def driven_slope(
         speed: horizontal speed, negative in reverse [m/s].
         dt: time step of the rows [s].
         length: path behind one estimate [m].
+        causal: fit only rows at or before each; the last slope is kept where too little was driven since the vehicle
+            turned back.
     """
     known = np.isfinite(position).all(axis=1) & np.isfinite(speed)
     slope = np.full(len(position), np.nan)
@@ -71,26 +80,45 @@ def driven_slope(
     for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
         if len(run):
             step = np.where(np.abs(speed[run]) > _MOVING, speed[run], 0.0) * dt
-            slope[run] = _slope_along(np.cumsum(step), position[run, 2], length=length)
+            fit = _slope_behind if causal else _slope_along
+            slope[run] = fit(step, position[run, 2], length=length)
     return slope
 
 
 def _slope_along(
-    distance: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
+    step: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
 ) -> Float[np.ndarray, " N"]:
     """Slope of one unbroken stretch of path; 0 where it is too short."""
-    spacing = 0.1
+    distance = np.cumsum(step)
     distance = distance - distance.min()
-    # One elevation a 0.1 m of path: a vehicle at rest must not outweigh the path before and after it.
-    cell = np.round(distance / spacing).astype(int)
+    # A vehicle at rest must not outweigh the path before and after it.
+    cell = np.round(distance / _SPACING).astype(int)
     count = np.bincount(cell)
     filled = count > 0
     mean = np.bincount(cell, weights=elevation)[filled] / count[filled]
-    along = np.flatnonzero(filled) * spacing
+    along = np.flatnonzero(filled) * _SPACING
     _, fitted = local_polynomial(along, mean[:, None], along, window=length, causal=False)
     fitted = fitted[:, 0]
     usable = np.isfinite(fitted)
     return np.interp(distance, along[usable], fitted[usable]) if usable.any() else np.zeros(len(distance))
+
+
+def _slope_behind(
+    step: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
+) -> Float[np.ndarray, " N"]:
+    """Slope of one unbroken stretch of path at each row, from the rows until then; 0 until enough was driven."""
+    travelled, row = np.cumsum(np.abs(step)), np.arange(len(step))
+    moving = np.maximum.accumulate(np.where(step != 0, row, 0))
+    direction = np.sign(step[moving])
+    slope = np.full(len(step), np.nan)
+    for leg in np.split(row, np.flatnonzero(np.diff(direction)) + 1):
+        cell = np.floor(travelled[leg] / _SPACING)
+        entered = np.flatnonzero(np.diff(cell, prepend=-1.0))
+        along = travelled[leg[entered]]
+        _, fitted = local_polynomial(along, elevation[leg[entered], None], along, window=length, causal=True)
+        slope[leg[entered]] = direction[leg[entered]] * fitted[:, 0]
+    latest = np.maximum.accumulate(np.where(np.isfinite(slope), row, -1))
+    return np.where(latest >= 0, slope[latest], 0.0)
 
 
 def _smoothed(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
@@ -114,16 +142,16 @@ def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6
     gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
     place, yaw = drive.channels["position"], heading(drive)
     velocity, rate = _own_velocity(drive, causal=True), _own_yaw_rate(drive, causal=True)
-    covered = np.isfinite(place.hold(at, max_gap=gap)[:, 0] + yaw.hold(at, max_gap=gap)[:, 0])
+    covered = np.isfinite(place.latest(at, max_gap=gap)[:, 0] + yaw.latest(at, max_gap=gap)[:, 0])
 
     if velocity is not None:
-        v_world = velocity.hold(at, max_gap=gap)
-        xy = place.hold(at, max_gap=gap)[:, :2] + _age(place, at)[:, None] * v_world
+        v_world = velocity.latest(at, max_gap=gap)
+        xy = place.latest(at, max_gap=gap)[:, :2] + _age(place, at)[:, None] * v_world
     else:
         xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=True)
     if rate is not None:
-        psi_rate = rate.hold(at, max_gap=gap)
-        psi = yaw.hold(at, max_gap=gap) + _age(yaw, at)[:, None] * psi_rate
+        psi_rate = rate.latest(at, max_gap=gap)
+        psi = yaw.latest(at, max_gap=gap) + _age(yaw, at)[:, None] * psi_rate
     else:
         psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=True)
     return _assemble(xy, psi, v_world, psi_rate, covered)
@@ -150,7 +178,7 @@ def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N
 
 def _at_stamps(channel: Channel, of: Channel, *, causal: bool) -> Float[np.ndarray, "n k"]:
     """A channel at another's stamps; `causal` holds the last sample, as the next one was not known yet."""
-    return (channel.hold if causal else channel.linear)(of.time, max_gap=np.inf)
+    return (channel.latest if causal else channel.linear)(of.time, max_gap=np.inf)
 
 
 def _own_velocity(drive: Drive, *, causal: bool) -> Channel | None:

@@ -47,6 +47,11 @@ class Poses:
         matrix[~np.isfinite(matrix).all(axis=(1, 2))] = np.nan
         return matrix
 
+    def known(self, time: float) -> float:
+        """When the pose at a moment was known [s]: the stamp of the sample after it; infinite at the end of the log."""
+        stamps = (channel.time for channel in (self.position, self.orientation))
+        return float(max(np.append(t, np.inf)[np.searchsorted(t, time, side="right")] for t in stamps))
+
     def stretch(self, time: float) -> int:
         """Number of jumps until a moment [s]: positions of one stretch fit together."""
         return int(np.searchsorted(self.jumps[:, 1], time, side="right"))
@@ -91,8 +96,8 @@ def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) 
 FARTHEST: Final = 1.0
 """Least excess of a step, over what the speed explains, that is a jump [m]: five cells of the map. GPS has many shorter
 ones, which `offpiste inspect` lists."""
-_AROUND: Final = 21
-"""Number of samples whose median speed explains a step."""
+_UNTIL: Final = 11
+"""Number of steps, the last of which is the step itself, whose median speed explains it: never later ones."""
 _ACCELERATION: Final = 10.0
 """Largest change of speed [m/s^2]; counts where samples are far apart."""
 _TURN: Final = np.deg2rad(20.0)
@@ -113,10 +118,10 @@ def find_jumps(position: Channel, orientation: Channel | None = None) -> Float[n
 
 
 def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
-    """Excess of each of the m = n - 1 steps over what the speed around it explains [m]."""
+    """Excess of each of the m = n - 1 steps over what the speed until then explains [m]."""
     step = np.linalg.norm(np.diff(position.values, axis=0), axis=1)
     dt = np.diff(position.time)
-    speed = median_filter(step / dt, _AROUND, mode="nearest")
+    speed = median_filter(step / dt, _UNTIL, mode="nearest", origin=_UNTIL // 2)
     return step - (speed + _ACCELERATION * dt) * dt
 
 

@@ -13,7 +13,7 @@ from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
-from offpiste.perception.motion_compensation import points_in_world
+from offpiste.perception.motion_compensation import MOMENT, points_in_world
 from offpiste.perception.projection import CameraView, Projection, ProjectionSettings, project
 
 ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
@@ -133,6 +133,8 @@ class Moment:
 
     Attributes:
         time: of the scan [s].
+        measured: moment of the last measurement that the map holds [s].
+        placed: stamp of the last pose that put a measurement into the map [s].
         vehicle: place of the pose point then [m].
         layers: of the map; written over by the next scan.
         points_world: the scan itself [m].
@@ -143,6 +145,8 @@ class Moment:
     """
 
     time: float
+    measured: float
+    placed: float
     vehicle: Float[np.ndarray, " 3"]
     layers: TerrainLayers
     points_world: Float[np.ndarray, "n 3"]
@@ -181,7 +185,7 @@ def replay(
     def new_mapper() -> SensorMapper:
         return SensorMapper(cameras, log.lidars, extract, channels, settings)
 
-    mapper, layers, stretch = new_mapper(), None, 0
+    mapper, layers, stretch, measured_until = new_mapper(), None, 0, -np.inf
     for measured in log.stream([*cameras, *log.lidars], start=start, end=end):
         pose = log.poses.at(np.array([measured.time]))[0]
         if np.isnan(pose).any():
@@ -195,8 +199,11 @@ def replay(
             continue
         points, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
         layers = mapper.pipeline.layers(layers)
+        measured_until = max(measured_until, measured.end)
         yield Moment(
             time=measured.time,
+            measured=measured_until,
+            placed=log.poses.known(measured_until + MOMENT),
             vehicle=pose[:3, 3],
             layers=layers,
             points_world=points,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from offpiste.conventions import DT
+from offpiste.conventions import DT, PERCEPTION_LATENCY
 from offpiste.errors import PlanningError
 from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
@@ -38,7 +38,7 @@ class RuntimeSettings:
     """
 
     plan_rate: float = 10.0
-    latency: float = 0.1
+    latency: float = PERCEPTION_LATENCY
     sampling: mppi.Settings = field(
         default_factory=lambda: mppi.Settings(
             PEDAL_AND_WHEEL,

@@ -42,9 +42,7 @@ class RowGrid:
 
     def channel(self, name: str) -> Float[np.ndarray, " N"]:
         """A channel of one field at the rows; NaN in gaps of the log, and everywhere if the log lacks it."""
-        channel, window = self.drive.channels.get(name), self.drive.rig.motion.window
-        if channel is None and (measured := channel_of_rate(name)) in self.drive.channels:
-            channel = _derivative(self.drive.channels[measured], window=window)
+        channel = self._measured(name, causal=False)
         if channel is None:
             return np.full(len(self.time), np.nan)
         source = self.drive.rig.channels.get(name)
@@ -52,9 +50,23 @@ class RowGrid:
         gap = self.drive.rig.clock.max_gap
         return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
 
+    def channel_causal(self, name: str) -> Float[np.ndarray, " N"]:
+        """The same channel as it was known at the rows, from samples stamped at or before each only."""
+        channel = self._measured(name, causal=True)
+        if channel is None:
+            return np.full(len(self.time), np.nan)
+        return channel.latest(self.time, max_gap=self.drive.rig.clock.max_gap)[:, 0]
 
-def _derivative(channel: Channel, *, window: float) -> Channel:
-    _, rate = local_polynomial(channel.time, channel.values, channel.time, window=window, causal=False)
+    def _measured(self, name: str, *, causal: bool) -> Channel | None:
+        """A channel of the log, or the derivative that stands for it; None where the log has neither."""
+        channel = self.drive.channels.get(name)
+        if channel is None and (measured := channel_of_rate(name)) in self.drive.channels:
+            return _derivative(self.drive.channels[measured], window=self.drive.rig.motion.window, causal=causal)
+        return channel
+
+
+def _derivative(channel: Channel, *, window: float, causal: bool) -> Channel:
+    _, rate = local_polynomial(channel.time, channel.values, channel.time, window=window, causal=causal)
     known = np.isfinite(rate[:, 0])
     if known.sum() < 2:
         raise LogError(f"{channel.name}: too few samples in {window:g} s for its rate", how="widen motion.window")
@@ -99,7 +111,11 @@ COLUMNS: Final[Registry[Column]] = Registry("column", package=__name__, error=Da
 
 
 def channel_column(name: str, *segments: Segment) -> Column:
-    """A column that holds a channel of the rig with one field, NaN in logs that lack it."""
+    """A column that holds a channel of the rig with one field, NaN in logs that lack it.
+
+    Where windows read it for their past and start only, it holds what was known at each row.
+    """
+    channel = RowGrid.channel_causal if set(segments) <= {"past", "start"} else RowGrid.channel
     return Column(
-        read=lambda grid: grid.channel(name), present=lambda rig: name in rig.channels, segments=tuple(segments)
+        read=lambda grid: channel(grid, name), present=lambda rig: name in rig.channels, segments=tuple(segments)
     )

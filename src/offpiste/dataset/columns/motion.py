@@ -1,4 +1,4 @@
-"""Columns `state`, `state_causal` and `normal`: how the vehicle moved, and the slope of the path that it drove."""
+"""Columns of how the vehicle moved and of the slope of the path that it drove; each also as known at the time."""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,24 +15,37 @@ COLUMNS.register("state_causal")(
 )
 
 
-def _driven_normal(grid: RowGrid) -> Float[np.ndarray, "1 N 4 3"]:
-    """Normal of a plane that rises along the heading as the driven path does; the same under all wheels."""
-    slope, yaw = _slope(grid), grid.motion.state[:, 2]
+def _driven_normal(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, "N 3"]:
+    """Normal of a plane that rises along the heading as the driven path does."""
+    slope = _slope(grid, causal=causal)
+    yaw = (grid.motion.state_causal if causal else grid.motion.state)[:, 2]
     normal = np.stack((-slope * np.cos(yaw), -slope * np.sin(yaw), np.ones_like(slope)), axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _slope(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, " N"]:
+    """Slope of the driven path, or flat ground where the rig or the log has no elevation."""
+    rig, place, gap = grid.drive.rig, grid.drive.channels["position"], grid.drive.rig.clock.max_gap
+    if rig.motion.normals == "flat" or place.values.shape[1] < 3:
+        return np.zeros(len(grid.time))
+    state = grid.motion.state_causal if causal else grid.motion.state
+    position = (place.latest if causal else place.linear)(grid.time, max_gap=gap)
+    speed = np.copysign(np.hypot(state[:, 3], state[:, 4]), state[:, 3])
+    return driven_slope(position, speed, dt=DT, length=rig.motion.slope_length, causal=causal)
+
+
+def _by_set_and_wheel(normal: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "1 N 4 3"]:
     return np.repeat(normal[None, :, None], len(WHEELS), axis=2)
 
 
-def _slope(grid: RowGrid) -> Float[np.ndarray, " N"]:
-    """Slope of the driven path, or flat ground where the rig or the log has no elevation."""
-    rig, state, place = grid.drive.rig, grid.motion.state, grid.drive.channels["position"]
-    if rig.motion.normals == "flat" or place.values.shape[1] < 3:
-        return np.zeros(len(grid.time))
-    position = place.linear(grid.time, max_gap=rig.clock.max_gap)
-    speed = np.copysign(np.hypot(state[:, 3], state[:, 4]), state[:, 3])
-    return driven_slope(position, speed, dt=DT, length=rig.motion.slope_length)
-
-
 COLUMNS.register("normal")(
-    Column(read=_driven_normal, shape=(len(WHEELS), 3), segments=("past", "ahead"), by_feature_set=True)
+    Column(
+        read=lambda grid: _by_set_and_wheel(_driven_normal(grid, causal=False)),
+        shape=(len(WHEELS), 3),
+        segments=("past", "ahead"),
+        by_feature_set=True,
+    )
+)
+COLUMNS.register("normal_causal")(
+    Column(read=lambda grid: _driven_normal(grid, causal=True), shape=(3,), segments=("past",))
 )
