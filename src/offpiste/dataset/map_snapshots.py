@@ -183,8 +183,9 @@ class SnapshotWriter:
     """
 
     def __init__(self, folder: Path, resolution: float, features: int, latency: float = PERCEPTION_LATENCY) -> None:
-        about = {"resolution": resolution, "latency": latency}
-        self._group = zarr.open_group(folder, mode="w", attributes=about, zarr_format=3)
+        self._group = zarr.open_group(
+            folder, mode="w", attributes={"resolution": resolution, "latency": latency}, zarr_format=3
+        )
         self._row: list[int] = []
         self._first = [0]
         self._origin: list[np.ndarray] = []
