@@ -114,6 +114,43 @@ def test_a_chunk_that_is_cut_short_is_an_error_in_one_line(tmp_path, left):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("key", ["state", "normal", "part"])
+def test_a_flipped_bit_of_an_array_is_an_error_that_names_it(tmp_path, key):
+    path = stored(tmp_path)
+    chunk = next(p for p in (path / "two" / key / "c").rglob("*") if p.is_file())
+    content = bytearray(chunk.read_bytes())
+    content[len(content) // 2] ^= 1
+    chunk.write_bytes(content)
+    with pytest.raises(DatasetError, match=rf"drive 'two' cannot be read.*{key}.*extract"):
+        store.open_dataset(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "written", "found"),
+    [
+        ("zarr.json", "800.0", "900.0"),
+        ("one/zarr.json", "100.0", "200.0"),
+        ("one/state/zarr.json", "2400", "2399"),
+        ("one/checksums.json", "state/zarr.json", "other/zarr.json"),
+    ],
+)
+def test_changed_metadata_are_an_error_that_names_the_file(tmp_path, file, written, found):
+    path = stored(tmp_path)
+    content = (path / file).read_text()
+    assert written in content
+    (path / file).write_text(content.replace(written, found))
+    with pytest.raises(DatasetError, match=rf"{file}:? is damaged"):
+        store.open_dataset(path)
+
+
+@pytest.mark.parametrize("file", ["zarr.json", "one/zarr.json", "one/checksums.json", "checksums.json"])
+def test_a_missing_file_is_an_error(tmp_path, file):
+    path = stored(tmp_path)
+    (path / file).unlink()
+    with pytest.raises(DatasetError, match=r"zarr.json: is damaged|is missing"):
+        store.open_dataset(path)
+
+
 @pytest.mark.parametrize("broken", ["", "{", "[]"])
 def test_broken_metadata_is_an_error(tmp_path, broken):
     path = stored(tmp_path)

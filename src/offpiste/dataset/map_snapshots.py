@@ -14,7 +14,7 @@ import zarr
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from scipy.spatial.distance import cdist
 from torch import Tensor
-from zarr.codecs import ZstdCodec
+from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from offpiste.conventions import DT, HORIZON_STEPS, PERCEPTION_LATENCY
 from offpiste.errors import DatasetError
@@ -197,7 +197,7 @@ class SnapshotWriter:
                 shape=(0, *more),
                 dtype=dtype,
                 chunks=(CHUNK, *more),
-                compressors=ZstdCodec(level=1),
+                compressors=[ZstdCodec(level=1), Crc32cCodec()],
                 config={"write_empty_chunks": True},
             )
             for name, dtype, more in (
@@ -225,7 +225,7 @@ class SnapshotWriter:
             ("origin", np.array(self._origin, np.float64).reshape(-1, 2)),
             ("shape", np.array(self._shape, np.int64).reshape(-1, 2)),
         ):
-            self._group.create_array(name, data=values, config={"write_empty_chunks": True})
+            self._group.create_array(name, data=values, compressors=Crc32cCodec(), config={"write_empty_chunks": True})
 
 
 @dataclass(frozen=True)
@@ -233,6 +233,7 @@ class Snapshots:
     """Snapshots of one drive, read when windows need them.
 
     Attributes:
+        folder: where they are stored.
         resolution: of the maps [m].
         latency: from their last measurement to the start of their windows, at least [s].
         row: at which windows they were taken, rising.
@@ -241,6 +242,7 @@ class Snapshots:
         cells: `CellList.place`, `elevation`, `rise` and `features` of all, on disk.
     """
 
+    folder: Path
     resolution: float
     latency: float
     row: Int[np.ndarray, " S"]
@@ -250,10 +252,21 @@ class Snapshots:
     cells: dict[str, Any]
 
     def known_cells(self, number: int) -> CellList:
-        """The known cells of snapshot `number`."""
+        """The known cells of snapshot `number`.
+
+        Raises:
+            DatasetError: what is stored of it is damaged.
+        """
         begin, end = self.first[number : number + 2]
         ny, nx = self.shape[number].tolist()
-        read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}
+        try:
+            read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}
+        except (OSError, ValueError) as error:
+            raise DatasetError(
+                f"snapshot {number} is damaged ({error})",
+                where=self.folder,
+                how="delete its drive and run `offpiste extract` again",
+            ) from error
         return CellList(self.origin[number], (ny, nx), **read)
 
     def load(self, number: int) -> TerrainMap:
@@ -277,4 +290,5 @@ def open_snapshots(folder: Path) -> Snapshots:
     resolution, latency = group.attrs["resolution"], group.attrs["latency"]
     assert isinstance(resolution, float)
     assert isinstance(latency, float)
-    return Snapshots(resolution, latency, row, first, origin, shape, {name: arrays[name] for name in CELL_ARRAYS})
+    cells = {name: arrays[name] for name in CELL_ARRAYS}
+    return Snapshots(folder, resolution, latency, row, first, origin, shape, cells)

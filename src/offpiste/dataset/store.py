@@ -15,17 +15,19 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
+from offpiste.checksums import CHECKSUMS, DamagedFile, check_files, write_checksums
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.dataset.store_validation import refuse_invalid, refuse_unlike
+from offpiste.dataset.stored_arrays import mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
-SCHEMA = 2  # 1 held straight up for unknown surface normals, and no causal actuators and controls
+SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown surface normals
 SNAPSHOTS = "snapshots"
 
 
@@ -106,12 +108,17 @@ def create(
             shutil.rmtree(partial, ignore_errors=True)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write_whole(path, lambda partial: zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3))
+
+    def write(partial: Path) -> None:
+        zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3)
+        write_checksums(partial, [partial / "zarr.json"])
+
+    _write_whole(path, write)
 
 
 def drive_names(path: Path) -> list[str]:
     """Names of the drives that a dataset holds whole."""
-    return sorted(f.name for f in path.iterdir() if (f / "zarr.json").exists() and not f.name.startswith("."))
+    return sorted(f.name for f in path.iterdir() if f.is_dir() and not f.name.startswith("."))
 
 
 def add_drive(
@@ -143,15 +150,17 @@ def add_drive(
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
         group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
-        _write_arrays(group, {**rows.arrays(), "part": part})
+        write_arrays(group, {**rows.arrays(), "part": part})
         if rows.cells is not None:
-            _write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
+            write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
         if terrain is not None and evaluated:
             about = {"origin": terrain.origin.tolist(), "resolution": terrain.resolution}
             arrays = {"elevation": terrain.elevation, "features": terrain.features}
-            _write_arrays(group.create_group("map", attributes=about), arrays)
+            write_arrays(group.create_group("map", attributes=about), arrays)
         if snapshots is not None:
             snapshots.replace(partial / SNAPSHOTS)
+        # Arrays carry a checksum themselves.
+        write_checksums(partial, partial.rglob("zarr.json"))
 
     _write_whole(path / name, write)
     load_map = (lambda: _read_map(path, name)) if evaluated else None
@@ -169,25 +178,11 @@ def temporary_folder(path: Path, name: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
-    """One uncompressed chunk an array: windows are read with plain offsets."""
-    for key, values in arrays.items():
-        array = group.create_array(
-            key,
-            shape=values.shape,
-            dtype=values.dtype,
-            chunks=values.shape,
-            compressors=None,
-            config={"write_empty_chunks": True},
-        )
-        array[...] = values
-
-
 def open_dataset(path: str | Path) -> Dataset:
     """Read a dataset.
 
     Raises:
-        DatasetError: none there, of another version, without drives, or a drive that is cut short or invalid.
+        DatasetError: none there, of another version, without drives, or a drive that is damaged or invalid.
     """
     path = Path(path)
     attributes = _attributes(path)
@@ -218,14 +213,15 @@ def stored_split(text: str, drives: list[list[str]]) -> Split:
 
 def _read_drive(path: Path, name: str) -> StoredDrive:
     with _reading(path, name):
+        check_files(path / name)
         group = zarr.open_group(path / name, mode="r")
-        arrays = {key: _whole_array(group, key) for key in ("time", "valid")}
+        arrays = {key: whole_array(group, key) for key in ("time", "valid")}
         for key, column in COLUMNS.items():
             if key in OWN_COLUMNS or key in group:  # datasets that were made without an added column lack it
                 mapped = column.by_feature_set
-                arrays[key] = _mapped_array(path / name, group, key) if mapped else _whole_array(group, key)
+                arrays[key] = mapped_array(path / name, group, key) if mapped else whole_array(group, key)
         cells = _read_cells(path / name / "cells", group["cells"]) if "cells" in group else None
-        part = _whole_array(group, "part")
+        part = whole_array(group, "part")
         attributes: dict[str, Any] = dict(group.attrs)
         rows = rows_from_arrays(arrays, np.array(attributes["origin"]), cells)
         load_map = (lambda: _read_map(path, name)) if "map" in group else None
@@ -234,8 +230,8 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
 
 
 def _read_cells(folder: Path, group: Any) -> Cells:
-    small = {key: _whole_array(group, key) for key in ("index", "valid")}
-    large = {key: _mapped_array(folder, group, key) for key in ("features", "distance", "elevation")}
+    small = {key: whole_array(group, key) for key in ("index", "valid")}
+    large = {key: mapped_array(folder, group, key) for key in ("features", "distance", "elevation")}
     return Cells(**small, **large)
 
 
@@ -246,8 +242,8 @@ def _read_map(path: Path, name: str) -> TerrainMap:
         return TerrainMap(
             np.array(about["origin"]),
             about["resolution"],
-            _whole_array(group, "elevation"),
-            _whole_array(group, "features"),
+            whole_array(group, "elevation"),
+            whole_array(group, "features"),
         )
 
 
@@ -263,30 +259,19 @@ def _reading(path: Path, name: str) -> Iterator[None]:
         ) from error
 
 
-def _mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
-    """An array that stays on disk until it is looked at: its one chunk is its bytes."""
-    array = group[key]
-    if not isinstance(array, zarr.Array) or array.chunks != array.shape or not array.size or array.compressors:
-        return _whole_array(group, key)
-    file = folder / key / "/".join(["c", *("0" for _ in array.shape)])
-    if not file.exists() or file.stat().st_size != array.nbytes:
-        raise ValueError(f"a chunk of '{key}' is missing or cut short")
-    return np.memmap(file, dtype=array.dtype, mode="r", shape=array.shape)
-
-
-def _whole_array(group: zarr.Group, key: str) -> np.ndarray:
-    array = group[key]
-    if not isinstance(array, zarr.Array) or array.nchunks_initialized < array.nchunks:
-        # Zarr would read a missing chunk as zeros.
-        raise ValueError(f"a chunk of '{key}' is missing")
-    return np.asarray(array[...])
-
-
 def _attributes(path: Path) -> dict[str, Any]:
+    damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
     try:
-        return dict(zarr.open_group(path, mode="r").attrs)
-    except (OSError, ValueError, KeyError) as error:
+        attributes = dict(zarr.open_group(path, mode="r").attrs)
+        if attributes.get("schema") == SCHEMA:
+            check_files(path)
+    except DamagedFile as error:
+        raise damaged from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        if (path / CHECKSUMS).exists():
+            raise damaged from error
         raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
+    return attributes
 
 
 def _write_whole(path: Path, write: Any) -> None:

@@ -1,0 +1,65 @@
+"""Checksums of files: one that was damaged is refused, and never read as other numbers."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from offpiste.files import write_text
+
+CHECKSUMS = "checksums.json"
+"""File of SHA-256 digests beside the files that it names."""
+
+
+class DamagedFile(ValueError):
+    """A file does not have the content that was written."""
+
+    def __init__(self, file: Path, what: str = "is damaged: its checksum differs") -> None:
+        super().__init__(f"{file} {what}")
+
+
+def sha256_of(file: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal."""
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+def sha256_of_json(content: Any) -> str:
+    """SHA-256 of what a JSON document says, however it is laid out."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def write_checksums(folder: Path, files: Iterable[Path]) -> None:
+    """Write the digests of some files below a folder into it."""
+    digests = {str(file.relative_to(folder)): sha256_of(file) for file in sorted(files)}
+    content = {"sha256": digests, "sha256_of_these": sha256_of_json(digests)}
+    write_text(folder / CHECKSUMS, json.dumps(content, indent=1) + "\n")
+
+
+def check_files(folder: Path) -> Mapping[str, str]:
+    """Compare files below a folder with the digests that `write_checksums` left in it.
+
+    Returns:
+        The digests by file.
+
+    Raises:
+        DamagedFile: a file is missing or differs, or the digests themselves do.
+    """
+    list_file = folder / CHECKSUMS
+    try:
+        content = json.loads(list_file.read_bytes())
+        digests: dict[str, str] = content["sha256"]
+        if sha256_of_json(digests) != content["sha256_of_these"]:
+            raise DamagedFile(list_file)
+    except FileNotFoundError as error:
+        raise DamagedFile(list_file, "is missing") from error
+    except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise DamagedFile(list_file) from error
+    for name, digest in digests.items():
+        file = folder / name
+        if not file.is_file():
+            raise DamagedFile(file, "is missing")
+        if sha256_of(file) != digest:
+            raise DamagedFile(file)
+    return digests

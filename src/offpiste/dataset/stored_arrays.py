@@ -1,0 +1,81 @@
+"""Arrays of a dataset on disk: one uncompressed chunk each, with its CRC-32C at the end (Zarr's codec `crc32c`)."""
+
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+import zarr
+from zarr.codecs import Crc32cCodec
+
+from offpiste.checksums import DamagedFile
+
+PIECE = 1 << 22
+"""Bytes of a file that are read at a time."""
+
+
+def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
+    """Write arrays into a group, each in one chunk: windows are read with plain offsets."""
+    for key, values in arrays.items():
+        array = group.create_array(
+            key,
+            shape=values.shape,
+            dtype=values.dtype,
+            chunks=values.shape,
+            compressors=Crc32cCodec(),
+            config={"write_empty_chunks": True},
+        )
+        array[...] = values
+
+
+def whole_array(group: zarr.Group, key: str) -> np.ndarray:
+    """An array in memory.
+
+    Raises:
+        ValueError: a chunk is missing or damaged.
+    """
+    array = group[key]
+    if not isinstance(array, zarr.Array) or array.nchunks_initialized < array.nchunks:
+        # Zarr would read a missing chunk as zeros.
+        raise ValueError(f"a chunk of '{key}' is missing")
+    try:
+        return np.asarray(array[...])
+    except ValueError as error:
+        raise ValueError(f"'{key}' is damaged: {error}") from error
+
+
+def mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
+    """An array that stays on disk until it is looked at; its checksum is compared now.
+
+    Args:
+        folder: of the group.
+
+    Raises:
+        ValueError: its chunk is missing or damaged.
+    """
+    array = group[key]
+    if not isinstance(array, zarr.Array) or not array.size:
+        return whole_array(group, key)
+    file = folder / key / "/".join(["c", *("0" for _ in array.shape)])
+    if not file.exists() or file.stat().st_size != array.nbytes + 4:
+        raise ValueError(f"a chunk of '{key}' is missing or cut short")
+    check_crc32c(file)
+    return np.memmap(file, dtype=array.dtype, mode="r", shape=array.shape)
+
+
+def check_crc32c(file: Path) -> None:
+    """Compare a file with the CRC-32C in its last four bytes, as Zarr's codec `crc32c` writes it.
+
+    Raises:
+        DamagedFile: it differs, or the file is too short to have one.
+    """
+    checksum = 0
+    with file.open("rb") as opened:
+        left = file.stat().st_size - 4
+        if left < 0:
+            raise DamagedFile(file, "is cut short")
+        while left:
+            piece = opened.read(min(left, PIECE))
+            checksum = google_crc32c.extend(checksum, piece)
+            left -= len(piece)
+        if opened.read() != checksum.to_bytes(4, "little"):
+            raise DamagedFile(file)
