@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import torch
 import zarr
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.checksums import write_checksums
+from offpiste.checksums import sha256_of, write_checksums
 from offpiste.cli import main
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.errors import RunError
+from offpiste.training.checkpoint import load_json, save_json, save_tensors
 from offpiste.training.config import TrainConfig, Weights, refuse_impossible
 from offpiste.training.run import build, save_run, vehicle_of
 
@@ -198,7 +199,7 @@ def test_absent_channels(good: Path, tmp_path: Path, error_of: Callable[..., str
 
 def test_another_pca(copied: Path, good: Path, error_of: Callable[..., str], tmp_path: Path) -> None:
     run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
-    (run / "model.json").write_text((run / "model.json").read_text().replace('"pca": null', '"pca": "one"'))
+    save_json(run / "model.json", {**load_json(run / "model.json"), "pca": "one"})
     zarr.open_group(copied, mode="r+").attrs["pca"] = "other"
     write_checksums(copied, [copied / "zarr.json"])
     line = error_of("evaluate", run, "--dataset", copied)
@@ -254,7 +255,8 @@ def broken_run(run: Path, how: str) -> None:
     elif how == "zeros":
         weights.write_bytes(bytes(4000))
     else:
-        save_file({name: value * float("nan") for name, value in load_file(weights).items()}, weights)
+        save_tensors(weights, {name: value * float("nan") for name, value in load_file(weights).items()})
+        save_json(run / "model.json", {**load_json(run / "model.json"), "weights_sha256": sha256_of(weights)})
 
 
 @pytest.mark.parametrize(
@@ -264,8 +266,8 @@ def broken_run(run: Path, how: str) -> None:
         ("unfinished", "training has not finished; resume it with `offpiste train --resume`"),
         ("half a model.json", "model.json: not a run"),
         ("no weights", "model.safetensors: cannot be read"),
-        ("cut weights", "model.safetensors: cannot be read"),
-        ("zeros", "model.safetensors: cannot be read"),
+        ("cut weights", "model.safetensors: is damaged: its checksum differs"),
+        ("zeros", "model.safetensors: is damaged: its checksum differs"),
         ("not finite", "are not finite"),
     ],
 )

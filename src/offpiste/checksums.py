@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from offpiste.files import write_text
 
 CHECKSUMS = "checksums.json"
@@ -28,6 +30,16 @@ def sha256_of(file: Path) -> str:
 def sha256_of_json(content: Any) -> str:
     """SHA-256 of what a JSON document says, however it is laid out."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def sha256_of_arrays(arrays: Mapping[str, np.ndarray], about: str) -> str:
+    """SHA-256 of named arrays and of a text about them, wherever they lie in a file."""
+    digest = hashlib.sha256(about.encode())
+    for name in sorted(arrays):
+        values = arrays[name]
+        digest.update(json.dumps([name, str(values.dtype), values.shape]).encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()
 
 
 def write_checksums(folder: Path, files: Iterable[Path]) -> None:

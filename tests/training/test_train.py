@@ -15,6 +15,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid
 from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training import optimise, prediction
+from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.prediction import predict
 from offpiste.training.run import load_run, refuse_seen
@@ -187,10 +188,11 @@ def test_a_part_without_windows_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "damage", "said"),
     [
-        ("model.safetensors", lambda path: path.write_bytes(path.read_bytes()[:200]), "cannot be read"),
+        ("model.safetensors", lambda path: path.write_bytes(path.read_bytes()[:200]), "is damaged"),
         ("model.json", lambda path: path.write_text("{"), "not a run"),
-        ("model.json", lambda path: path.write_text("{}"), "lacks or misstates 'vehicle'"),
-        ("model.json", lambda path: path.write_text(path.read_text().replace('"b"', '"lstm"')), "do not fit the model"),
+        ("model.json", lambda path: save_json(path, {}), "lacks or misstates 'vehicle'"),
+        ("model.json", lambda path: path.write_text(path.read_text().replace('"b"', '"lstm"')), "is damaged"),
+        ("model.json", lambda path: save_json(path, {**load_json(path), "model": "lstm"}), "do not fit the model"),
     ],
 )
 def test_a_damaged_run_ends_in_one_line(dataset: Dataset, run: Path, tmp_path: Path, name, damage, said) -> None:

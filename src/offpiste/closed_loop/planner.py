@@ -11,7 +11,7 @@ from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.training.checkpoint import load_json
-from offpiste.training.run import load_run
+from offpiste.training.run import WEIGHTS, load_run
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
             where=folder,
             how="give a run trained on commands of both",
         )
-    weights = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()[:16]
+    weights = hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
     if run.dynamics.encoder is None:
         return Planner(run.model, folder, run.dynamics, weights=weights)
     identity = run.pca or _pca_of_dataset(folder)

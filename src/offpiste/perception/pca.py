@@ -5,6 +5,7 @@ The file is safetensors; everything that is not a tensor is JSON in the file's h
 
 import hashlib
 import json
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,9 +18,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 from torch import Tensor
 
+from offpiste.checksums import sha256_of_arrays
 from offpiste.errors import PerceptionError
 from offpiste.files import write_whole
 from offpiste.perception.backbones import Backbone
+
+logger = logging.getLogger(__name__)
 
 COMPONENTS = 40
 """Number of components, as in the paper."""
@@ -195,7 +199,7 @@ _SCHEMA = 1
 
 
 def save_pca(path: Path, pca: PrincipalComponents) -> None:
-    """Write a PCA, whole or not at all."""
+    """Write a PCA with its digest, whole or not at all."""
     about = {
         "schema": _SCHEMA,
         "total_variance": pca.total_variance,
@@ -204,25 +208,30 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
         "fitted_on": dict(pca.fitted_on),
     }
     tensors = {"mean": pca.mean, "basis": pca.basis.copy(), "variance": pca.variance.copy()}
-    write_whole(path, lambda partial: save_file(tensors, partial, metadata={"offpiste_pca": json.dumps(about)}))
+    header = {"offpiste_pca": json.dumps(about)}
+    header["sha256"] = sha256_of_arrays(tensors, header["offpiste_pca"])
+    write_whole(path, lambda partial: save_file(tensors, partial, metadata=header))
 
 
 def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponents:
     """Read what `save_pca` wrote, and check the backbone, where one is given.
 
     Raises:
-        PerceptionError: no such file, not a PCA, or one of another backbone or other weights.
+        PerceptionError: no such file, not a PCA, a damaged one, or one of another backbone or other weights.
     """
     try:
         with safe_open(path, framework="numpy") as file:
-            about = json.loads((file.metadata() or {})["offpiste_pca"])
-            mean, basis, variance = (file.get_tensor(name) for name in ("mean", "basis", "variance"))
+            header = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in ("mean", "basis", "variance")}
+        about = json.loads(header["offpiste_pca"])
         if about["schema"] != _SCHEMA:
             raise ValueError(f"schema {about['schema']}, not {_SCHEMA}")
+        if "sha256" not in header:
+            logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
+        elif header["sha256"] != sha256_of_arrays(tensors, header["offpiste_pca"]):
+            raise ValueError("damaged: its checksum differs")
         pca = PrincipalComponents(
-            mean=mean,
-            basis=basis,
-            variance=variance,
+            **tensors,
             total_variance=float(about["total_variance"]),
             backbone=str(about["backbone"]),
             fingerprint=str(about["fingerprint"]),

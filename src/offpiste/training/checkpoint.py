@@ -1,22 +1,29 @@
-"""Files of runs: safetensors for numbers, JSON for everything else, no pickle; each file whole or not at all."""
+"""Files of runs: safetensors for numbers, JSON for everything else, no pickle; whole or not at all, with digests."""
 
 import json
+import logging
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json
 from offpiste.errors import RunError
 from offpiste.files import write_text, write_whole
 
+logger = logging.getLogger(__name__)
+
+REMEDY: Final = "train again, or restore the file"
+
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
-    """Write tensors, with a few JSON values in the file's own header."""
+    """Write tensors, with a few JSON values and a SHA-256 of it all in the file's own header."""
     kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     header = {"about": json.dumps(about)}
+    header["sha256"] = _digest(kept, header["about"])
     write_whole(path, lambda partial: save_file(kept, partial, metadata=header))
 
 
@@ -29,29 +36,61 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            return tensors, json.loads((file.metadata() or {}).get("about", "{}"))
-    except (OSError, SafetensorError, json.JSONDecodeError) as error:
-        raise RunError(f"cannot be read: {error}", where=path, how="train again, or restore the file") from error
+            header = file.metadata() or {}
+    except (OSError, SafetensorError) as error:
+        raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
+    about = header.get("about", "{}")
+    _refuse_changed(path, header.get("sha256"), _digest(tensors, about))
+    return tensors, json.loads(about)
+
+
+def _digest(tensors: dict[str, Tensor], about: str) -> str:
+    return sha256_of_arrays({name: tensor.numpy() for name, tensor in tensors.items()}, about)
+
+
+def _refuse_changed(path: Path, written: object, found: str) -> None:
+    if written is None:
+        logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
+    elif written != found:
+        raise RunError("is damaged: its checksum differs", where=path, how=REMEDY)
 
 
 def save_json(path: Path, content: dict[str, Any]) -> None:
-    """Write strict JSON."""
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    """Write strict JSON, with a SHA-256 of what it says."""
+    sealed = {**content, "sha256": sha256_of_json(json.loads(json.dumps(content)))}
+    write_text(path, json.dumps(sealed, indent=2, allow_nan=False) + "\n")
 
 
 def load_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
+    """Read what `save_json` wrote.
 
     Raises:
-        RunError: no such file, or not a JSON object.
+        RunError: no such file, not a JSON object, or a damaged one.
     """
     try:
         content = json.loads(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise RunError("not a run", where=path, how="give the folder that `offpiste train` wrote") from error
     if not isinstance(content, dict):
-        raise RunError("not a JSON object", where=path, how="train again, or restore the file")
+        raise RunError("not a JSON object", where=path, how=REMEDY)
+    _refuse_changed(path, content.pop("sha256", None), sha256_of_json(content))
     return content
+
+
+def refuse_other_file(path: Path, digest: str | None) -> None:
+    """Raise if a file of a run is not the one that its JSON names.
+
+    Args:
+        digest: its SHA-256; None where an older offpiste kept none.
+
+    Raises:
+        RunError: it is missing, or has another one.
+    """
+    try:
+        found = sha256_of(path)
+    except OSError as error:
+        raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
+    _refuse_changed(path, digest, found)
 
 
 def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:

@@ -9,16 +9,26 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.checksums import sha256_of
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.state import Trajectory
-from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_json, save_tensors
+from offpiste.training.checkpoint import (
+    load_json,
+    load_tensors,
+    load_weights,
+    refuse_other_file,
+    save_json,
+    save_tensors,
+)
 from offpiste.training.config import TrainConfig, Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
+
+WEIGHTS = "model.safetensors"
 
 
 @dataclass(frozen=True)
@@ -77,10 +87,11 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         scale = torch.tensor([about["loss"]["scale"][name] for name in COMPONENTS])
         weights = Weights(**about["loss"]["weights"])
         seen = tuple((name, first, last) for name, first, last in about["seen"])
-        split, seed = about["split"], about["seed"]
+        split, seed, digest = about["split"], about["seed"], about.get("weights_sha256")
     except (KeyError, TypeError, ValueError, msgspec.ValidationError) as error:
         raise RunError(f"lacks or misstates {error}", where=folder / "model.json", how="train again") from error
-    tensors = load_tensors(folder / "model.safetensors")[0]
+    refuse_other_file(folder / WEIGHTS, digest)
+    tensors = load_tensors(folder / WEIGHTS)[0]
     load_weights(dynamics, tensors, folder)
     for name, values in tensors.items():
         if not torch.isfinite(values).all():
@@ -92,10 +103,11 @@ def save_run(
     folder: Path, dynamics: Dynamics, config: TrainConfig, dataset: Dataset, scale: Float[Tensor, " 5"]
 ) -> None:
     """Write model.safetensors and model.json; a run is finished once the latter is there."""
-    save_tensors(folder / "model.safetensors", dynamics.state_dict())
+    save_tensors(folder / WEIGHTS, dynamics.state_dict())
     about = {
         "schema": 1,
         "model": config.model,
+        "weights_sha256": sha256_of(folder / WEIGHTS),
         "seed": config.seed,
         "vehicle": asdict(dynamics.vehicle),
         "loss": {
