@@ -1,15 +1,20 @@
 """Writing of files whole or not at all."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
+from glob import escape
 from pathlib import Path
+
+PARTIAL = ".partial"
+"""Ending of files and folders that are being written, under a hidden name beside their place."""
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Have `write` fill a file beside `path`, then move it there; an interruption leaves the old file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
     os.close(handle)
     partial = Path(name)
     try:
@@ -18,6 +23,20 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def remove_partials(folder: Path, name: str = "") -> None:
+    """Remove what killed processes left half written.
+
+    Args:
+        name: of the file or folder that they were writing; "" for all in `folder`.
+    """
+    named = f".{escape(name)}.*{PARTIAL}" if name else f".*{PARTIAL}"
+    for partial in folder.glob(named):
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -24,6 +24,7 @@ from offpiste.dataset.splits import Split, parse_split
 from offpiste.dataset.store_validation import refuse_invalid, refuse_unlike
 from offpiste.dataset.stored_arrays import mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
+from offpiste.files import PARTIAL, remove_partials
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
@@ -99,13 +100,13 @@ def create(
         "pca": pca,
         "min_hindsight": min_hindsight,
     }
+    remove_partials(path.parent, path.name)
     if path.exists() and _attributes(path).get("schema") and not drive_names(path):
         shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
         result = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
         refuse_unlike(path, result, json.loads(json.dumps(meta)))
-        for partial in path.glob(".*"):
-            shutil.rmtree(partial, ignore_errors=True)
+        remove_partials(path)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
 
@@ -171,7 +172,7 @@ def add_drive(
 @contextmanager
 def temporary_folder(path: Path, name: str) -> Iterator[Path]:
     """Folder beside the drives of a dataset for files that one of them needs while it is made; removed afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=path))
+    folder = Path(tempfile.mkdtemp(prefix=f".{name}.", suffix=PARTIAL, dir=path))
     try:
         yield folder
     finally:
@@ -276,7 +277,7 @@ def _attributes(path: Path) -> dict[str, Any]:
 
 def _write_whole(path: Path, write: Any) -> None:
     """Write a folder beside its place and move it there when it is complete."""
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent))
     try:
         write(partial)
         partial.chmod(0o755)

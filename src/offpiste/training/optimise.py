@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from offpiste.dataset.feature_sets import Draw, FeatureSetChoice
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError, extra
+from offpiste.files import write_text
 from offpiste.progress import track
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
@@ -29,12 +30,12 @@ Record = Callable[[dict[str, float | int | str]], None]
 
 
 def metrics_writer(path: Path) -> Record:
-    """A record that appends each epoch to a file of JSON lines and logs it."""
+    """A record that adds each epoch to a file of JSON lines and logs it; an epoch done again replaces its line."""
 
     def record(line: dict[str, float | int | str]) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        lines = [json.loads(text) for text in path.read_text("utf-8").splitlines()] if path.exists() else []
+        others = [other for other in lines if (other["stage"], other["epoch"]) != (line["stage"], line["epoch"])]
+        write_text(path, "".join(json.dumps(each) + "\n" for each in [*others, line]))
         logger.info(
             f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
             f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
@@ -107,6 +108,8 @@ def run_stage(
     done, running = folder / f"{stage.name}.safetensors", folder / f"{stage.name}.checkpoint.safetensors"
     if done.exists():
         load_weights(stage.module, load_tensors(done)[0], done)
+        if group.writes:
+            running.unlink(missing_ok=True)
         return
     state = _State(stage, config)
     if running.exists():
@@ -117,8 +120,6 @@ def run_stage(
         score = stage.on_map() if stage.on_map is not None else mean_loss(stage, validation, config, group)
         state.keep_if_best(score)
         state.epoch = epoch + 1
-        if group.writes:
-            state.save(running)
         record(
             {
                 "stage": stage.name,
@@ -129,6 +130,8 @@ def run_stage(
                 "seconds": round(time.perf_counter() - began, 3),
             }
         )
+        if group.writes:
+            state.save(running)
     load_weights(stage.module, state.best, done)
     if group.writes:
         save_tensors(done, state.best, validation_loss=state.best_score)

@@ -20,6 +20,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.models import initial_actuators, reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
+from offpiste.files import remove_partials
 from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
@@ -165,6 +166,7 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
     """Make the run folder, or check that the run in it is this one."""
     described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
     described = json.loads(json.dumps(described))
+    remove_partials(folder)
     path = folder / "config.json"
     if path.exists():
         if not resume:

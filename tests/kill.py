@@ -1,0 +1,243 @@
+"""Work that is killed at random moments and done again leaves the same files as work that was not.
+
+    python -m tests.kill --moments 20
+
+runs each piece of work once to its end, then, for each moment, in a new process that SIGKILL ends there, and once
+more in another new process; what lies in its folder afterwards must be the same, to the byte.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+READY = "ready\n"
+
+DURATIONS = {"metrics.jsonl": {"seconds"}, "result.json": {"stages"}}
+"""Entries of files that hold durations, which no two runs share."""
+
+
+def simulate_drive(inputs: Path, out: Path) -> None:
+    """A short drive with camera and LiDAR; the log of a killed one has to be removed, as its message says."""
+    from offpiste.simulation.simulate import DriveSettings, simulate
+    from offpiste.simulation.world.world import WorldSettings
+
+    (out / "drive.mcap").unlink(missing_ok=True)
+    world = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
+    simulate(DriveSettings(world, 4.0, seed=1, sensors="light"), out / "drive.mcap")
+
+
+def extract_drives(inputs: Path, out: Path) -> None:
+    """Visual features of two drives, with snapshots."""
+    from offpiste.dataset.extract import make_dataset
+    from offpiste.rig.rig import load_rig
+
+    logs = [inputs / "one.mcap", inputs / "two.mcap"]
+    split, pca = f"drives:{inputs / 'parts.txt'}", inputs / "pca.safetensors"
+    make_dataset(logs, load_rig("proving_ground"), out / "data.zarr", split=split, pca=pca)
+
+
+def train_model(inputs: Path, out: Path) -> None:
+    """All three stages of a model that reads features."""
+    from offpiste.dataset.store import open_dataset
+    from offpiste.training.config import TrainConfig
+    from offpiste.training.train import train
+
+    config = TrainConfig(model="dc", epochs=3, bicycle_epochs=2, actuator_epochs=2, stride=40, batch=32)
+    train(open_dataset(inputs / "features.zarr"), config, out / "run", resume=True)
+
+
+def drive_closed_loop(inputs: Path, out: Path) -> None:
+    """A short drive with a plan; what a killed one left has to be removed, as its message says."""
+    from offpiste.closed_loop.courses import CourseSettings
+    from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
+    from offpiste.closed_loop.planner import Planner
+    from offpiste.simulation.world.world import WorldSettings
+    from runtime.stream import parametric, settings
+
+    for name in ("drive.mcap", "result.json"):
+        (out / name).unlink(missing_ok=True)
+    world = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
+    course = CourseSettings(speed=5.0, length=60.0, candidates=6)
+    wanted = CourseDriveSettings(world, seconds=2.0, course=course, runtime=settings())
+    drive_course(Planner("parametric", Path("nowhere"), parametric()), wanted, out)
+
+
+WORK: dict[str, Callable[[Path, Path], None]] = {
+    "simulate": simulate_drive,
+    "extract": extract_drives,
+    "train": train_model,
+    "drive": drive_closed_loop,
+}
+
+
+def make_inputs(inputs: Path) -> None:
+    """Logs and a PCA to extract from, and a dataset of a vehicle with recorded actuators to train on."""
+    from offpiste.perception.backbones import open_backbone
+    from offpiste.perception.pca import PrincipalComponents, save_pca
+
+    simulate_drive(inputs, inputs)
+    for name in ("one", "two"):
+        shutil.copy(inputs / "drive.mcap", inputs / f"{name}.mcap")
+    (inputs / "parts.txt").write_text("one train\ntwo test\n")
+    backbone, rng = open_backbone("filterbank"), np.random.default_rng(0)
+    basis = np.linalg.qr(rng.normal(size=(backbone.channels, 4)))[0].astype(np.float32)
+    mean, variance = np.zeros(backbone.channels, np.float32), np.ones(4, np.float32)
+    save_pca(
+        inputs / "pca.safetensors",
+        PrincipalComponents(mean, basis, variance, 8.0, backbone.name, backbone.fingerprint, {}),
+    )
+    _recorded_steering(inputs, rng)
+
+
+def _recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
+    """A dataset of random features and of a steering angle, so that there are actuators to fit."""
+    from factories import RIG
+    from feature_datasets import FEATURES, rows_with_features
+    from offpiste.dataset.splits import parse_split
+    from offpiste.dataset.store import add_drive, create
+    from offpiste.rig.rig import parse_rig
+
+    channel = '[channels.steer_angle]\ntopic = "steering"\nfields = ["angle"]\n'
+    rig = parse_rig(RIG.replace('"steer_angle", ', "") + channel, where="small.toml")
+    parts = {"one": "train", "two": "validation", "three": "test"}
+    (inputs / "split.txt").write_text("".join(f"{name} {part}\n" for name, part in parts.items()))
+    split = parse_split(f"drives:{inputs / 'split.txt'}")
+    create(inputs / "features.zarr", rig, split, tuple(f"pca{k}" for k in range(FEATURES)))
+    for name in parts:
+        rows = rows_with_features(700, rng, speed=float(rng.uniform(3, 6)))
+        recorded = rows.actuators.copy()
+        recorded[:, 1] = 0.3 * rows.control[:, 2]
+        rows = replace(rows, actuators=recorded, actuators_causal=recorded)
+        add_drive(inputs / "features.zarr", name, rows, split, ())
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """SHA-256 of each file of a folder by its place, hidden ones too; without entries that hold durations."""
+    return {
+        str(file.relative_to(folder)): hashlib.sha256(_timeless(file)).hexdigest()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
+
+
+def _timeless(file: Path) -> bytes:
+    durations = DURATIONS.get(file.name)
+    if durations is None:
+        return file.read_bytes()
+    text = file.read_text("utf-8")
+    documents = [json.loads(line) for line in text.splitlines()] if file.suffix == ".jsonl" else [json.loads(text)]
+    kept = [{key: value for key, value in one.items() if key not in durations} for one in documents]
+    return json.dumps(kept).encode()
+
+
+def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
+    """Begin some work in a new process; it has imported what it needs and begins when this returns."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = os.pathsep.join(map(str, (ROOT / "src", ROOT, ROOT / "tests", os.environ.get("PYTHONPATH", ""))))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.kill", "--work", name, str(inputs), str(out)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
+    assert process.stdout is not None
+    if process.stdout.readline() != READY:
+        raise RuntimeError(process.communicate()[1])
+    return process
+
+
+def finish(process: subprocess.Popen[str]) -> None:
+    """Let some work come to its end."""
+    error = process.communicate()[1]
+    if process.returncode:
+        raise RuntimeError(error)
+
+
+def kill_at(name: str, inputs: Path, out: Path, moment: float) -> bool:
+    """Begin some work, kill it after `moment` seconds, and do it again; says whether it was still at work."""
+    process = start(name, inputs, out)
+    time.sleep(moment)
+    at_work = process.poll() is None
+    if at_work:
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    finish(start(name, inputs, out))
+    return at_work
+
+
+def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
+    """Files that are not the same."""
+    return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
+
+
+def kill_often(name: str, inputs: Path, folder: Path, moments: int, seed: int) -> list[str]:
+    """What differs after work that was killed, by moment; empty if nothing does."""
+    began = time.perf_counter()
+    process = start(name, inputs, folder / "whole")
+    ready = time.perf_counter()
+    finish(process)
+    seconds = time.perf_counter() - ready
+    wanted, wrong, killed = contents(folder / "whole"), [], 0
+    for number, share in enumerate(np.random.default_rng(seed).random(moments)):
+        out = folder / f"killed-{number}"
+        killed += kill_at(name, inputs, out, float(share) * seconds)
+        if different := differences(wanted, contents(out)):
+            wrong.append(f"{name}, killed after {share * seconds:.2f} s: {', '.join(different[:5])}")
+        shutil.rmtree(out)
+    print(
+        f"{name}: {len(wanted)} files, {seconds:.1f} s; killed at {killed} of {moments} moments, "
+        f"{len(wrong)} with another result; {time.perf_counter() - began:.0f} s in all",
+        flush=True,
+    )
+    return wrong
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--moments", type=int, default=20, help="how often each work is killed")
+    parser.add_argument("--only", nargs="*", default=list(WORK), choices=list(WORK))
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.work:
+        name, inputs, out = given.work
+        import offpiste.closed_loop.drive_course
+        import offpiste.dataset.extract
+        import offpiste.training.train  # noqa: F401
+
+        print(READY, end="", flush=True)
+        WORK[name](Path(inputs), Path(out))
+        return 0
+    with tempfile.TemporaryDirectory(prefix="offpiste-kill-") as folder:
+        inputs = Path(folder) / "inputs"
+        inputs.mkdir()
+        make_inputs(inputs)
+        wrong = [
+            line
+            for name in given.only
+            for line in kill_often(name, inputs, Path(folder) / name, given.moments, given.seed)
+        ]
+    print("\n".join(wrong) or "all the same")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(ROOT / "src"), str(ROOT), str(ROOT / "tests")]
+    sys.exit(main())
