@@ -5,6 +5,7 @@ Parts of the blocks in each thread, and torch beside the kernels.
 
 import threading
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -49,6 +50,24 @@ def test_the_name_of_an_entry_depends_on_the_sources(tmp_path):
 def test_sources_exist(compiler, tmp_path):
     empty = Compiler((str(tmp_path / "nothing"),))
     assert compiler._digest != empty._digest
+
+
+def linkages(caller):
+    (compiled,) = caller.overloads.values()
+    return {function.name: function.linkage.name for function in compiled.library.get_defined_functions()}
+
+
+def test_an_entry_calls_its_own_copies_of_other_functions():
+    # Weak symbols would be those of whatever the process compiled or loaded first, rounded in another way.
+    names: dict = {}
+    exec("def fibonacci(n):\n    return n if n < 2 else fibonacci(n - 1) + fibonacci(n - 2)\n", names)
+    exec("def caller(n):\n    return fibonacci(n)\n", names)
+    names["fibonacci"] = Compiler(()).loop(names["fibonacci"])
+    plain, entry = numba.njit(names["caller"]), Compiler(()).entry(names["caller"])
+    assert plain(10) == entry(10) == 55
+    found = [[link for name, link in linkages(of).items() if "fibonacci" in name] for of in (plain, entry)]
+    assert found == [["linkonce_odr"], ["internal"]]
+    assert "linkonce_odr" not in linkages(entry).values()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])

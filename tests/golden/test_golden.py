@@ -3,9 +3,6 @@
 Numbers may differ by 1e-6 of themselves and 1e-6 besides, or by what OFFPISTE_GOLDEN_TOLERANCE says instead.
 Whole numbers and texts are the same. Hashes of messages are the same on the machine that recorded them; other hashes
 are only counted: their arrays are compared by a selection. `pytest -rP` tells how many hashes were equal.
-
-A process that compiles the kernels of networks itself, and one that loads them from numba's cache, differ in the last
-bits (up to 4.5e-7 here; each is the same again): then hashes of `models`, `plan` and `training` do, too.
 """
 
 import json
