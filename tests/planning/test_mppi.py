@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from offpiste.errors import PlanningError
 from offpiste.planning.mppi import Limits, Settings, improve, sample, shift, smoothed, weigh
-from offpiste.planning.noise import coloured, gaussian
+from offpiste.planning.noise import coloured, covariance, gaussian, lifted, log_normal
 from offpiste.planning.rollouts import callable_costs
 
 FREE = Limits(low=(-math.inf,), high=(math.inf,))
@@ -86,31 +87,104 @@ def test_it_converges_to_the_linear_quadratic_optimum():
     torch.testing.assert_close(controls, wanted, atol=0.1, rtol=0)
 
 
-def test_one_step_with_the_likelihood_ratio_is_the_mean_of_the_gaussian_posterior():
-    # weights x density are exp(-S / lambda) N(v; 0, s^2), whatever plan the samples are drawn around.
-    temperature, deviation, steps = 0.5, 0.7, 3
+def posterior(steps, temperature, parts):
+    """Mean of exp(-S / temperature) under a mixture of Gaussians, S the cost of the double integrator.
+
+    Args:
+        parts: share, mean and covariance of each.
+    """
     cost_of = callable_costs(double_integrator, quadratic, START)
-    zero = nothing(steps).requires_grad_()
-    gradient = torch.func.grad(lambda u: cost_of(u[None])[0])(zero)[:, 0]
-    hessian = torch.func.hessian(lambda u: cost_of(u[None])[0])(zero)[:, 0, :, 0]
-    precision = hessian / temperature + torch.eye(steps) / deviation**2
-    wanted = -torch.linalg.solve(precision, gradient / temperature)
+    zero = nothing(steps)
+    gradient = torch.func.grad(lambda u: cost_of(u[None])[0])(zero)[:, 0] / temperature
+    hessian = torch.func.hessian(lambda u: cost_of(u[None])[0])(zero)[:, 0, :, 0] / temperature
+    logs, means = [], []
+    for share, mean, sigma in parts:
+        precision, pull = hessian + torch.linalg.inv(sigma), torch.linalg.solve(sigma, mean)
+        means.append(torch.linalg.solve(precision, pull - gradient))
+        log = (means[-1] @ (pull - gradient) - mean @ pull - torch.logdet(precision @ sigma)) / 2
+        logs.append(math.log(share) + log)
+    return torch.softmax(torch.stack(logs), 0) @ torch.stack(means)
+
+
+@pytest.mark.parametrize("noise", [gaussian, coloured, partial(coloured, exponent=1.0, period=12), lifted])
+@pytest.mark.parametrize("ratio", [0.0, 0.5, 1.0])
+def test_one_step_is_the_mean_of_the_gaussian_posterior(noise, ratio):
+    # Weights x density are exp(-S / lambda) N(v; (1 - ratio) u, Sigma): with 1, whatever plan was sampled around.
+    temperature, deviation, steps = 0.5, 0.7, 6
+    sigma = deviation**2 * covariance(noise, steps)
     settings = replace(
-        PLAIN, deviation=(deviation,), samples=200_000, temperature=temperature, control_cost=temperature
-    )
+        PLAIN, deviation=(deviation,), samples=100_000, temperature=temperature, control_cost=ratio * temperature,
+        noise=noise,
+    )  # fmt: skip
+    wanted = []
+    for around in (0.0, 0.25):
+        plan = nothing(steps) + around
+        wanted.append(posterior(steps, temperature, [(1.0, (1 - ratio) * plan[:, 0], sigma)]))
+        found = improve(plan, callable_costs(double_integrator, quadratic, START), settings, generator())
+        assert found.effective_samples > 5_000
+        tolerance = 4.5 * deviation / math.sqrt(found.effective_samples)
+        torch.testing.assert_close(found.controls[:, 0], wanted[-1], atol=tolerance, rtol=0)
+    assert (ratio == 1) == torch.equal(*wanted)
+
+
+@pytest.mark.parametrize("noise", [gaussian, coloured])
+@pytest.mark.parametrize("ratio", [0.0, 1.0])
+def test_wide_and_fresh_samples_are_parts_of_the_prior(noise, ratio):
+    temperature, deviation, steps, rest = 0.5, 0.5, 4, 1.5
+    sigma = deviation**2 * covariance(noise, steps)
+    settings = replace(
+        PLAIN, deviation=(deviation,), samples=200_000, temperature=temperature, control_cost=ratio * temperature,
+        noise=noise, wide=0.3, width=3.0, fresh=0.2, fresh_width=2.0, rest=(rest,),
+    )  # fmt: skip
+    zero, wanted = nothing(steps)[:, 0], []
     for around in (0.0, 0.4):
-        found = improve(nothing(steps) + around, cost_of, settings, generator())
-        torch.testing.assert_close(found.controls[:, 0].detach(), wanted.detach(), atol=0.01, rtol=0)
+        about = zero + (1 - ratio) * around
+        parts = [(0.5, about, sigma), (0.3, about, 9 * sigma), (0.2, zero + rest, 4 * sigma)]
+        wanted.append(posterior(steps, temperature, parts))
+        cost_of = callable_costs(double_integrator, quadratic, START)
+        found = improve(nothing(steps) + around, cost_of, settings, generator()).controls[:, 0]
+        torch.testing.assert_close(found, wanted[-1], atol=0.03, rtol=0)
+        assert (wanted[-1] - posterior(steps, temperature, parts[:1])).abs().max() > 0.05, "the other parts matter"
+    assert (ratio == 1) == torch.equal(*wanted)
 
 
+@pytest.mark.parametrize("noise", [gaussian, coloured])
+def test_with_limits_too_the_mean_does_not_depend_on_the_plan_sampled_around(noise):
+    # Limits are part of the system that is planned for: the ratio of densities is that of the draws before them.
+    limits = Limits((-0.3,), (0.5,), (4.0,))
+    settings = replace(
+        PLAIN, limits=limits, deviation=(0.7,), samples=200_000, temperature=0.5, control_cost=0.5, noise=noise
+    )
+    cost_of = callable_costs(double_integrator, quadratic, START)
+    found = [improve(nothing(8) + around, cost_of, settings, generator()).controls for around in (0.0, 0.4)]
+    torch.testing.assert_close(found[0], found[1], atol=0.01, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("noise", "match"),
+    [
+        (log_normal, "noise 'log_normal', only of gaussian, coloured, lifted"),
+        (partial(lifted, noise=log_normal), "noise 'log_normal'"),
+        (lambda *_: torch.zeros(1), "noise '<lambda>'"),
+        (partial(coloured, highest=5), "leave out `highest`"),
+    ],
+)
+def test_a_control_cost_without_the_covariance_of_the_noise_is_refused(noise, match):
+    replace(PLAIN, noise=noise)
+    with pytest.raises(ValueError, match=f"control_cost needs the covariance of the noise: .*{match}"):
+        replace(PLAIN, noise=noise, control_cost=0.1)
+
+
+@pytest.mark.parametrize(("bound", "planned"), [(math.inf, 0.3), (0.6, 0.0)])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_given_its_noise_it_does_what_pytorch_mppi_does(name):
+def test_given_its_noise_it_does_what_pytorch_mppi_does(name, bound, planned):
+    # Its control cost is that of the noise that bounds leave, ours that of the noise drawn: alike without either.
     mppi = pytest.importorskip("pytorch_mppi").MPPI
     dynamics, running, start = SYSTEMS[name]
     noise = 0.8 * gaussian((300, 15, 1), generator(), torch.float64)
     noise[0] = 0
-    plan = 0.3 * gaussian((1, 15, 1), generator(1), torch.float64)[0]
-    bound, temperature = 0.6, 0.9
+    plan = planned * gaussian((1, 15, 1), generator(1), torch.float64)[0]
+    temperature = 0.9
     other = mppi(
         dynamics, running, 2, torch.eye(1).double() * 0.64, num_samples=300, horizon=15, lambda_=temperature,
         u_min=nothing(1)[0] - bound, u_max=nothing(1)[0] + bound, U_init=plan.clamp(-bound, bound),
@@ -119,7 +193,7 @@ def test_given_its_noise_it_does_what_pytorch_mppi_does(name):
     other.command(start, shift_nominal_trajectory=False)
     settings = replace(
         PLAIN, limits=Limits((-bound,), (bound,)), deviation=(0.8,), samples=300, temperature=temperature,
-        control_cost=temperature, noise=lambda *_: noise / 0.8,
+        control_cost=temperature,
     )  # fmt: skip
     found = improve(plan.clamp(-bound, bound), callable_costs(dynamics, running, start), settings, generator())
     torch.testing.assert_close(found.controls, other.U, rtol=1e-9, atol=1e-12)

@@ -5,6 +5,7 @@ algorithm 2), with the low-frequency noise of Vlahov et al. (RA-L 2024). Costs o
 (`rollouts`, `kernel`); nothing here depends on what it does.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ from torch import Generator, Tensor
 from offpiste.conventions import DT
 from offpiste.errors import PlanningError
 from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within
-from offpiste.planning.noise import Noise, coloured
+from offpiste.planning.noise import Noise, coloured, covariance
 
 __all__ = ["PEDALS_AND_WHEEL", "CostOf", "Limits", "Plan", "Settings", "improve", "limited", "sample", "shift"]
 
@@ -39,13 +40,13 @@ class Settings:
         fresh: share of samples around `rest` instead of the plan; the first of them is `rest` without noise.
         fresh_width: factor of the noise of the other fresh samples; a way out may be far from rest.
         rest: controls at rest; zeros if None.
-        control_cost: gamma, weight of sum_t u_t Sigma^-1 (v_t - u_t); `temperature` for the likelihood ratio of white
-            noise about zero (Williams et al., eq. 18), 0 for costs alone.
+        control_cost: gamma, weight of u' Sigma^-1 (v - u) (`control_costs`); `temperature` for plans that do not depend
+            on the plan so far (Williams et al., eq. 18), 0 for costs alone.
         smoothing: odd length of a Savitzky-Golay filter of third order over the plan [steps]; 0 for none.
         dt: duration of a step [s], for the rates.
 
     Raises:
-        ValueError: `smoothing` is even.
+        ValueError: `smoothing` is even; or a control cost with noise whose covariance is not known.
     """
 
     limits: Limits
@@ -66,6 +67,11 @@ class Settings:
     def __post_init__(self) -> None:
         if self.smoothing and self.smoothing % 2 == 0:
             raise ValueError(f"smoothing over {self.smoothing} steps; it has to be odd")
+        if self.control_cost:
+            try:
+                covariance(self.noise, 2)
+            except ValueError as error:
+                raise ValueError(f"control_cost needs the covariance of the noise: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -108,8 +114,9 @@ def improve(
         PlanningError: no sample has a finite cost.
     """
     for _ in range(settings.iterations):
-        samples = limited(sample(controls, settings, generator), settings, previous)
-        costs = cost_of(samples).double() + control_costs(samples, controls, settings)
+        draws = sample(controls, settings, generator)
+        samples = limited(draws, settings, previous)
+        costs = cost_of(samples).double() + control_costs(draws, controls, settings)
         weights = weigh(costs, settings.temperature)
         controls = torch.einsum("k,ktu->tu", weights.to(samples.dtype), samples)
     # A mean of sequences within limits is within them, up to rounding; smoothing may leave them.
@@ -119,18 +126,24 @@ def improve(
 
 def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Generator) -> Float[Tensor, "K T U"]:
     """Sampled sequences: the plan itself, then around rest, widely around the plan, and narrowly around it."""
-    count = settings.samples
-    fresh, wide = round(settings.fresh * count), round(settings.wide * count)
+    fresh, wide = _groups(settings)
     deviation = controls.new_tensor(settings.deviation)
     rest = torch.zeros_like(deviation) if settings.rest is None else controls.new_tensor(settings.rest)
-    samples = settings.noise((count, *controls.shape), generator, controls.dtype) * deviation
-    samples[: 1 + min(fresh, 1)] = 0
-    samples[2 : 1 + fresh] *= settings.fresh_width
-    samples[1 + fresh : 1 + fresh + wide] *= settings.width
+    samples = settings.noise((settings.samples, *controls.shape), generator, controls.dtype) * deviation
+    samples[0] = 0
+    samples[fresh][:1] = 0
+    samples[fresh][1:] *= settings.fresh_width
+    samples[wide] *= settings.width
+    samples[fresh] += rest
     samples[0] += controls
-    samples[1 : 1 + fresh] += rest
-    samples[1 + fresh :] += controls
+    samples[fresh.stop :] += controls
     return samples
+
+
+def _groups(settings: Settings) -> tuple[slice, slice]:
+    """Which samples are fresh, and which are wide; the first one and those behind them are neither."""
+    fresh, wide = (1 + round(share * settings.samples) for share in (settings.fresh, settings.wide))
+    return slice(1, fresh), slice(fresh, fresh + wide - 1)
 
 
 def limited(
@@ -145,13 +158,32 @@ def limited(
 
 
 def control_costs(
-    samples: Float[Tensor, "K T U"], controls: Float[Tensor, "T U"], settings: Settings
+    draws: Float[Tensor, "K T U"], controls: Float[Tensor, "T U"], settings: Settings
 ) -> Float[Tensor, " K"]:
-    """Control costs gamma sum_t u_t Sigma^-1 (v_t - u_t), with the noise that the limits leave."""
+    """Control costs gamma u' Sigma^-1 (v - u), with the covariance Sigma of the noise over all steps.
+
+    exp(-cost / lambda) is the ratio of two densities: that of noise about (1 - gamma / lambda) u, to that of the noise
+    about u that was drawn. Wide samples have their own, larger Sigma. Fresh ones do not lie about u, and cost nothing.
+    Each group's ratios are divided by their mean, which is 1 but for chance: so shares stay as they are set.
+
+    Args:
+        draws: before limits; after them the noise is no longer Gaussian.
+        controls: u, the plan that was sampled around.
+    """
     if settings.control_cost == 0:
-        return samples.new_zeros(len(samples), dtype=torch.float64)
-    scaled = controls / controls.new_tensor(settings.deviation).square()
-    return settings.control_cost * torch.einsum("ktu,tu->k", samples - controls, scaled).double()
+        return draws.new_zeros(len(draws), dtype=torch.float64)
+    plan, deviation = controls.double(), controls.new_tensor(settings.deviation).double()
+    sigma = covariance(settings.noise, len(plan)).to(plan.device)
+    scaled = torch.cholesky_solve(plan / deviation.square(), torch.linalg.cholesky(sigma))
+    costs = settings.control_cost * torch.einsum("ktu,tu->k", draws.double() - plan, scaled)
+    fresh, wide = _groups(settings)
+    costs[fresh] = 0
+    costs[wide] /= settings.width**2
+    for group in ([0, *range(wide.stop, len(costs))], wide):
+        if len(own := costs[group]):
+            mean = torch.logsumexp(-own / settings.temperature, dim=0) - math.log(len(own))
+            costs[group] = own + settings.temperature * mean
+    return costs
 
 
 def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]:

@@ -6,6 +6,8 @@ are independent; how steps are correlated depends on the function.
 
 import math
 from collections.abc import Callable
+from functools import partial
+from typing import Final
 
 import torch
 from jaxtyping import Float
@@ -94,3 +96,41 @@ def lifted(
     change is 1 / sqrt(T).
     """
     return noise(shape, generator, dtype).cumsum(dim=1) / math.sqrt(shape[1])
+
+
+def covariance(noise: Noise, steps: int) -> Float[Tensor, "T T"]:
+    """Covariance of the steps of one control of Gaussian noise (float64), as it is drawn.
+
+    Raises:
+        ValueError: it is not known, or has no inverse.
+    """
+    function, options = (noise.func, noise.keywords) if isinstance(noise, partial) else (noise, {})
+    if function not in _COVARIANCES:
+        name = getattr(function, "__name__", repr(function))
+        known = ", ".join(of.__name__ for of in _COVARIANCES)
+        raise ValueError(f"no covariance is known of the noise {name!r}, only of {known}")
+    return _COVARIANCES[function](steps, **options)
+
+
+def _white(steps: int) -> Tensor:
+    return torch.eye(steps, dtype=torch.float64)
+
+
+def _coloured(steps: int, *, exponent: float = 2.0, period: int | None = None, highest: int | None = None) -> Tensor:
+    """Part of a circulant matrix, whose eigenvalues are the spectrum: those of the part lie between its extremes."""
+    period = 2 * steps if period is None else period
+    if highest is not None:
+        raise ValueError(f"noise without frequencies above {highest} has no density: leave out `highest`")
+    power = spectrum(period, exponent)
+    if power.min() < 1e-10 * power.max():
+        raise ValueError(f"the covariance of noise of exponent {exponent:g} over {period} steps has no exact inverse")
+    lag = torch.arange(steps)
+    return (torch.fft.irfft(power, n=period) / period)[(lag[:, None] - lag).abs()]
+
+
+def _lifted(steps: int, *, noise: Noise = gaussian) -> Tensor:
+    return covariance(noise, steps).cumsum(dim=0).cumsum(dim=1) / steps
+
+
+_COVARIANCES: Final[dict[Noise, Callable[..., Tensor]]] = {gaussian: _white, coloured: _coloured, lifted: _lifted}
+"""Covariance of each noise that is Gaussian, by steps and the noise's own options."""
