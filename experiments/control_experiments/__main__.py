@@ -12,6 +12,7 @@ from experiments.command import run
 from experiments.control_experiments.models import models_control
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.selection import selection_control
 from experiments.control_experiments.shift import shift_control
 from experiments.control_experiments.snapshots import snapshots_control
 from experiments.control_experiments.sweep import Sweep, sweep_control
@@ -21,7 +22,7 @@ from offpiste.reproduction.steps import claim_folder
 
 logger = logging.getLogger("experiments")
 
-What = Literal["models", "snapshots", "shift", "oracle", "uniform", "twins", "contrast", "appearance"]
+What = Literal["models", "snapshots", "selection", "shift", "oracle", "uniform", "twins", "contrast", "appearance"]
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class ControlExperiment:
             "snapshots": lambda: snapshots_control(
                 of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds
             ),
+            "selection": lambda: selection_control(of, self.out),
             "shift": lambda: shift_control(of, self.out),
             "oracle": lambda: oracle_control(of, self.out),
             "uniform": lambda: uniform_control(of, self.out, self.uniform),

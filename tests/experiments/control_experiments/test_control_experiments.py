@@ -1,13 +1,14 @@
 """Controls from end to end on a made-up reproduction: tables, files, and what is used again."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 from experiments.control_experiments.models import models_control, trained
 from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.selection import selection_control
 from experiments.control_experiments.shift import shift_control
 from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
@@ -58,6 +59,25 @@ def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, 
     for before, after in zip(gains[::2], gains[1::2], strict=True):
         assert (before["n"], before["baseline_error_m"]) == (after["n"], after["baseline_error_m"])
         assert before["error_m"] != after["error_m"]
+
+
+def test_windows_that_the_future_leaves_out_are_evaluated_beside_the_usual_ones(reproduction: Path, out: Path) -> None:
+    of = open_reproduction(reproduction)
+    with pytest.raises(RunError, match="leaves out none"):
+        selection_control(of, out)
+    drives = []
+    for drive in of.dataset.drives:
+        valid = drive.rows.cells.valid.copy()
+        valid[0, valid.shape[1] // 2 :] = False  # never seen: from half of the drive on
+        drives.append(replace(drive, rows=replace(drive.rows, cells=replace(drive.rows.cells, valid=valid))))
+    of = replace(of, dataset=replace(of.dataset, drives=tuple(drives), min_hindsight=0.5))
+    page = selection_control(of, out)
+    usual, every, left_out = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
+    assert [g["case"] for g in (usual, every, left_out)] == [f"{c} windows" for c in ("usual", "all", "left out")]
+    assert usual["n"] > 0 < left_out["n"]
+    assert every["n"] == usual["n"] + left_out["n"]
+    total = usual["n"] * usual["error_m"] + left_out["n"] * left_out["error_m"]
+    assert every["n"] * every["error_m"] == pytest.approx(total)
 
 
 def test_what_is_no_reproduction_is_said_in_a_line(tmp_path: Path, reproduction: Path) -> None:
