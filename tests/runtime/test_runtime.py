@@ -1,6 +1,6 @@
 """The run time on a stream without a simulator: normal driving, and inputs that are late, missing or invalid."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
 from offpiste.runtime import prediction, runtime
 from offpiste.runtime.schedule import LaunchSettings
-from runtime.stream import Held, extract_features, feature_model, reading, scan, settings, straight_drive
+from runtime.stream import Held, Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
 
 def speed(stream):
@@ -46,6 +46,34 @@ def test_the_same_messages_give_the_same_controls(driven):
     other.run(0.6)
     np.testing.assert_array_equal(commands(again), commands(driven)[:30])
     assert not np.array_equal(commands(other), commands(driven)[:30])
+
+
+@dataclass
+class ChangedGround(Stream):
+    """A stream whose ground is half a metre higher in scans after a moment, or `leak` earlier [s]."""
+
+    change: float = np.inf
+    leak: float = 0.0
+
+    def _step(self, row):
+        self.height = 0.5 if row * DT + self.leak > self.change else 0.0
+        super()._step(row)
+
+
+@pytest.mark.parametrize("leak", [0.0, 0.4])
+def test_commands_and_plans_do_not_depend_on_what_is_measured_later(leak):
+    change = 1.55
+    ours, others = (ChangedGround(straight_drive().runtime, change=at, leak=leak) for at in (np.inf, change))
+    ours.run(2.2)
+    others.run(2.2)
+    same = np.array([np.array_equal(a.command, b.command) for a, b in zip(ours.controls, others.controls, strict=True)])
+    until = DT * np.arange(len(same)) <= change
+    assert same[until].all() == (leak == 0.0)
+    assert not same.all()
+    pairs = zip(ours.runtime.predictions, others.runtime.predictions, strict=True)
+    planned = [np.array_equal(one.state, other.state) for one, other in pairs if one.time <= change]
+    assert len(planned) > 5
+    assert all(planned) == (leak == 0.0)
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
