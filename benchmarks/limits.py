@@ -17,6 +17,7 @@ from offpiste.conventions import DT, EVALUATION_STRIDE
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Kinematic
+from offpiste.state import RecordedTerrain
 from offpiste.training.run import vehicle_of
 from offpiste.training.train import predict
 
@@ -35,7 +36,7 @@ def informed(kinematic: Kinematic, batch: Batch) -> Float[Tensor, "B 2"]:
     model_state = kinematic.start(batch.history, batch.state, batch.actuators)
     for t in range(batch.control.shape[1]):
         state = torch.cat((model_state.state[:, :3], states[:, t, 3:4], model_state.state[:, 4:]), dim=1)
-        terrain = replace(batch.terrain, normal=batch.terrain.normal[:, t], latent=batch.terrain.latent[:, t])
+        terrain = RecordedTerrain(batch.terrain).at(t, batch.state)
         model_state = step(replace(model_state, state=state), batch.control[:, t], terrain)
     return model_state.state[:, :2]
 

@@ -28,7 +28,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.kernels.autograd import rollout_recorded
-from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
+from offpiste.state import ModelState, RecordedTerrain, Trajectory
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
 from offpiste.training.run import build, vehicle_of
@@ -105,9 +105,7 @@ def by_compiled(model: Hybrid) -> Rollout:
             compiled.append(torch.compile(lambda *given: model.stepper()(*given), dynamic=False))
         states, actuators = [], []
         for t, control in enumerate(batch.control.unbind(dim=1)):
-            model_state = compiled[0](
-                model_state, control, Terrain(batch.terrain.normal[:, t], batch.terrain.latent[:, t])
-            )
+            model_state = compiled[0](model_state, control, RecordedTerrain(batch.terrain).at(t, model_state.state))
             states.append(model_state.state)
             actuators.append(model_state.actuators)
         return Trajectory(torch.stack(states, dim=1), torch.stack(actuators, dim=1))
@@ -121,7 +119,7 @@ def recurrent(model: Hybrid, batch: Batch, roll: Rollout) -> Callable[[Mark], No
     def reading(mark: Mark) -> None:
         model.zero_grad()
         latent = batch.terrain.latent.detach().requires_grad_()
-        read = replace(batch, terrain=Terrain(batch.terrain.normal, latent))
+        read = replace(batch, terrain=replace(batch.terrain, latent=latent))
         with torch.no_grad():
             model_state = model.start(batch.history, batch.state, batch.actuators)
         model_state = replace(
@@ -182,8 +180,8 @@ def encoded_by_row(model: Hybrid, batch: Batch) -> Batch:
     rows = torch.cat((batch.ground.past, batch.ground.ahead), dim=1)
     codes = model.encoder(batch.ground.features[rows.flatten()], batch.ground.valid[rows.flatten()])
     past, ahead = codes.unflatten(0, rows.shape).split((batch.ground.past.shape[1], batch.ground.ahead.shape[1]), dim=1)
-    before = Terrain(batch.history.terrain.normal, past)
-    return replace(batch, history=replace(batch.history, terrain=before), terrain=Terrain(batch.terrain.normal, ahead))
+    before = replace(batch.history.terrain, latent=past)
+    return replace(batch, history=replace(batch.history, terrain=before), terrain=replace(batch.terrain, latent=ahead))
 
 
 def make_trainer(dataset_path: Path, batch: int) -> Trainer:

@@ -8,6 +8,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -27,7 +28,8 @@ def inputs(model: Hybrid, batch: int) -> tuple[ModelState, Tensor, Terrain]:
     controls = torch.rand(batch, HORIZON_STEPS, 3) * torch.tensor([0.6, 0.3, 0.4])
     normal = torch.tensor([0.0, 0.0, 1.0]).expand(batch, HORIZON_STEPS, 4, 3).contiguous()
     latent = torch.randn(batch, HORIZON_STEPS, 4, model.codes)
-    return ModelState(state, torch.full((batch, 4), torch.nan), recurrent, recurrent), controls, Terrain(normal, latent)
+    terrain = replace(Terrain.of(normal), latent=latent)
+    return ModelState(state, torch.full((batch, 4), torch.nan), recurrent, recurrent), controls, terrain
 
 
 def timed(model: Hybrid, predict: Callable[[], Trajectory], repeats: int) -> tuple[float, float]:

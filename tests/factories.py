@@ -68,7 +68,7 @@ def gradients_agree(module: nn.Module, run: Callable) -> bool:
 def ground(slope_x: Tensor, slope_y: Tensor, codes: int = 0) -> Terrain:
     """Planes z = slope_x x + slope_y y; the slopes are [..., 4], one a wheel."""
     normal = nn.functional.normalize(torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), dim=-1), dim=-1)
-    return Terrain(normal, normal.new_ones(*slope_x.shape, codes))
+    return replace(Terrain.of(normal), latent=normal.new_ones(*slope_x.shape, codes))
 
 
 def flat(batch: int, steps: int, dtype: torch.dtype = torch.float64) -> Terrain:
@@ -97,7 +97,9 @@ class Situation:
 
         def terrain(*shape: int) -> Terrain:
             planes = ground(*draw([-0.2, -0.2], [0.2, 0.2], *shape, 4).unbind(-1))
-            return Terrain(planes.normal, draw([-1.0] * codes, [1.0] * codes, *shape, 4))
+            latent = draw([-1.0] * codes, [1.0] * codes, *shape, 4)
+            normal = planes.normal.where(torch.rand(*shape, 4, 1, generator=generator) > 0.2, torch.nan)
+            return replace(Terrain.of(normal), latent=latent)
 
         self.history = History(states(batch, 10), actuators(batch, 10), controls(batch, 10), terrain(batch, 10))
         self.state, self.actuators = states(batch), actuators(batch)
@@ -107,14 +109,19 @@ class Situation:
         """The same with every tensor changed, e.g. to another type or to one row."""
         other = object.__new__(Situation)
         past, ahead = self.history.terrain, self.source.terrain
+
+        def changed(terrain: Terrain) -> Terrain:
+            known = change(terrain.known.to(terrain.normal.dtype)) > 0.5
+            return Terrain(change(terrain.normal), known, change(terrain.latent))
+
         other.history = History(
             change(self.history.state),
             change(self.history.actuators),
             change(self.history.control),
-            Terrain(change(past.normal), change(past.latent)),
+            changed(past),
         )
         other.state, other.actuators, other.controls = map(change, (self.state, self.actuators, self.controls))
-        other.source = RecordedTerrain(Terrain(change(ahead.normal), change(ahead.latent)))
+        other.source = RecordedTerrain(changed(ahead))
         return other
 
     def filled(self, vehicle: Vehicle, value: float) -> "Situation":

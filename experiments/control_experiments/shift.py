@@ -135,4 +135,4 @@ class _OtherFeatures:
         x, y = (state[:, :2] - self.start[:, :2]).unbind(-1)
         place = self.other_start[:, :2] + torch.stack((cos * x - sin * y, sin * x + cos * y), dim=-1)
         moved = torch.cat((place, (state[:, 2] + turn)[:, None], state[:, 3:]), dim=-1)
-        return Terrain(replace(self.own, encode=None).at(t, state).normal, self.other.at(t, moved).latent)
+        return replace(replace(self.own, encode=None).at(t, state), latent=self.other.at(t, moved).latent)

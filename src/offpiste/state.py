@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from offpiste.conventions import ACTUATORS, STATE
@@ -16,17 +16,21 @@ class Terrain:
     """The ground under each wheel at one or several moments.
 
     Attributes:
-        normal: unit surface normals in the world frame.
+        normal: unit surface normals in the world frame; straight up where `known` is false.
+        known: whether the normal is.
         latent: encoded terrain features, missing ones already filled; E = 0 for models without features.
     """
 
     normal: Float[Tensor, "*batch 4 3"]
+    known: Bool[Tensor, "*batch 4"]
     latent: Float[Tensor, "*batch 4 E"]
 
-
-def straight_up_where_unknown(normal: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
-    """Surface normals, (0, 0, 1) in the place of NaN."""
-    return torch.where(normal.isnan(), normal.new_tensor([0.0, 0.0, 1.0]), normal)
+    @staticmethod
+    def of(normal: Float[Tensor, "*batch 4 3"]) -> "Terrain":
+        """Ground without features, from normals that are NaN where unknown."""
+        known = normal.isfinite().all(dim=-1)
+        straight_up = normal.new_tensor([0.0, 0.0, 1.0])
+        return Terrain(torch.where(known[..., None], normal, straight_up), known, normal[..., :0])
 
 
 @dataclass(frozen=True)
@@ -101,4 +105,4 @@ class RecordedTerrain:
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """Row `t` of the record; `state` is not looked at."""
-        return Terrain(self.terrain.normal[:, t], self.terrain.latent[:, t])
+        return Terrain(self.terrain.normal[:, t], self.terrain.known[:, t], self.terrain.latent[:, t])

@@ -10,7 +10,7 @@ import torch
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
-from offpiste.state import ModelState, RecordedTerrain, Terrain, TerrainSource, Trajectory
+from offpiste.state import ModelState, RecordedTerrain, TerrainSource, Trajectory
 
 CODES = {"df": 3, "hold": 3, "cf": 4, "dc": 4, "dc-step": 4, "cf-masked": 4, "dc-hold": 4}
 """Two features and a flag, or their compression."""
@@ -61,7 +61,7 @@ def test_turning_and_moving_the_world_turns_and_moves_predictions(name):
         return torch.cat((state[..., :2] @ turn.T + shift, state[..., 2:3] + angle, state[..., 3:]), dim=-1)
 
     def turned(terrain):
-        return Terrain(torch.cat((terrain.normal[..., :2] @ turn.T, terrain.normal[..., 2:]), -1), terrain.latent)
+        return replace(terrain, normal=torch.cat((terrain.normal[..., :2] @ turn.T, terrain.normal[..., 2:]), -1))
 
     other = at.mapped(lambda tensor: tensor)
     other.history = replace(at.history, state=moved(at.history.state), terrain=turned(at.history.terrain))

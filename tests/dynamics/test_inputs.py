@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, ground
-from offpiste.dynamics.inputs import body_normal, drive_train, select_present
+from offpiste.dynamics.inputs import body_normal, drive_train, select_present, unknown_normals
 from offpiste.errors import DatasetError
 from offpiste.state import Terrain
 
@@ -63,8 +63,18 @@ def test_a_bank_that_falls_to_the_right_tilts_the_normal_right():
 
 def test_wheels_count_alike():
     normal = torch.eye(3).repeat(2, 1)[:4].expand(1, 4, 3)
-    mean = body_normal(Terrain(normal, normal[..., :0]), torch.zeros(1))
+    mean = body_normal(Terrain.of(normal), torch.zeros(1))
     torch.testing.assert_close(mean, torch.tensor([[0.5, 0.25, 0.25]]))
+
+
+@pytest.mark.parametrize("unknown", range(5))
+def test_unknown_normals_are_counted_and_straight_up_stands_for_them(unknown):
+    normal = torch.tensor([0.6, 0.0, 0.8]).repeat(3, 4, 1)
+    normal[1, :unknown] = torch.nan
+    terrain = Terrain.of(normal)
+    assert unknown_normals(terrain).tolist() == [[0.0], [unknown / 4], [0.0]]
+    mean = body_normal(terrain, torch.zeros(3))[1]
+    torch.testing.assert_close(mean, torch.tensor([0.6 * (4 - unknown) / 4, 0.0, (0.8 * (4 - unknown) + unknown) / 4]))
 
 
 def test_networks_see_present_columns_in_order():

@@ -22,7 +22,7 @@ def test_it_has_the_papers_sizes():
 
 def test_its_step_is_an_lstm_cell_on_standardised_inputs():
     network = unsettled(Compensator(2, 1).double())
-    network.standardise_on(torch.tensor([[0.0, 10.0], [2.0, 10.0]]).double())
+    network.standardise_on(torch.tensor([[0.0, 10.0], [2.0, 10.0]]).double(), slice(0))
     x, h, c = torch.tensor([[3.0, 11.0]]).double(), torch.rand(1, 4).double(), torch.rand(1, 4).double()
     # Column 0: mean 1, deviation sqrt(2); column 1 does not vary and keeps its unit.
     seen = torch.tensor([[2 / 2**0.5, 1.0]]).double()

@@ -560,7 +560,7 @@ def carry_at(dynamics: Dynamics, state: torch.Tensor) -> ModelState:
         state.expand(1, 10, 6),
         actuators.expand(1, 10, 4),
         torch.tensor([0.3, 0.0, 0.05]).expand(1, 10, 3),
-        Terrain(flat, codes.expand(1, 10, 4, -1)),
+        replace(Terrain.of(flat), latent=codes.expand(1, 10, 4, -1)),
     )
     return dynamics.start(history, state[None], actuators[None])
 

@@ -26,7 +26,7 @@ from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState, Terrain
 
 WHEELS = np.array([[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]])
-FLAT = Terrain(torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 3), torch.zeros(1, 4, 0))
+FLAT = Terrain.of(torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 3))
 FEATURES = 3
 
 

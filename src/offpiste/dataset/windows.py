@@ -21,7 +21,7 @@ from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import DatasetError
 from offpiste.geometry import wrap_angle
-from offpiste.state import History, Terrain, straight_up_where_unknown
+from offpiste.state import History, Terrain
 
 UNIT_TOLERANCE = 1e-3
 """Largest difference of a stored normal's squared length from 1."""
@@ -185,10 +185,9 @@ class Windows:
         segments = self._segments(index)
         read = {name: segments.of(self._columns[name], column) for name, column in self._gathered}
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
-        normal = self._checked_normals(self._normals.at(first, count, feature_set_choice))
-        before, after = (
-            Terrain(part, part[..., :0]) for part in (normal[:, :HISTORY_STEPS], normal[:, HISTORY_STEPS:])
-        )
+        normal = self._normals.at(first, count, feature_set_choice)
+        self._refuse_invalid(normal)
+        before, after = Terrain.of(normal[:, :HISTORY_STEPS]), Terrain.of(normal[:, HISTORY_STEPS:])
         ground = None
         if self._cells is None and self.start == "causal":
             driven = read["normal_causal"]["past"][:, :, None].expand_as(before.normal)
@@ -234,7 +233,8 @@ class Windows:
         """The recorded path around windows, rows t - behind ... t + ahead of the same drive.
 
         Returns:
-            px, py relative to each window's start [m], infinite where there is no valid row; surface normals there.
+            px, py relative to each window's start [m], infinite where there is no valid row; surface normals there, NaN
+            where unknown.
         """
         rows = self.rows[index][:, None] + np.arange(-behind, ahead + 1)
         first, end = self._offset[self.drive[index]], self._offset[self.drive[index] + 1]
@@ -243,7 +243,7 @@ class Windows:
         known = torch.as_tensor(inside, device=self.device) & self._valid[near]
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), None, :2]
         position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
-        return position, straight_up_where_unknown(self._driven_normal[near][..., 0, :])
+        return position, self._driven_normal[near][..., 0, :]
 
     def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
         """Where windows start: px, py in the world frame [m], in double precision."""
@@ -251,18 +251,16 @@ class Windows:
         origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
         return start + torch.as_tensor(origin, device=self.device)
 
-    def _checked_normals(self, normal: Float[Tensor, "B R 4 3"]) -> Float[Tensor, "B R 4 3"]:
-        """Normals as read from disk for a batch, straight up where a map does not know them.
+    def _refuse_invalid(self, normal: Float[Tensor, "B R 4 3"]) -> None:
+        """Raise if normals are neither unit vectors nor unknown, or unknown although no map made them.
 
-        Raises:
-            DatasetError: some are neither unit vectors nor unknown, or unknown although no map made them.
+        They stay on disk when a dataset is opened, and are looked at when a batch reads them.
         """
         unit = (normal.square().sum(dim=-1) - 1).abs() < UNIT_TOLERANCE
         legal = unit | normal.isnan().all(dim=-1) if self.dataset.features else unit
         if not legal.all():
             what = "surface normals of the dataset are not unit vectors"
             raise DatasetError(what, where=self.dataset.path, how="extract it again")
-        return straight_up_where_unknown(normal)
 
     @cached_property
     def _driven_normal(self) -> Float[Tensor, "N 4 3"]:

@@ -7,7 +7,7 @@ from torch import Tensor
 from offpiste.conventions import DT
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, Step
-from offpiste.dynamics.inputs import body_normal, drive_train, select_present
+from offpiste.dynamics.inputs import UNKNOWN, body_normal, drive_train, select_present, unknown_normals
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.models import register_model
 from offpiste.dynamics.vehicle import Vehicle
@@ -86,7 +86,9 @@ class Recurrent(Dynamics):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
         self.actuators = Actuators(vehicle)
-        self.network = Compensator(3 + len(vehicle.actuators) + len(vehicle.control) + 3, 3)
+        before = 3 + len(vehicle.actuators) + len(vehicle.control) + 3
+        self.unknown = slice(before, before + UNKNOWN)
+        self.network = Compensator(before + UNKNOWN, 3)
 
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
         """The LSTM's state comes from the last 0.2 s."""
@@ -115,7 +117,7 @@ class Recurrent(Dynamics):
 
     def standardise_on(self, history: History) -> None:
         """Set mean and scale of the network's inputs."""
-        self.network.standardise_on(self.recorded_inputs(history).flatten(0, 1))
+        self.network.standardise_on(self.recorded_inputs(history).flatten(0, 1), self.unknown)
 
     def recorded_inputs(self, history: History) -> Float[Tensor, "B H I"]:
         """What the network would have seen at recorded rows."""
@@ -129,7 +131,8 @@ class Recurrent(Dynamics):
         terrain: Terrain,
     ) -> Float[Tensor, "*B I"]:
         present = select_present(self.vehicle, actuators, control)
-        return torch.cat((state[..., 3:], present, body_normal(terrain, state[..., 2])), dim=-1)
+        columns = state[..., 3:], present, body_normal(terrain, state[..., 2]), unknown_normals(terrain)
+        return torch.cat(columns, dim=-1)
 
 
 def _moved(state: Float[Tensor, "B 6"], velocity: Float[Tensor, "B 3"]) -> Float[Tensor, "B 6"]:

@@ -12,7 +12,7 @@ from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
 from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
-from offpiste.dynamics.inputs import body_normal, drive_train, select_present
+from offpiste.dynamics.inputs import UNKNOWN, body_normal, drive_train, select_present, unknown_normals
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.models import register_model
 from offpiste.dynamics.vehicle import Vehicle
@@ -64,8 +64,8 @@ class Parametric(Dynamics):
 class Hybrid(Dynamics):
     """The paper's model without (`b`) or with encoded terrain features: the network sees the physics and corrects F.
 
-    It sees vx, vy, yaw rate, actuators and controls that the log has, the mean normal, the parametric forces and the
-    codes of the four wheels; never position or yaw.
+    It sees vx, vy, yaw rate, actuators and controls that the log has, the mean normal, the share of the wheels whose
+    normal is unknown, the parametric forces and the codes of the four wheels; never position or yaw.
 
     Args:
         encoder: of the terrain features; None for `b`.
@@ -89,7 +89,9 @@ class Hybrid(Dynamics):
         self.encoder, self.holds_codes = encoder, holds_codes
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
-        inputs = 3 + len(vehicle.actuators) + len(vehicle.control) + 3 + 4 + 4 * self.codes
+        before = 3 + len(vehicle.actuators) + len(vehicle.control) + 3
+        self.unknown = slice(before, before + UNKNOWN)
+        inputs = before + UNKNOWN + 4 + 4 * self.codes
         self.compensator = Compensator(inputs, 4, width=width, init_hidden=history, init_width=history)
         self.force_scale: Tensor
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
@@ -112,7 +114,7 @@ class Hybrid(Dynamics):
             force = parametric_forces(
                 self.vehicle, constants, model_state.state, model_state.actuators, control, normal
             )
-            seen = self._inputs(model_state.state, model_state.actuators, control, normal, force, terrain.latent)
+            seen = self._inputs(model_state.state, model_state.actuators, control, normal, force, terrain)
             correction, hidden, cell = self.compensator(seen, hidden, cell)
             force = force + correction * self.force_scale
             state = advance(self.vehicle, constants, model_state.state, model_state.actuators, control, normal, force)
@@ -127,7 +129,7 @@ class Hybrid(Dynamics):
 
     def standardise_on(self, history: History) -> None:
         """Set mean and scale of the network's inputs."""
-        self.compensator.standardise_on(self.recorded_inputs(history).flatten(0, 1))
+        self.compensator.standardise_on(self.recorded_inputs(history).flatten(0, 1), self.unknown)
 
     def kernel_parts(self) -> KernelParts:
         """The bicycle, and what corrects its forces."""
@@ -149,7 +151,7 @@ class Hybrid(Dynamics):
         force = parametric_forces(
             self.vehicle, self.bicycle(), history.state, history.actuators, history.control, normal
         )
-        return self._inputs(history.state, history.actuators, history.control, normal, force, history.terrain.latent)
+        return self._inputs(history.state, history.actuators, history.control, normal, force, history.terrain)
 
     def _inputs(
         self,
@@ -158,11 +160,11 @@ class Hybrid(Dynamics):
         control: Float[Tensor, "*B U"],
         normal: Float[Tensor, "*B 3"],
         force: Float[Tensor, "*B 4"],
-        latent: Float[Tensor, "*B 4 E"],
+        terrain: Terrain,
     ) -> Float[Tensor, "*B I"]:
         present = select_present(self.vehicle, actuators, control)
-        columns = [state[..., 3:], present, normal, force]
-        return torch.cat(columns + ([latent.flatten(-2)] if self.codes else []), dim=-1)
+        columns = [state[..., 3:], present, normal, unknown_normals(terrain), force]
+        return torch.cat(columns + ([terrain.latent.flatten(-2)] if self.codes else []), dim=-1)
 
 
 def _compressing(vehicle: Vehicle, *, holds_codes: bool = False) -> Hybrid:

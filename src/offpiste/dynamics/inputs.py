@@ -88,6 +88,15 @@ def body_normal(terrain: Terrain, yaw: Float[Tensor, "*B"]) -> Float[Tensor, "*B
     return rotate_by_minus_yaw(terrain.normal.mean(dim=-2), yaw)
 
 
+def unknown_normals(terrain: Terrain) -> Float[Tensor, "*B 1"]:
+    """Share of the four wheels whose surface normal is unknown; straight up stands for those in `body_normal`."""
+    return (~terrain.known).to(terrain.normal.dtype).mean(dim=-1, keepdim=True)
+
+
+UNKNOWN: Final = 1
+"""Numbers that `unknown_normals` gives."""
+
+
 def select_present(
     vehicle: Vehicle, actuators: Float[Tensor, "*B A"], control: Float[Tensor, "*B U"]
 ) -> Float[Tensor, "*B P"]:

@@ -38,10 +38,15 @@ class Compensator(nn.Module):
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
 
-    def standardise_on(self, inputs: Float[Tensor, "N I"]) -> None:
-        """Take mean and scale from training inputs; one that hardly varies keeps its unit."""
-        scale = inputs.std(dim=0)
-        self.mean.copy_(inputs.mean(dim=0))
+    def standardise_on(self, inputs: Float[Tensor, "N I"], shares: slice) -> None:
+        """Take mean and scale from training inputs; one that hardly varies keeps its unit.
+
+        Args:
+            shares: inputs from 0 to 1, which stay as they are: one that is rare in training may be common later.
+        """
+        mean, scale = inputs.mean(dim=0), inputs.std(dim=0)
+        mean[shares], scale[shares] = 0.0, 1.0
+        self.mean.copy_(mean)
         self.scale.copy_(torch.where(scale > 1e-3, scale, torch.ones_like(scale)))
 
     def start(self, inputs: Float[Tensor, "B H I"]) -> tuple[Float[Tensor, "B S"], Float[Tensor, "B S"]]:

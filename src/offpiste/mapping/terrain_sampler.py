@@ -189,9 +189,9 @@ class MapTerrain:
             self.maps, self.number[:, None].expand(-1, 4), place, self.offset[:, None].expand(-1, 4, -1)
         )
         if self.encode is None:
-            return Terrain(result.normal, result.normal[..., :0])
+            return Terrain(result.normal, result.known, result.normal[..., :0])
         codes = self.encode(result.features.flatten(0, 1), result.valid.flatten())
-        return Terrain(result.normal, codes.unflatten(0, (-1, 4)))
+        return Terrain(result.normal, result.known, codes.unflatten(0, (-1, 4)))
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class HeldCodes:
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """The ground under the wheels in `state`, as it looked at the start."""
-        return Terrain(self.source.at(t, state).normal, self.latent)
+        return replace(self.source.at(t, state), latent=self.latent)
 
 
 def as_codes(missing: Float[Tensor, " E"]) -> Encode:

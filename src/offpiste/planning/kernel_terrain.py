@@ -13,7 +13,7 @@ import numpy as np
 from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
 from offpiste.dynamics.kernels.layout import LANES
-from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW
+from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW, UNKNOWN_ROW
 from offpiste.mapping import terrain_map
 
 on_map = PLANNING.inlined(terrain_map.on_map)
@@ -187,8 +187,10 @@ def read_slope(grid: Grid, slope: np.ndarray, corner: np.ndarray, index: np.ndar
 
 
 @PLANNING.inlined
-def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, cell: np.ndarray) -> None:
-    """Add a quarter of a wheel's normal, from the slopes s; straight up where they are not known."""
+def add_normal(
+    normal: np.ndarray, unknown: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, cell: np.ndarray
+) -> None:
+    """Add a quarter of a wheel's normal, from the slopes s; straight up where they are not known, which is counted."""
     quarter, zero, one = f4(0.25), f4(0), f4(1)
     for i in range(LANES):
         # As `terrain_map.bilinear`, but in two statements: in one LLVM rounds differently.
@@ -203,6 +205,7 @@ def add_normal(normal: np.ndarray, s: np.ndarray, u: np.ndarray, v: np.ndarray, 
         normal[i] -= rise_x * up
         normal[LANES + i] -= rise_y * up
         normal[2 * LANES + i] += up
+        unknown[i] += zero if known else quarter
 
 
 @PLANNING.inlined
@@ -232,7 +235,8 @@ def sample_terrain(
         samples.values[SIN * LANES + i] = sin(model_state[2 * LANES + i])
     cost_cell = samples.cost_cell
     normal = w[NORMAL_ROW * LANES : (NORMAL_ROW + 3) * LANES]
-    normal[:] = f4(0)
+    unknown = w[UNKNOWN_ROW * LANES : (UNKNOWN_ROW + 1) * LANES]
+    normal[:], unknown[:] = f4(0), f4(0)
     for k in range(4):
         find_cells(
             model_state, samples.values, ground.wheels[k], ground.grid, cost_cells.grid, samples.cell, samples.corner,
@@ -243,6 +247,6 @@ def sample_terrain(
         read_layers(k, cost_cells, cost_cell, samples.first, samples.values)
         if codes:
             read_codes(w, samples, ground, k)
-        add_normal(normal, samples.slope, samples.u, samples.v, samples.cell)
+        add_normal(normal, unknown, samples.slope, samples.u, samples.v, samples.cell)
     find_pose_cells(model_state, cost_cell, cost_cells.grid)
     read_layers(POSE_POINT, cost_cells, cost_cell, samples.first, samples.values)

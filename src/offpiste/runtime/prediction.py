@@ -117,7 +117,7 @@ def model_state_of(
     control = torch.as_tensor(rows.control, dtype=torch.float32)
     past = len(state) - 1
     under = area.terrain(offset, wheels, past).at(0, state[:past])
-    terrain = Terrain(under.normal[None], under.latent[None])
+    terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
     extra = {name: torch.as_tensor(values[None, :past], dtype=torch.float32) for name, values in rows.extra.items()}
     history = History(state[None, :past], actuators[None, :past], control[None, :past], terrain, extra)
     return model.start(history, state[past:], actuators[past:])

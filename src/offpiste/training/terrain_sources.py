@@ -22,7 +22,7 @@ class PathTerrain:
 
     Attributes:
         position: points of the path relative to each window's start [m]; infinite where there is none.
-        normal: surface normals there, in the world frame, the same under all wheels.
+        normal: surface normals there, in the world frame, the same under all wheels; NaN where unknown.
     """
 
     position: Float[Tensor, "B P 2"]
@@ -33,8 +33,7 @@ class PathTerrain:
         squared = (self.position.to(state.dtype) - state[:, None, :2]).square().sum(dim=-1)
         nearest = squared.argmin(dim=1)
         normal = self.normal[torch.arange(len(nearest), device=nearest.device), nearest]
-        under_wheels = normal[:, None, :].expand(-1, 4, -1)
-        return Terrain(under_wheels, under_wheels[..., :0])
+        return Terrain.of(normal[:, None, :].expand(-1, 4, -1))
 
 
 def path_terrain(windows: Windows, index: Int[np.ndarray, " B"]) -> PathTerrain:
@@ -59,11 +58,11 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     ahead = batch.ground.ahead
     if dynamics.holds_codes:
         ahead = ahead[:, :1].expand_as(ahead)
-    past = Terrain(batch.history.terrain.normal, codes[batch.ground.past])
+    past = replace(batch.history.terrain, latent=codes[batch.ground.past])
     return replace(
         batch,
         history=replace(batch.history, terrain=past),
-        terrain=Terrain(batch.terrain.normal, codes[ahead]),
+        terrain=replace(batch.terrain, latent=codes[ahead]),
     )
 
 
@@ -116,5 +115,9 @@ def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B
 def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
     """The batch, with what lay under the wheels before its start as a source has it."""
     past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
-    known = Terrain(torch.stack([t.normal for t in past], dim=1), torch.stack([t.latent for t in past], dim=1))
-    return replace(batch, history=replace(batch.history, terrain=known))
+    rows = Terrain(
+        torch.stack([t.normal for t in past], dim=1),
+        torch.stack([t.known for t in past], dim=1),
+        torch.stack([t.latent for t in past], dim=1),
+    )
+    return replace(batch, history=replace(batch.history, terrain=rows))

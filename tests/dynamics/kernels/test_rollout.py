@@ -4,6 +4,7 @@ import copy
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,9 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
     units += model.actuators.hidden
     normal = torch.randn(batch, steps, 4, 3, generator=draw) * 0.1 + torch.tensor([0.0, 0.0, 1.0])
     normal = normal / normal.norm(dim=-1, keepdim=True)
+    # No wheel's, some and all of them.
+    unknown = torch.rand(batch, steps, 4, 1, generator=draw) < torch.arange(batch)[:, None, None, None] % 4 / 3
+    normal = normal.where(~unknown, torch.nan)
     latent = torch.randn(batch, steps, 4, codes, generator=draw)
     for i, name in enumerate(ACTUATORS):
         if name not in model.vehicle.actuators:
@@ -79,7 +83,7 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
         if name not in model.vehicle.control:
             control[:, :, i] = torch.nan
     hidden, cell = torch.randn(2, batch, units, generator=draw) * 0.5
-    return ModelState(state, actuators, hidden, cell), control, Terrain(normal, latent)
+    return ModelState(state, actuators, hidden, cell), control, replace(Terrain.of(normal), latent=latent)
 
 
 def run(model: Hybrid | Parametric, inputs: Inputs, *, eager: bool) -> tuple[Trajectory, dict[str, Tensor]]:
@@ -94,7 +98,7 @@ def run(model: Hybrid | Parametric, inputs: Inputs, *, eager: bool) -> tuple[Tra
     }
     leaves = {name: leaf.to(dtype, copy=True).requires_grad_() for name, leaf in leaves.items()}
     model_state = ModelState(leaves["state"], model_state.actuators.to(dtype), leaves["hidden"], leaves["cell"])
-    terrain, control = Terrain(terrain.normal.to(dtype), leaves["latent"]), control.to(dtype)
+    terrain, control = Terrain(terrain.normal.to(dtype), terrain.known, leaves["latent"]), control.to(dtype)
     if eager:
         found = rollout(model, model_state, control, RecordedTerrain(terrain))
     else:
@@ -188,9 +192,11 @@ def test_what_kernels_cannot_do_is_refused() -> None:
     assert not supports(model, torch.device("cuda"), torch.float32)
     assert not supports(ConstantMotion(model.vehicle), cpu, torch.float32)
     with pytest.raises(ValueError, match="latent"):
-        rollout_recorded(model, model_state, control, Terrain(terrain.normal, terrain.latent[..., :3]))
+        rollout_recorded(model, model_state, control, replace(terrain, latent=terrain.latent[..., :3]))
     with pytest.raises(ValueError, match="normals"):
-        rollout_recorded(model, model_state, control, Terrain(terrain.normal[:, 1:], terrain.latent[:, 1:]))
+        rollout_recorded(model, model_state, control, replace(terrain, normal=terrain.normal[:, 1:]))
+    with pytest.raises(ValueError, match="unknown normals"):
+        rollout_recorded(model, model_state, control, replace(terrain, known=terrain.known[:, 1:]))
     model.actuators.requires_grad_(True)
     assert not supports(model, cpu, torch.float32)
     blind = example(("throttle",), (), codes=0, kind=Parametric).float()

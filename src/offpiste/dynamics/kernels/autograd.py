@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.inputs import drive_train
+from offpiste.dynamics.inputs import UNKNOWN, drive_train, unknown_normals
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.model_arrays import (
     Given,
@@ -66,13 +66,13 @@ def rollout_recorded(
         DatasetError: there is neither a steering angle nor a steering command.
     """
     latent = terrain.latent if dynamics.codes else terrain.latent[..., :0]
-    _check(dynamics, model_state, controls, terrain.normal, latent)
+    _check(dynamics, model_state, controls, terrain, latent)
     start, codes, learned = model_state.pack(), latent.flatten(-2), learned_constants(dynamics)
     matrices = compensator_weights(dynamics)
     tensors = (start, learned, codes, *matrices)
     given = Given(
         start=start.detach().contiguous().numpy(),
-        record=record(dynamics.vehicle, controls, terrain.normal, codes),
+        record=record(dynamics.vehicle, controls, terrain, codes),
         constants=constants(dynamics, learned),
         networks=networks(dynamics, matrices),
         differentiate=torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors),
@@ -116,13 +116,14 @@ class _Rollout(torch.autograd.Function):
         return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
 
 
-def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, normals: Tensor, latent: Tensor) -> None:
+def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrain: Terrain, latent: Tensor) -> None:
     """Refuse what the kernels would read out of bounds, or wrongly."""
     batch, steps = controls.shape[:2]
     codes, units = dynamics.codes, dynamics.recurrent_size
     expected = {
         "controls": (controls, (batch, steps, len(CONTROL))),
-        "normals": (normals, (batch, steps, 4, 3)),
+        "normals": (terrain.normal, (batch, steps, 4, 3)),
+        "unknown normals": (unknown_normals(terrain), (batch, steps, UNKNOWN)),
         "latent": (latent, (batch, steps, 4, codes)),
         "state": (model_state.state, (batch, len(STATE))),
         "actuators": (model_state.actuators, (batch, len(ACTUATORS))),

@@ -31,6 +31,9 @@ NORMAL: Final = ("world_normal_x", "world_normal_y", "world_normal_z")
 BODY_NORMAL: Final = ("normal_x", "normal_y", "normal_z")
 """The same, turned by minus yaw."""
 
+UNKNOWN: Final = ("unknown_normals",)
+"""Share of the wheels whose surface normal is unknown."""
+
 FORCE: Final = tuple(f"force_{name}" for name in Force._fields)
 """The parametric force vector F."""
 
@@ -52,6 +55,7 @@ _SPARE: Final = tuple(tuple(f"unused_{name}_{i}" for i in range(3)) for name in 
 ROWS: Final = (
     *STEPPED, *CONTROLS, *NORMAL, *BODY_NORMAL, *FORCE, *CORRECTION,
     *(name for residual, spare in zip(RESIDUALS, _SPARE, strict=True) for name in (residual, *spare)), *NEXT,
+    *UNKNOWN,
 )  # fmt: skip
 """Rows of the workspace in order; codes of the wheels follow."""
 

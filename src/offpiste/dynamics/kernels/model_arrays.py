@@ -10,10 +10,12 @@ from torch import Tensor
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
+from offpiste.dynamics.inputs import unknown_normals
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.network import Weights, network, weights
 from offpiste.dynamics.kernels.rollout import Networks, Record
 from offpiste.dynamics.vehicle import Vehicle
+from offpiste.state import Terrain
 
 
 class Given(NamedTuple):
@@ -37,13 +39,13 @@ class Given(NamedTuple):
 def record(
     vehicle: Vehicle,
     controls: Float[Tensor, "B T U"],
-    normals: Float[Tensor, "B T 4 3"],
+    terrain: Terrain,
     codes: Float[Tensor, "B T C"],
 ) -> Record:
     """What the rollout is given."""
     recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
-    controls, normals, codes = (tensor.detach().contiguous() for tensor in (controls, normals, codes))
-    return Record(controls.numpy(), normals.numpy(), codes.numpy(), np.array(recorded))
+    tensors = controls, terrain.normal, unknown_normals(terrain), codes
+    return Record(*(tensor.detach().contiguous().numpy() for tensor in tensors), np.array(recorded))
 
 
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
@@ -95,6 +97,7 @@ def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
         *(name for name in ACTUATORS if name in vehicle.actuators),
         *(row for row, name in zip(layout.CONTROLS, CONTROL, strict=True) if name in vehicle.control),
         *layout.BODY_NORMAL,
+        *layout.UNKNOWN,
         *layout.FORCE,
     ]
     first = network(

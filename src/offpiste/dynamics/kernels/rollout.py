@@ -12,7 +12,7 @@ from offpiste.compilation import KERNELS
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
-from offpiste.dynamics.kernels.layout import CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED
+from offpiste.dynamics.kernels.layout import CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED, UNKNOWN
 from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, copy, make_buffers
 
 MOVED = len(STEPPED) * LANES
@@ -20,6 +20,7 @@ STATES, ACTUATED, COMMANDED = len(STATE), len(ACTUATORS), len(CONTROL)
 NEXT = ROW["next_px"] * LANES
 CONTROL_ROW = ROW[CONTROLS[0]]
 NORMAL_ROW = ROW[NORMAL[0]]
+UNKNOWN_ROW = ROW[UNKNOWN[0]]
 CODES = len(ROWS)
 CONSTANTS = len(LEARNED)
 
@@ -35,12 +36,14 @@ class Record(NamedTuple):
     Attributes:
         controls: [B, T, U].
         normals: of each wheel, in the world frame [B, T, 4, 3].
+        unknown: which of them are (`inputs.unknown_normals`) [B, T, 1].
         codes: of the wheels [B, T, 4 E].
         recorded: are the actuators, then the controls there? Slots of absent ones are not computed with.
     """
 
     controls: np.ndarray
     normals: np.ndarray
+    unknown: np.ndarray
     codes: np.ndarray
     recorded: np.ndarray
 
@@ -64,6 +67,8 @@ def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
         for k in range(3):
             four = record.normals[window, t]
             w[(NORMAL_ROW + k) * LANES + i] = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
+        for k in range(record.unknown.shape[2]):
+            w[(UNKNOWN_ROW + k) * LANES + i] = record.unknown[window, t, k]
         for k in range(codes):
             w[(CODES + k) * LANES + i] = record.codes[window, t, k]
 
