@@ -22,7 +22,7 @@ import torch
 import tyro
 from torch import Tensor, nn
 
-from offpiste.dataset.feature_sets import per_trajectory
+from offpiste.dataset.feature_sets import drawn, per_trajectory
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
@@ -148,7 +148,7 @@ class Trainer:
     def step(self, mark: Mark, encode: Callable[[Hybrid, Batch], Batch], roll: Rollout) -> None:
         """One step, from the windows on disk to new weights."""
         index = self.rng.choice(len(self.windows), self.batch, replace=len(self.windows) < self.batch)
-        feature_set_choice = per_trajectory(self.rng, self.batch, self.windows.horizon, self.windows.sets)
+        feature_set_choice = drawn(per_trajectory, self.rng, self.batch, self.windows.horizon, self.windows.sets)
         batch = self.windows.gather(index, feature_set_choice)
         mark("gather")
         batch = encode(self.model, batch)

@@ -86,7 +86,7 @@ def read_and_train(path: Path, seconds: float, batch: int) -> None:
     """Draw windows for some seconds, then take a few whole steps."""
     from train import by_kernel, make_trainer
 
-    from offpiste.dataset.feature_sets import per_trajectory
+    from offpiste.dataset.feature_sets import drawn, per_trajectory
     from offpiste.training.terrain_sources import encoded
 
     began = time.perf_counter()
@@ -97,7 +97,8 @@ def read_and_train(path: Path, seconds: float, batch: int) -> None:
     )
     began, processor, count = time.perf_counter(), time.process_time(), 0
     while time.perf_counter() - began < seconds:
-        windows.gather(rng.choice(len(windows), batch), per_trajectory(rng, batch, windows.horizon, windows.sets))
+        choice = drawn(per_trajectory, rng, batch, windows.horizon, windows.sets)
+        windows.gather(rng.choice(len(windows), batch), choice)
         count += batch
     wall, processor = time.perf_counter() - began, time.process_time() - processor
     print(

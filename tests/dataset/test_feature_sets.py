@@ -7,41 +7,101 @@ import numpy as np
 import pytest
 
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
-from offpiste.dataset.feature_sets import TOLERANCE, FeatureSetRecorder, MapCellValues, masked, per_step, per_trajectory
+from offpiste.dataset.feature_sets import (
+    TOLERANCE,
+    Draw,
+    FeatureSetChoice,
+    FeatureSetRecorder,
+    MapCellValues,
+    drawn,
+    hindsight,
+    hindsight_throughout,
+    masked,
+    per_step,
+    per_trajectory,
+)
 from offpiste.dataset.wheel_passes import PAUSE, find_passes
 from offpiste.dynamics import MODELS
 
 STORED = len(FEATURE_SETS)
 
 
+DRAWS = (hindsight, hindsight_throughout, masked, per_step, per_trajectory)
+
+
+def of(draw: Draw, count: int, *, seed: int = 0, steps: int = 30) -> FeatureSetChoice:
+    return drawn(draw, np.random.default_rng(seed), count, steps, STORED)
+
+
 def test_dc_keeps_a_set_for_the_trajectory_and_draws_all_alike():
-    feature_set_choice = per_trajectory(np.random.default_rng(0), 8000, 250, STORED)
-    assert feature_set_choice.sets.shape == (8000, 1)
+    feature_set_choice = of(per_trajectory, 8000)
+    assert feature_set_choice.features.shape == (8000, 1)
     assert not feature_set_choice.flags_only
-    counts = np.bincount(feature_set_choice.sets[:, 0], minlength=STORED)
+    np.testing.assert_array_equal(feature_set_choice.features[:, 0], feature_set_choice.normals)
+    counts = np.bincount(feature_set_choice.normals, minlength=STORED)
     assert len(counts) == STORED
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
 def test_dc_step_draws_at_every_row():
-    feature_set_choice = per_step(np.random.default_rng(0), 50, 30, STORED)
-    assert feature_set_choice.sets.shape == (50, HISTORY_STEPS + 30)
-    assert (np.diff(feature_set_choice.sets, axis=1) == 0).mean() == pytest.approx(1 / STORED, abs=0.03)
+    feature_set_choice = of(per_step, 50)
+    assert feature_set_choice.features.shape == (50, HISTORY_STEPS + 30)
+    assert (np.diff(feature_set_choice.features, axis=1) == 0).mean() == pytest.approx(1 / STORED, abs=0.03)
+
+
+def test_features_of_hindsight_come_with_drawn_normals():
+    feature_set_choice = of(hindsight, 50)
+    assert not feature_set_choice.features.any()
+    assert len(np.unique(feature_set_choice.normals)) == STORED
+
+
+def test_the_papers_baseline_draws_nothing():
+    feature_set_choice = of(hindsight_throughout, 50)
+    assert not feature_set_choice.features.any()
+    assert not feature_set_choice.normals.any()
 
 
 def test_masked_takes_flags_alone():
-    assert masked(np.random.default_rng(0), 5, 30, STORED).flags_only
+    assert of(masked, 5).flags_only
+
+
+def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
+    def normals(draw: Draw) -> list[np.ndarray]:
+        rng = np.random.default_rng(3)
+        return [drawn(draw, rng, count, 20, STORED).normals for count in (40, 7, 40)]
+
+    wanted = normals(hindsight)
+    assert (wanted[0] != wanted[2]).any()
+    for draw in (masked, per_step, per_trajectory):
+        for mine, theirs in zip(normals(draw), wanted, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
 
 
 def test_the_generator_decides():
-    for draw in (per_trajectory, per_step, masked):
-        one, other = (draw(np.random.default_rng(3), 40, 20, STORED).sets for _ in range(2))
+    for draw in DRAWS:
+        one, other = (of(draw, 40, seed=3).features for _ in range(2))
         np.testing.assert_array_equal(one, other)
 
 
+def test_where_one_set_is_stored_nothing_is_drawn():
+    for draw in DRAWS:
+        choice = drawn(draw, np.random.default_rng(3), 40, 20, 1)
+        assert not choice.features.any()
+        assert not choice.normals.any()
+
+
+def test_windows_of_a_choice_keep_what_they_read():
+    choice = of(per_step, 9)
+    np.testing.assert_array_equal(choice[2:5].features, choice.features[2:5])
+    np.testing.assert_array_equal(choice[2:5].normals, choice.normals[2:5])
+    assert of(masked, 9)[2:5].flags_only
+
+
 def test_models_say_how_they_draw():
-    drawing = {name: model.draw for name, model in MODELS.items() if model.draw is not None}
-    assert drawing == {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}
+    drawing = {name: model.draw for name, model in MODELS.items() if model.draw is not hindsight}
+    by_distance = {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}
+    assert drawing == {**by_distance, "b-hindsight": hindsight_throughout}
+    assert {name for name, model in MODELS.items() if model.needs_sets} == set(by_distance)
 
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])

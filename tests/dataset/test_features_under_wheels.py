@@ -30,7 +30,7 @@ def plainly(
     first = np.cumsum([0, *(len(c.index) for c in cells)])
     features = np.full((*rows.shape, 4, FEATURES), np.nan)
     valid = np.zeros((*rows.shape, 4), bool)
-    sets = np.broadcast_to(feature_set_choice.sets, rows.shape)
+    sets = np.broadcast_to(feature_set_choice.features, rows.shape)
     for place in np.ndindex(*rows.shape, 4):
         number = int(np.searchsorted(first, rows[place[:2]], side="right")) - 1
         mine, chosen = cells[number], int(sets[place[:2]])
@@ -51,7 +51,7 @@ def test_windows_find_what_plain_indexing_finds(seed, kind):
     feature_set_choice = (
         same_feature_set(len(rows), 1)
         if kind == "one"
-        else FeatureSetChoice(rng.integers(0, SETS, shape), kind == "flags")
+        else FeatureSetChoice(rng.integers(0, SETS, shape), np.zeros(len(rows), int), kind == "flags")
     )
     under = CellTable(cells, torch.device("cpu")).under(rows, feature_set_choice, history=2)
     wanted, valid = plainly(cells, rows, feature_set_choice)
@@ -92,20 +92,10 @@ def test_normals_of_a_window_are_of_its_set(tmp_path, disk):
     given_ = [on_disk(a, tmp_path / str(n)) for n, a in enumerate(arrays)] if disk else arrays
     normals, start = NormalsUnderWheels(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
     whole = np.concatenate(arrays, axis=1)
-    for feature_set_choice in (
-        FeatureSetChoice(rng.integers(0, SETS, (4, 1))),
-        FeatureSetChoice(rng.integers(0, SETS, (4, 6))),
-        FeatureSetChoice(np.ones((4, 1), int), True),
-    ):
-        found = normals.at(start, 6, feature_set_choice).numpy()
+    for sets in (rng.integers(0, SETS, 4), np.zeros(4, int)):
+        found = normals.at(start, 6, sets).numpy()
         for window, first in enumerate(start):
-            for step in range(6):
-                chosen = (
-                    0
-                    if feature_set_choice.flags_only
-                    else np.broadcast_to(feature_set_choice.sets, (4, 6))[window, step]
-                )
-                np.testing.assert_array_equal(found[window, step], whole[chosen, first + step])
+            np.testing.assert_array_equal(found[window], whole[sets[window], first : first + 6])
 
 
 def test_sets_have_names():

@@ -16,17 +16,23 @@ class FeatureSetChoice:
     """Feature sets of a batch of windows.
 
     Attributes:
-        sets: by window and row t-10 ... t+T-1; one column: the same for the whole window.
-        flags_only: features are hindsight's, and missing where the set lacks them.
+        features: sets that features are read from, by window and row t-10 ... t+T-1; one column: the same for all rows.
+        normals: set that surface normals are read from, the same for all rows of a window.
+        flags_only: features are hindsight's, and missing where their set lacks them.
     """
 
-    sets: Int[np.ndarray, "B R"]
+    features: Int[np.ndarray, "B R"]
+    normals: Int[np.ndarray, " B"]
     flags_only: bool = False
+
+    def __getitem__(self, windows: slice) -> "FeatureSetChoice":
+        """Those of some of the windows."""
+        return FeatureSetChoice(self.features[windows], self.normals[windows], self.flags_only)
 
 
 def same_feature_set(count: int, number: int) -> FeatureSetChoice:
     """All windows read one set."""
-    return FeatureSetChoice(np.full((count, 1), number))
+    return FeatureSetChoice(np.full((count, 1), number), np.full(count, number))
 
 
 def set_number(name: str, stored: int) -> int:
@@ -45,23 +51,48 @@ def set_number(name: str, stored: int) -> int:
     return number
 
 
-Draw = Callable[[np.random.Generator, int, int, int], FeatureSetChoice]
-"""From a generator, the number of windows, of their predicted steps and of the stored sets to what the windows read."""
+Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], int, int], FeatureSetChoice]
+"""From a generator, the sets that normals are read from, the predicted steps and the number of stored sets to what
+windows read."""
 
 
-def per_trajectory(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
-    """`dc`: one of the seven distances or hindsight for each window, kept for the whole of it."""
-    return FeatureSetChoice(rng.integers(0, stored, (count, 1)))
+def hindsight(rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int) -> FeatureSetChoice:
+    """`df`, `cf`: features of hindsight. `b`, which reads none, draws so, too."""
+    return FeatureSetChoice(np.zeros((len(normals), 1), int), normals)
 
 
-def per_step(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
-    """`dc-step`: drawn anew at every step; the paper found it poor."""
-    return FeatureSetChoice(rng.integers(0, stored, (count, HISTORY_STEPS + horizon)))
+def per_trajectory(
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int
+) -> FeatureSetChoice:
+    """`dc`: features of the set that the normals are of."""
+    return FeatureSetChoice(normals[:, None], normals)
 
 
-def masked(rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
-    """`cf-masked`: what would be missing from a drawn distance is, but the rest is as in hindsight."""
-    return FeatureSetChoice(rng.integers(0, stored, (count, 1)), flags_only=True)
+def per_step(rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int) -> FeatureSetChoice:
+    """`dc-step`: the features' set is drawn anew at every step; the paper found it poor."""
+    return FeatureSetChoice(rng.integers(0, stored, (len(normals), HISTORY_STEPS + horizon)), normals)
+
+
+def masked(rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int) -> FeatureSetChoice:
+    """`cf-masked`: features that would be missing from the normals' set are, but the rest is as in hindsight."""
+    return FeatureSetChoice(normals[:, None], normals, flags_only=True)
+
+
+def hindsight_throughout(
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int
+) -> FeatureSetChoice:
+    """`b-hindsight`: nothing is drawn, as in the paper."""
+    return same_feature_set(len(normals), 0)
+
+
+def drawn(draw: Draw, rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
+    """What windows read in training: one of the stored sets for the normals of each, and beside it what a model draws.
+
+    Fair: from generators in the same state, all models get the same normals. What one of them draws besides does not
+    come from the generator itself, so that it does not change what follows.
+    """
+    normals = rng.integers(0, stored, count)
+    return draw(rng.spawn(1)[0], normals, horizon, stored)
 
 
 TOLERANCE = 5.0

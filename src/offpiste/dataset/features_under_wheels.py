@@ -118,9 +118,9 @@ class CellTable:
             history: how many of them are past.
         """
         cell = self._index[rows]
-        sets = np.broadcast_to(feature_set_choice.sets[..., None], cell.shape)
+        sets = np.broadcast_to(feature_set_choice.features[..., None], cell.shape)
         known = cell >= 0
-        place, ranges, total = _merged(cell, feature_set_choice.sets, self.sets, int(self._first[-1]))
+        place, ranges, total = _merged(cell, feature_set_choice.features, self.sets, int(self._first[-1]))
         number = np.where(known, cell + place[np.arange(len(rows))[:, None, None], sets], total)
         touched = np.zeros(total + 1, bool)
         touched[number] = True
@@ -200,32 +200,20 @@ class NormalsUnderWheels:
         self._first = np.cumsum([0, *(n.shape[1] for n in normals)])
         self._readers = [ArrayReader(n) for n in normals]
         self._arrays = normals
-        self._sets = normals[0].shape[0]
-        self._whole = self.whole() if self._sets == 1 else None
+        self._whole = self.whole() if len(normals[0]) == 1 else None
 
     def whole(self) -> Float[Tensor, "N 4 3"]:
         """Normals of the first feature set at every row."""
         return torch.as_tensor(np.concatenate([n[0] for n in self._arrays]), device=self._device)
 
-    def at(
-        self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice
-    ) -> Float[Tensor, "B R 4 3"]:
-        """Normals at R = `count` rows from `start`; each window lies in one drive."""
+    def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
+        """Normals at R = `count` rows from `start`, of a feature set for each window; each lies in one drive."""
         if self._whole is not None:
             rows = torch.as_tensor(start[:, None] + np.arange(count), device=self._device)
             return self._whole[rows]
         result = np.empty((len(start), count, 4, 3), np.float32)
-        every = np.empty((self._sets, count, 4, 3), np.float32)
         drive = np.searchsorted(self._first, start, side="right") - 1
         first = (start - self._first[drive]).tolist()
-        one = feature_set_choice.flags_only or feature_set_choice.sets.shape[1] == 1
         for window, number in enumerate(drive.tolist()):
-            reader = self._readers[number]
-            if one:
-                chosen = 0 if feature_set_choice.flags_only else int(feature_set_choice.sets[window, 0])
-                reader.read(chosen, first[window], result[window])
-                continue
-            for chosen in np.unique(feature_set_choice.sets[window]).tolist():
-                reader.read(chosen, first[window], every[chosen])
-            result[window] = every[feature_set_choice.sets[window], np.arange(count)]
+            self._readers[number].read(int(sets[window]), first[window], result[window])
         return torch.from_numpy(result).to(self._device)

@@ -185,7 +185,7 @@ class Windows:
         segments = self._segments(index)
         read = {name: segments.of(self._columns[name], column) for name, column in self._gathered}
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
-        normal = self._normals.at(first, count, feature_set_choice)
+        normal = self._normals.at(first, count, feature_set_choice.normals)
         self._refuse_invalid(normal)
         before, after = Terrain.of(normal[:, :HISTORY_STEPS]), Terrain.of(normal[:, HISTORY_STEPS:])
         ground = None

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import DT
-from offpiste.dataset.feature_sets import masked, per_step, per_trajectory
+from offpiste.dataset.feature_sets import hindsight_throughout, masked, per_step, per_trajectory
 from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
 from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
@@ -169,6 +169,9 @@ class Hybrid(Dynamics):
 
 def _compressing(vehicle: Vehicle, *, holds_codes: bool = False) -> Hybrid:
     return Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes), holds_codes=holds_codes)
+
+
+register_model("b-hindsight", draw=hindsight_throughout, colour="#7fb8e6")(Hybrid)
 
 
 @register_model("b-history", ablation=True)

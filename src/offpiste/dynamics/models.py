@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 import torch
 
-from offpiste.dataset.feature_sets import Draw
+from offpiste.dataset.feature_sets import Draw, hindsight, hindsight_throughout
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.vehicle import Vehicle
@@ -23,7 +23,7 @@ class Model:
 
     Attributes:
         build: makes an untrained model.
-        draw: feature sets that training windows read; None for hindsight alone.
+        draw: feature sets that training windows read beside those drawn for their normals.
         baseline: whether it is evaluated beside every trained model; it has nothing to train but its actuators.
         ablation: whether it answers a question about another model and is no candidate itself.
         colour: in figures; "" for one from the spare colours.
@@ -31,11 +31,16 @@ class Model:
     """
 
     build: Callable[[Vehicle], Dynamics]
-    draw: Draw | None = None
+    draw: Draw = hindsight
     baseline: bool = False
     ablation: bool = False
     colour: str = ""
     fits: Callable[[Vehicle], bool] = lambda vehicle: True
+
+    @property
+    def needs_sets(self) -> bool:
+        """Whether it can train only where the dataset has feature sets by distance."""
+        return self.draw not in (hindsight, hindsight_throughout)
 
     def __call__(self, vehicle: Vehicle, *, seed: int) -> Dynamics:
         """An untrained model of this vehicle, whose initial weights follow from the seed alone."""
@@ -59,7 +64,7 @@ MODELS: Final[Registry[Model]] = Registry("model", package="offpiste.dynamics", 
 def register_model(
     name: str,
     *,
-    draw: Draw | None = None,
+    draw: Draw = hindsight,
     baseline: bool = False,
     ablation: bool = False,
     colour: str = "",

@@ -5,7 +5,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from offpiste.dataset.feature_sets import Draw, FeatureSetChoice
+from offpiste.dataset.feature_sets import Draw, FeatureSetChoice, drawn
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError, extra
 from offpiste.files import write_text
@@ -184,7 +184,7 @@ class _State:
 def _feature_set_choice(
     stage: Stage, windows: Windows, count: int, rng: np.random.Generator
 ) -> FeatureSetChoice | None:
-    return stage.draw(rng, count, windows.horizon, windows.sets) if stage.draw is not None else None
+    return drawn(stage.draw, rng, count, windows.horizon, windows.sets) if stage.draw is not None else None
 
 
 def _strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
@@ -232,7 +232,7 @@ def _share_of_loss(
     mine = index[share]
     if not len(mine):
         return torch.zeros((), device=train.device)
-    read = None if feature_set_choice is None else replace(feature_set_choice, sets=feature_set_choice.sets[share])
+    read = None if feature_set_choice is None else feature_set_choice[share]
     return stage.loss(train.gather(mine, read)).sum() / len(index)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
-from offpiste.dataset.feature_sets import Draw
+from offpiste.dataset.feature_sets import Draw, hindsight
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
@@ -88,14 +88,14 @@ def train(
 
     maps = map_loss(validation, group)
 
-    def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw | None = None) -> Stage:
+    def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)
         return Stage(name, model, lambda batch: window_loss(predict(model, batch), batch), epochs, draw, on_map)
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
             physics.actuators.requires_grad_(False)
-        fit(rolled_out("bicycle", physics, config.bicycle_epochs))
+        fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight))  # alike, whatever the model draws
         dynamics.adopt_physics(physics)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
@@ -133,9 +133,9 @@ def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig, data
         )
 
 
-def _draw(model: str, windows: Windows) -> Draw | None:
+def _draw(model: str, windows: Windows) -> Draw:
     draw = MODELS[model].draw
-    if draw is not None and windows.sets == 1:
+    if MODELS[model].needs_sets and windows.sets == 1:
         raise DatasetError(
             f"model '{model}' trains on views by distance and the dataset has none",
             how="extract visual features (`extract --pca`), or train `cf`",
