@@ -92,7 +92,7 @@ def test_fig3_has_its_models_in_both_lookups(out: Path) -> None:
     variants = {"", "n=1"}
     rows = found["results"]
     assert {row["variant"] for row in rows if row["model"] == "cf"} == variants
-    assert {row["model"] for row in rows} == {"b", "df", "cf"}
+    assert {row["model"] for row in rows} == {"b", "b-hindsight", "df", "cf"}
     assert {(row["lookup"], row["feature_set"]) for row in rows} == {("recorded", "hindsight"), ("map", None)}
     assert {a["model"] + a["variant"] for a in found["against_b"]} == {"df"} | {f"cf{name}" for name in variants}
 

@@ -56,10 +56,13 @@ def fig4(results: FigureResults) -> dict[str, Figure]:
         part: {
             name: {label: _distance(results, by_label[label], ("recorded", name)) for label in labels} for name in sets
         }
-        for part, labels in {"4a": ("b", "df", "cf"), "4b": ("b", "dc")}.items()
+        for part, labels in {"4a": ("b", "b-hindsight", "df", "cf"), "4b": ("b", "dc")}.items()
     }
     top = max(whisker_top(group) for group in groups.values())
-    titles = {"4a": "Trained on hindsight, recorded lookup", "4b": "Trained on random distances, recorded lookup"}
+    titles = {
+        "4a": "Trained on features of hindsight, recorded lookup",
+        "4b": "Trained on random distances, recorded lookup",
+    }
     figures = {
         part: grouped_box_plot(group, title=titles[part], axis="features seen from [m]", top=top)
         for part, group in groups.items()
@@ -80,7 +83,8 @@ def caption(name: str) -> str:
         "3a": "B has no terrain features, DF reads features as they are, CF compresses them.",
         "3b": "CF by the length of its code; C 4 is CF.",
         "3c": "CF by the number of features that it reads, the first ones of the PCA.",
-        "4a": "DF and CF, trained on hindsight, and B, by the distance that features and normals were seen from.",
+        "4a": "DF and CF, trained on features of hindsight, B, and B trained on normals of hindsight alone as in the "
+        "paper, by the distance that features and normals were seen from.",
         "4b": "DC, trained on a random distance per trajectory, and B.",
         "4": "The map as it was at the window's start, read where predictions go.",
     }

@@ -226,9 +226,9 @@ def figure_models(figure: Figure, stored: int) -> list[FigureModel]:
         stored: number of features in the dataset.
     """
     if figure == "fig4":
-        return [standard_model(name, stored) for name in ("b", "df", "cf", "dc")]
+        return [standard_model(name, stored) for name in ("b", "b-hindsight", "df", "cf", "dc")]
     swept = [*compression_sizes(stored).values(), *feature_numbers(stored).values()]
-    return list(dict.fromkeys([standard_model(name, stored) for name in ("b", "df", "cf")] + swept))
+    return list(dict.fromkeys([standard_model(name, stored) for name in ("b", "b-hindsight", "df", "cf")] + swept))
 
 
 def feature_sets(figure: Figure) -> Sequence[str]:
