@@ -68,7 +68,7 @@ def test_the_same_models_of_different_figures_are_one_run():
     assert compression_sizes(48)[4] == feature_numbers(48)[40] == standard_model("cf", 48)
     models = figure_models("fig3", 48)
     assert [member.label for member in models[:4]] == ["b", "b-hindsight", "df", "cf"]
-    assert len(models) == 3 + 4 + 4
+    assert len(models) == 4 + 4 + 4
     assert {member.label for member in figure_models("fig4", 48)} == {"b", "b-hindsight", "df", "cf", "dc"}
     assert set(figure_models("fig4", 48)) - set(models) == {standard_model("dc", 48)}
     folders = [member.folder(0) for member in {*models, *figure_models("fig4", 48)}]

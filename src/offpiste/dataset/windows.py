@@ -190,8 +190,7 @@ class Windows:
         before, after = Terrain.of(normal[:, :HISTORY_STEPS]), Terrain.of(normal[:, HISTORY_STEPS:])
         ground = None
         if self._cells is None and self.start == "causal":
-            driven = read["normal_causal"]["past"][:, :, None].expand_as(before.normal)
-            before = Terrain(driven, before.latent)
+            before = Terrain.of(read["normal_causal"]["past"][:, :, None].expand_as(before.normal))
         if self._cells is not None:
             ground = self._cells.under(first[:, None] + np.arange(count), feature_set_choice, HISTORY_STEPS)
         state, actuators, control = read["state_causal"], read["actuators_causal"], read["control_causal"]

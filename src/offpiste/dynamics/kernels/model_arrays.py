@@ -45,7 +45,8 @@ def record(
     """What the rollout is given."""
     recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
     tensors = controls, terrain.normal, unknown_normals(terrain), codes
-    return Record(*(tensor.detach().contiguous().numpy() for tensor in tensors), np.array(recorded))
+    commanded, normals, unknown, read = (tensor.detach().contiguous().numpy() for tensor in tensors)
+    return Record(commanded, normals, unknown, read, np.array(recorded))
 
 
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
