@@ -247,7 +247,7 @@ def test_inputs_that_the_kernel_does_not_support_are_refused():
 
 
 def test_a_plan_with_it_is_better_than_doing_nothing():
-    at, dynamics = situation(layers(), state=(-10.0, 3, 0, 3, 0, 0)), model("b")
+    at, dynamics = situation(layers(), state=(-10.0, 3, 0, 3, 0, 0)), model("parametric")
     cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, None))
     settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=128, iterations=4)
     nothing = torch.zeros(STEPS, 3)

@@ -107,7 +107,7 @@ def test_claims_and_tables_of_figure_4():
     line = {name: numbers for name, *numbers in table.lines if not name.startswith(" ")}
     assert line["df"] == ["2.500"] * 8
     assert line["b"] == ["2.000"] * 8
-    assert len(error_table(results.rows()).lines) == 4 * 8
+    assert len(error_table(results.rows()).lines) == 5 * 8
 
 
 def test_rows_over_all_seeds_stand_for_models_with_several():
