@@ -106,6 +106,7 @@ def _recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
     """A dataset of random features and of a steering angle, so that there are actuators to fit."""
     from factories import RIG
     from feature_datasets import FEATURES, rows_with_features
+    from offpiste.conventions import DT
     from offpiste.dataset.splits import parse_split
     from offpiste.dataset.store import add_drive, create
     from offpiste.rig.rig import parse_rig
@@ -120,6 +121,7 @@ def _recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
         rows = rows_with_features(700, rng, speed=float(rng.uniform(3, 6)))
         recorded = rows.actuators.copy()
         recorded[:, 1] = 0.3 * rows.control[:, 2]
+        recorded[:, 2] = np.gradient(recorded[:, 1], DT)
         rows = replace(rows, actuators=recorded, actuators_causal=recorded)
         add_drive(inputs / "features.zarr", name, rows, split, ())
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,29 +49,34 @@ def write_checksums(folder: Path, files: Iterable[Path]) -> None:
     write_text(folder / CHECKSUMS, json.dumps(content, indent=1) + "\n")
 
 
-def check_files(folder: Path) -> Mapping[str, str]:
+def check_files(folder: Path) -> None:
     """Compare files below a folder with the digests that `write_checksums` left in it.
-
-    Returns:
-        The digests by file.
 
     Raises:
         DamagedFile: a file is missing or differs, or the digests themselves do.
     """
+    for damaged in damaged_files(folder):
+        raise damaged
+
+
+def damaged_files(folder: Path) -> Iterator[DamagedFile]:
+    """Files below a folder that are missing or differ from the digests in it, or the digests if they do."""
     list_file = folder / CHECKSUMS
+    if not list_file.is_file():
+        yield DamagedFile(list_file, "is missing")
+        return
     try:
         content = json.loads(list_file.read_bytes())
         digests: dict[str, str] = content["sha256"]
-        if sha256_of_json(digests) != content["sha256_of_these"]:
-            raise DamagedFile(list_file)
-    except FileNotFoundError as error:
-        raise DamagedFile(list_file, "is missing") from error
-    except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise DamagedFile(list_file) from error
+        intact = sha256_of_json(digests) == content["sha256_of_these"]
+    except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError):
+        intact = False
+    if not intact:
+        yield DamagedFile(list_file)
+        return
     for name, digest in digests.items():
         file = folder / name
         if not file.is_file():
-            raise DamagedFile(file, "is missing")
-        if sha256_of(file) != digest:
-            raise DamagedFile(file)
-    return digests
+            yield DamagedFile(file, "is missing")
+        elif sha256_of(file) != digest:
+            yield DamagedFile(file)

@@ -32,6 +32,7 @@ PIPELINE: Final = (
     "evaluate",
     "reproduce",
     "drive",
+    "check",
 )
 """Order of the commands in the help: as a log goes through them. Others follow."""
 

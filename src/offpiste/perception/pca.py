@@ -197,6 +197,9 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
 
 _SCHEMA = 1
 
+PCA_HEADER = "offpiste_pca"
+"""Key of the JSON in the file's header."""
+
 
 def save_pca(path: Path, pca: PrincipalComponents) -> None:
     """Write a PCA with its digest, whole or not at all."""
@@ -208,8 +211,8 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
         "fitted_on": dict(pca.fitted_on),
     }
     tensors = {"mean": pca.mean, "basis": pca.basis.copy(), "variance": pca.variance.copy()}
-    header = {"offpiste_pca": json.dumps(about)}
-    header["sha256"] = sha256_of_arrays(tensors, header["offpiste_pca"])
+    header = {PCA_HEADER: json.dumps(about)}
+    header["sha256"] = sha256_of_arrays(tensors, header[PCA_HEADER])
     write_whole(path, lambda partial: save_file(tensors, partial, metadata=header))
 
 
@@ -223,12 +226,12 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
         with safe_open(path, framework="numpy") as file:
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in ("mean", "basis", "variance")}
-        about = json.loads(header["offpiste_pca"])
+        about = json.loads(header[PCA_HEADER])
         if about["schema"] != _SCHEMA:
             raise ValueError(f"schema {about['schema']}, not {_SCHEMA}")
         if "sha256" not in header:
             logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
-        elif header["sha256"] != sha256_of_arrays(tensors, header["offpiste_pca"]):
+        elif header["sha256"] != sha256_of_arrays(tensors, header[PCA_HEADER]):
             raise ValueError("damaged: its checksum differs")
         pca = PrincipalComponents(
             **tensors,

@@ -1,0 +1,24 @@
+"""`offpiste check`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from offpiste.cli.entry import COMMANDS
+
+
+@COMMANDS.register("check")
+@dataclass(frozen=True)
+class Check:
+    """Read runs, datasets and PCA files whole and compare their checksums; exit 1 if a file is damaged."""
+
+    paths: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="PATH...")]
+    """Runs, datasets, PCA files, or folders that hold some."""
+
+    def run(self) -> int:
+        """Look for them, compare, say what is damaged."""
+        from offpiste.file_check import check_paths
+
+        return 1 if check_paths(self.paths) else 0
