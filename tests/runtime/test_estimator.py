@@ -1,9 +1,16 @@
 """Rows and poses of the last seconds, from readings at any times."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from factories import RIG
 from offpiste.conventions import DT, HISTORY_STEPS
+from offpiste.dataset.resample import extract_rows
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleReading, VehicleTrack
 from runtime.stream import reading
 
@@ -33,6 +40,38 @@ def test_between_readings_the_motion_is_extrapolated():
     np.testing.assert_allclose(state[:3], (10.0, 20.3, np.pi / 2 + 0.02), atol=1e-9)
     # Before the first reading its values are repeated, not extrapolated backwards.
     np.testing.assert_allclose(track.rows(1.1).state[0, :3], (10.0, 20.0, np.pi / 2), atol=1e-9)
+
+
+def test_rows_are_those_that_a_dataset_holds_of_the_same_readings():
+    more = "".join(
+        f'[channels.{name}]\ntopic = "odometry"\nfields = {fields}\n{rest}\n'
+        for name, fields, rest in (
+            ("linear_velocity", ["vx", "vy", "vz"], 'frame = "world"'),
+            ("yaw_rate", ["rate"], ""),
+            ("steer_angle", ["angle"], ""),
+        )
+    )
+    rig = parse_rig(RIG.replace('"steer_angle", "steer_rate", ', "") + more, where="")
+    stamps = np.sort(np.random.default_rng(0).uniform(0, 4, 300))
+    readings = [replace(circle(t), actuators=np.array((np.nan, np.sin(t), np.nan, np.nan))) for t in stamps]
+    values = {
+        "position": [r.position for r in readings],
+        "orientation": [r.orientation for r in readings],
+        "linear_velocity": [r.velocity for r in readings],
+        "yaw_rate": [[r.yaw_rate] for r in readings],
+        "steer_angle": [r.actuators[1:2] for r in readings],
+        **dict.fromkeys(("throttle", "brake", "steer"), np.zeros((300, 1))),
+    }
+    channels = {name: Channel(name, "", stamps, np.array(value)) for name, value in values.items()}
+    rows = extract_rows(Drive("readings", rig, channels))
+    track, row = VehicleTrack(), 150
+    for known in readings[: np.searchsorted(stamps, rows.time[row], side="right")]:
+        track.add(known)
+    found = track.rows(rows.time[row])
+    past = slice(row - HISTORY_STEPS, row + 1)
+    origin = np.array((*rows.origin, 0, 0, 0, 0))
+    np.testing.assert_allclose(found.state - origin, rows.state_causal[past], atol=1e-5)
+    np.testing.assert_array_equal(found.actuators[:, 1].astype(np.float32), rows.actuators_causal[past, 1])
 
 
 def test_yaw_is_unwrapped_beyond_half_a_turn():

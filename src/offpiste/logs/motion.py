@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from offpiste.geometry import (
     local_polynomial,
@@ -135,7 +135,7 @@ def _smoothed(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N
         psi, psi_rate = yaw.linear(at, max_gap=gap), rate.linear(at, max_gap=gap)
     else:
         psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=False)
-    return _assemble(xy, psi, v_world, psi_rate, covered)
+    return np.where(covered[:, None], planar_state(xy, psi, v_world, psi_rate), np.nan)
 
 
 def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
@@ -146,28 +146,32 @@ def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6
 
     if velocity is not None:
         v_world = velocity.latest(at, max_gap=gap)
-        xy = place.latest(at, max_gap=gap)[:, :2] + _age(place, at)[:, None] * v_world
+        xy = extrapolated(place.latest(at, max_gap=gap)[:, :2], v_world, _age(place, at))
     else:
         xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=True)
     if rate is not None:
         psi_rate = rate.latest(at, max_gap=gap)
-        psi = yaw.latest(at, max_gap=gap) + _age(yaw, at)[:, None] * psi_rate
+        psi = extrapolated(yaw.latest(at, max_gap=gap), psi_rate, _age(yaw, at))
     else:
         psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=True)
-    return _assemble(xy, psi, v_world, psi_rate, covered)
+    return np.where(covered[:, None], planar_state(xy, psi, v_world, psi_rate), np.nan)
 
 
-def _assemble(
+def extrapolated(
+    value: Float[np.ndarray, "N k"], rate: Float[np.ndarray, "N k"], age: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N k"]:
+    """Last samples, `age` [s] old, extrapolated by the last rates: places and headings as known between samples."""
+    return value + age[:, None] * rate
+
+
+def planar_state(
     xy: Float[np.ndarray, "N 2"],
-    psi: Float[np.ndarray, "N 1"],
-    v_world: Float[np.ndarray, "N 2"],
-    psi_rate: Float[np.ndarray, "N 1"],
-    covered: Bool[np.ndarray, " N"],
+    yaw: Float[np.ndarray, "N 1"],
+    velocity: Float[np.ndarray, "N 2"],
+    yaw_rate: Float[np.ndarray, "N 1"],
 ) -> Float[np.ndarray, "N 6"]:
-    v_body = planar_body_from_world(v_world, psi[:, 0])
-    state = np.concatenate((xy, psi, v_body, psi_rate), axis=1)
-    state[~covered] = np.nan
-    return state
+    """States (`offpiste.conventions.STATE`) from places and horizontal velocities in the world frame [m, m/s]."""
+    return np.concatenate((xy, yaw, planar_body_from_world(velocity, yaw[:, 0]), yaw_rate), axis=1)
 
 
 def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from offpiste.conventions import DT, HISTORY_STEPS
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import OWN_COLUMNS
-from offpiste.geometry import planar_body_from_world
 from offpiste.logs.channel import Channel
+from offpiste.logs.motion import extrapolated, planar_state
 from offpiste.logs.poses import Poses
 
 JUMP = 1.0
@@ -124,12 +124,12 @@ class VehicleTrack:
         at = now - DT * np.arange(HISTORY_STEPS, -1, -1)
         index = np.clip(np.searchsorted(time, at + 1e-6, side="right") - 1, 0, len(time) - 1)
         chosen = [self._readings[int(i)] for i in index]
-        age = np.maximum(at - time[index], 0.0)[:, None]
+        age = np.maximum(at - time[index], 0.0)
         velocity = np.stack([r.velocity[:2] for r in chosen])
         rate = np.array([[r.yaw_rate] for r in chosen])
-        yaw = np.unwrap([_yaw(r.orientation) for r in chosen])[:, None] + age * rate
-        place = np.stack([r.position[:2] for r in chosen]) + age * velocity
-        state = np.concatenate((place, yaw, planar_body_from_world(velocity, yaw[:, 0]), rate), axis=1)
+        yaw = extrapolated(np.unwrap([_yaw(r.orientation) for r in chosen])[:, None], rate, age)
+        place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
+        state = planar_state(place, yaw, velocity, rate)
         extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
         return TrackRows(state, np.stack([r.actuators for r in chosen]), self._controls(at), extra)
 
