@@ -18,6 +18,7 @@ def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> 
         ("split", "fold:0/5", "it has blocks:0.7,0.1,0.2, wanted is fold:0/5"),
         ("features", [], r"it has pca_0, pca_1, pca_2, … \(4\), wanted is none"),
         ("pca", None, "it has 1, wanted is none"),
+        ("latency", 0.2, "it has 1, wanted is 0.2"),
     ):
         with pytest.raises(DatasetError, match=f"another {key}: {both}"):
             refuse_unlike(tmp_path, found, found | {key: other})

@@ -180,7 +180,8 @@ def make_dataset(
     if extractor is None:
         create(out, rig, parts, LAYERS[features])
     else:
-        create(out, rig, parts, extractor.names, extractor.identity, min_hindsight)
+        latency = (snapshots or SnapshotSettings()).latency
+        create(out, rig, parts, extractor.names, extractor.identity, min_hindsight, latency)
     done = set(drive_names(out))
     for name in (name for name in names if name in done):
         logger.info(f"{name}: already there")

@@ -80,8 +80,12 @@ def create(
     features: tuple[str, ...] = (),
     pca: str | None = None,
     min_hindsight: float = 0.0,
+    latency: float | None = None,
 ) -> None:
     """Begin a dataset, or resume one that was begun alike; what a killed run left half done is removed.
+
+    Args:
+        latency: of its snapshots (`map_snapshots.SnapshotSettings`) [s]; None without any.
 
     Raises:
         DatasetError: there is something else at `path`, or it was made otherwise.
@@ -99,12 +103,13 @@ def create(
         "features": list(features),
         "pca": pca,
         "min_hindsight": min_hindsight,
+        "latency": latency,
     }
     remove_partials(path.parent, path.name)
     if path.exists() and _attributes(path).get("schema") and not drive_names(path):
         shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
-        result = {"features": [], "pca": None, "min_hindsight": 0.0, **_attributes(path)}
+        result = {"features": [], "pca": None, "min_hindsight": 0.0, "latency": latency, **_attributes(path)}
         refuse_unlike(path, result, json.loads(json.dumps(meta)))
         remove_partials(path)
         return

@@ -10,7 +10,7 @@ from offpiste.dataset.resample import Rows
 from offpiste.errors import DatasetError
 from offpiste.rig.rig import Rig
 
-MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight")
+MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", "latency")
 """What all drives of a dataset must share."""
 
 
