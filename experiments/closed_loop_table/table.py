@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.evaluation.intervals import MIN_UNITS, resampling
 from offpiste.files import write_text
 
 MEASURES: Final = {
@@ -52,17 +53,16 @@ class Difference:
     n: int
 
 
-def paired(
-    first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"], rng: np.random.Generator
-) -> Difference | None:
-    """First minus second over the courses where both are known; None with fewer than 3 of these."""
+def paired(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"], seed: int = 0) -> Difference | None:
+    """First minus second over the courses where both are known; None with too few of these."""
     both = np.isfinite(first) & np.isfinite(second)
     difference = (first - second)[both]
-    if len(difference) < 3:
+    if len(difference) < MIN_UNITS:
         return None
-    draws = difference[rng.integers(len(difference), size=(RESAMPLES, len(difference)))].mean(axis=1)
-    low, high = np.percentile(draws, (2.5, 97.5))
-    return Difference(float(difference.mean()), float(low), float(high), len(difference))
+    # Each course has a world of its own, and is one block.
+    course = np.arange(len(difference))
+    drawn = resampling(course, course, seed, resamples=RESAMPLES)
+    return Difference(float(difference.mean()), *drawn.interval(drawn.means(difference)), len(difference))
 
 
 def table(results: Sequence[dict[str, Any]], limit: float) -> str:
@@ -117,7 +117,7 @@ def _differences(drives: Drives, limit: float) -> list[str]:
 
 
 def _paired(first: Sequence[Drive], second: Sequence[Drive], key: str, limit: float) -> Difference | None:
-    return paired(_values(first, key, limit), _values(second, key, limit), np.random.default_rng(0))
+    return paired(_values(first, key, limit), _values(second, key, limit))
 
 
 def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> str:

@@ -37,6 +37,8 @@ class ControlExperiment:
     """Folder of all outputs."""
     models: tuple[str, ...] = ()
     """For `models`: names of the models to train; default all."""
+    seeds: int = 3
+    """Number of runs of each model that is trained."""
     uniform: UniformDrives = field(default_factory=UniformDrives)
     """For `uniform`: amount of driving."""
 
@@ -57,14 +59,14 @@ class ControlExperiment:
         # Evaluations in the folder are reused: they must belong to the same runs.
         claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
         experiments: dict[What, Callable[[], Path]] = {
-            "models": lambda: models_control(of, self.out, list(self.models)),
+            "models": lambda: models_control(of, self.out, list(self.models), self.seeds),
             "snapshots": lambda: snapshots_control(
-                of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds
+                of, self.out, drives=self.snapshot_drives, seconds=self.snapshot_seconds, seeds=self.seeds
             ),
             "selection": lambda: selection_control(of, self.out),
             "shift": lambda: shift_control(of, self.out),
-            "oracle": lambda: oracle_control(of, self.out),
-            "uniform": lambda: uniform_control(of, self.out, self.uniform),
+            "oracle": lambda: oracle_control(of, self.out, self.seeds),
+            "uniform": lambda: uniform_control(of, self.out, self.uniform, self.seeds),
             "twins": lambda: twins_control(
                 of,
                 self.out,
@@ -72,8 +74,8 @@ class ControlExperiment:
                 seconds=self.twin_seconds,
                 oracle=self.out / "oracle",
             ),
-            "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep),
-            "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep),
+            "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, self.seeds),
+            "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, self.seeds),
         }
         page = experiments[self.what]()
         logger.info(page.read_text("utf-8"))

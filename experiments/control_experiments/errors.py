@@ -10,9 +10,9 @@ from jaxtyping import Int
 
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
-from offpiste.evaluation.errors import Errors, pool, saved_errors
+from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, saved_errors
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
+from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative
 from offpiste.reproduction.runs import evaluation_windows, run_errors
 from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run
@@ -27,9 +27,10 @@ class Gain(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         case: what was done to model, features or world.
-        model, baseline: their names; n: windows; seeds: runs of the model that are averaged.
+        model, baseline: their names; n: windows.
+        levels: numbers of drives, blocks and seeds that intervals are drawn from.
         error_m, baseline_error_m: mean distances after 5 s.
-        distance, loss: relative differences with 95 % intervals over blocks of 10 s.
+        distance, loss: relative differences with 95 % intervals over drives, blocks of 10 s and seeds.
     """
 
     case: str
@@ -38,7 +39,7 @@ class Gain(msgspec.Struct, frozen=True, kw_only=True):
     lookup: str
     feature_set: str | None
     n: int
-    seeds: int
+    levels: Levels
     error_m: float
     baseline_error_m: float
     distance: PairedDifference
@@ -96,8 +97,8 @@ def errors_of(
 def gain(
     case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], reading: Reading, *, baseline: str = "b"
 ) -> Gain:
-    """A model against a baseline; errors of several runs are averaged window by window."""
-    one, other = pool(mine), pool(others)
+    """A model against a baseline, over all runs; those of both in the order of their seeds."""
+    one, other = runs_of(mine), runs_of(others)
     drawn = Sampling().on(one)
     return Gain(
         case=case,
@@ -106,7 +107,7 @@ def gain(
         lookup=str(reading[0]),
         feature_set=reading[1],
         n=len(one.row),
-        seeds=len(mine),
+        levels=drawn.levels(len(mine)),
         error_m=float(one.distance().mean()),
         baseline_error_m=float(other.distance().mean()),
         distance=relative(one.distance(), other.distance(), drawn),
@@ -114,7 +115,14 @@ def gain(
     )
 
 
-def share(mine: Errors, base: Errors, oracle: Errors, oracle_base: Errors, drawn: Resampling) -> PairedDifference:
+def runs_of(errors: Sequence[Errors]) -> SeededErrors:
+    """Runs of a model on the same windows, in the order of their seeds."""
+    return by_seed([pool([each]) for each in errors], range(len(errors)))
+
+
+def share(
+    mine: SeededErrors, base: SeededErrors, oracle: SeededErrors, oracle_base: SeededErrors, drawn: Resampling
+) -> PairedDifference:
     """What part of an oracle's relative gain in distance a model reaches: (1 - mine/base) / (1 - oracle/oracle_base).
 
     Each gain is over a baseline that reads the same normals. All are of the same windows, in the same order. Where the

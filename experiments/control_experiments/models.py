@@ -4,6 +4,7 @@ A finished run is reused, an interrupted one resumed.
 """
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
@@ -31,16 +32,17 @@ BLIND = {
     "b-history": "b with a stronger reading of the last 0.2 s",
 }
 ABOUT = (
-    "Relative to the baseline on the same windows, 95 % intervals over blocks of 10 s; windows x runs that are "
-    "averaged (one run of the control models). Map: as it was at the window's start, read at predicted places. "
+    "Relative to the baseline on the same windows, with 95 % intervals. Map: as it was at the window's start, read at "
+    "predicted places. "
 )
 
 
-def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
-    """Train one run of each ablated model like the reproduction's own, and evaluate all on its windows.
+def models_control(of: Reproduced, out: Path, models: list[str], seeds: int) -> Path:
+    """Train each ablated model like the reproduction's own, and evaluate all on its windows.
 
     Args:
         models: of `FEATURED` and `BLIND`; all where empty.
+        seeds: runs of each ablated model.
     """
     chosen = models or [*FEATURED, *BLIND]
     windows = Windows(of.dataset, "test")
@@ -49,7 +51,7 @@ def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
     runs = {model: of.runs(model) for model in present}
     for model in chosen:
         config = of.member(model).config(of.size, 0, "cpu")
-        runs[model] = [trained(of.dataset, config, folder / "runs", stages=of.folder / "runs")]
+        runs[model] = trained_seeds(of.dataset, config, folder / "runs", seeds, stages=of.folder / "runs")
     readings: list[Reading] = [MAP, HINDSIGHT] + [("recorded", name) for name in ("10", "20", "30", "40")]
     errors: dict[tuple[str, Reading], list[Errors]] = {}
     for reading in readings:
@@ -73,6 +75,13 @@ def models_control(of: Reproduced, out: Path, models: list[str]) -> Path:
     if over_dc:
         tables.append(gain_table("Control models against dc", over_dc, ABOUT + "Baseline: dc; above 0: worse."))
     return write_control(folder, tables, {"control": "models", "against_b": over_b, "against_dc": over_dc})
+
+
+def trained_seeds(
+    dataset: Dataset, config: TrainConfig, runs: Path, seeds: int, *, stages: Path | None = None
+) -> list[Run]:
+    """The runs of a configuration with seeds 0, 1, ...; see `trained`."""
+    return [trained(dataset, replace(config, seed=seed), runs, stages=stages) for seed in range(seeds)]
 
 
 def trained(dataset: Dataset, config: TrainConfig, runs: Path, *, stages: Path | None = None) -> Run:

@@ -12,15 +12,16 @@ from experiments.control_experiments.errors import (
     errors_of,
     evaluation_index,
     gain,
+    runs_of,
     same_windows,
     share,
 )
-from experiments.control_experiments.models import trained
+from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, percent, write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.errors import Errors, pool
+from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
@@ -32,28 +33,30 @@ ABOUT = (
 )
 SHARES = (
     "Part of the oracle's relative gain in distance error that a model reaches, each against the b with the same "
-    "normals; 95 % intervals over blocks of 10 s. Recorded sets are compared with the oracle at recorded places."
+    "normals; 95 % intervals. Recorded sets are compared with the oracle at recorded places."
 )
 
 
-def oracle_control(of: Reproduced, out: Path) -> Path:
+def oracle_control(of: Reproduced, out: Path, seeds: int) -> Path:
     """Train b and df on the truth, evaluate them on the reproduction's windows, and compare its runs with them."""
     folder, scale, stride = out / "oracle", of.scale, of.size.stride
     truth = oracle_dataset(of.logs(), of.split_for(folder), folder / "dataset.zarr")
     config = replace(of.size.train, seed=0)
-    knowing = {m: trained(truth, replace(config, model=m), folder / "runs") for m in ("b", "df")}
+    knowing = {m: trained_seeds(truth, replace(config, model=m), folder / "runs", seeds) for m in ("b", "df")}
     windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")
     models = of.present(("cf", "dc", "df"))
     gains, lines = [], []
-    oracle: dict[tuple[str, Reading], Errors] = {}
+    oracle: dict[tuple[str, Reading], list[Errors]] = {}
     for reading in [MAP, *(("recorded", name) for name in FEATURE_SETS)]:
         index = evaluation_index(windows, reading, stride)
         there, of_truth = same_windows(windows, index, true_windows), MAP if reading == MAP else HINDSIGHT
         if ("b", of_truth) not in oracle:
-            for model, run in knowing.items():
+            for model, runs in knowing.items():
                 kept = out / "evaluated" / "oracle"
-                oracle[model, of_truth] = errors_of(run, true_windows, there, of_truth, scale=scale, kept=kept)
-            gains.append(gain("true ground", "oracle", [oracle["df", of_truth]], [oracle["b", of_truth]], of_truth))
+                oracle[model, of_truth] = [
+                    errors_of(run, true_windows, there, of_truth, scale=scale, kept=kept) for run in runs
+                ]
+            gains.append(gain("true ground", "oracle", oracle["df", of_truth], oracle["b", of_truth], of_truth))
 
         def errors(model: str, reading: Reading = reading, index: np.ndarray = index) -> list[Errors]:
             return [
@@ -64,8 +67,8 @@ def oracle_control(of: Reproduced, out: Path) -> Path:
         for model in models:
             mine = errors(model)
             gains.append(gain("", model, mine, blind, reading))
-            best, base = (pool([oracle[name, of_truth]]) for name in ("df", "b"))
-            reached = share(pool(mine), pool(blind), best, base, Sampling().on(best))
+            best, base = (runs_of(oracle[name, of_truth]) for name in ("df", "b"))
+            reached = share(runs_of(mine), runs_of(blind), best, base, Sampling().on(best))
             lines.append((model, " ".join(filter(None, reading)), percent(reached, 0), reached))
     table = TextTable("Share of the oracle's gain", ("model", "lookup", "share"), tuple(x[:3] for x in lines), SHARES)
     shares = [{"model": model, "way": reading, "share": reached} for model, reading, _, reached in lines]

@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.figure import Figure
 
-from offpiste.evaluation.intervals import PairedDifference, blocks, resampling
+from offpiste.evaluation.intervals import Levels, PairedDifference, Sampling
 from offpiste.report.text_table import TextTable, interval, number
 
 ABOUT = (
     "Differences of the place after 5 s between two grounds, ahead and to the left at the start, from the same state "
     "under the same commands; a model reads the map as it was at the window's start, where it predicts to be. Slope: "
     "of the predicted on the simulated difference, through zero (1: as the simulator; 0: tells nothing apart). Left "
-    "over: root mean square of what is not predicted, relative to predicting none. 95 % intervals over blocks of 10 s."
+    "over: root mean square of what is not predicted, relative to predicting none. 95 % intervals over "
+    "drives and blocks of 10 s; the predictions of a model's runs are averaged."
 )
 
 
@@ -24,6 +25,7 @@ class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
 
     model: str
     n: int
+    levels: Levels
     simulated_rms_m: float
     predicted_rms_m: float
     slope: PairedDifference
@@ -48,7 +50,7 @@ class Differences:
 
 def sensitivity(model: str, result: Differences, seed: int = 0) -> Sensitivity:
     """Slope, correlation and what is left over, each with its interval."""
-    drawn = resampling(blocks(result.drive, result.row), np.random.default_rng(seed))
+    drawn = Sampling(seed).on(result)
     s, p = result.simulated, result.predicted
     ss, pp, sp, rest = ((a * b).sum(axis=1) for a, b in ((s, s), (p, p), (s, p), (s - p, s - p)))
     ahead = s[:, 0] ** 2, p[:, 0] ** 2, s[:, 0] * p[:, 0]
@@ -61,6 +63,7 @@ def sensitivity(model: str, result: Differences, seed: int = 0) -> Sensitivity:
     return Sensitivity(
         model=model,
         n=len(s),
+        levels=drawn.levels(),
         simulated_rms_m=float(np.sqrt(ss.mean())),
         predicted_rms_m=float(np.sqrt(pp.mean())),
         slope=ratio((sp, ss), np.divide),
@@ -84,7 +87,7 @@ def sensitivity_table(rows: Sequence[Sensitivity]) -> TextTable:
     lines = [
         (
             t.model,
-            f"{t.n}",
+            f"{t.n} ({t.levels.drives} drives, {t.levels.blocks} blocks)",
             f"{t.simulated_rms_m:.2f}",
             f"{t.predicted_rms_m:.2f}",
             *(message(value) for value in (t.slope, t.correlation, t.correlation_ahead, t.left_over)),

@@ -29,8 +29,8 @@ METRES = 50.0
 """Patches of ground are 8 to 25 m long (`simulation.ground.PATCH_GRAIN`): so far on lies another one."""
 
 ABOUT = (
-    f"As recorded, and with features from {METRES:.0f} m further along the driven path (normals stay). 95 % intervals "
-    "over blocks of 10 s, baseline b. On the map, features come from the map of the window that starts there, laid "
+    f"As recorded, and with features from {METRES:.0f} m further along the driven path (normals stay). 95 % intervals, "
+    "baseline b. On the map, features come from the map of the window that starts there, laid "
     "where this one's is."
 )
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.control_experiments.data import RIG
 from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, gain
-from experiments.control_experiments.models import trained
+from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
@@ -30,16 +30,17 @@ from offpiste.rig.rig import load_rig
 ABOUT = (
     "Trained on windows that have a snapshot of the map at their start: on the snapshot at recorded places, or on the "
     "usual features of the same windows. All evaluated on the map at predicted places, against the b of the same "
-    "training; 95 % intervals over blocks of 10 s."
+    "training; 95 % intervals."
 )
 
 
-def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float) -> Path:
+def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float, seeds: int) -> Path:
     """Extract some drives with snapshots for their training windows too, train on both kinds, evaluate on maps.
 
     Args:
         drives: how many training drives, evenly spread; all that validate are used.
         seconds: at most one snapshot in so long [s].
+        seeds: runs of each model.
     """
     folder = out / "snapshots"
     logs = {log.stem: log for log in of.logs()}
@@ -69,17 +70,13 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float)
     ):
         place = folder / case.replace(" ", "-")
         errors = {
-            model: errors_of(
-                trained(data, replace(config, model=model), place / "runs"),
-                windows,
-                index,
-                MAP,
-                scale=of.scale,
-                kept=place / "evaluated",
-            )
+            model: [
+                errors_of(run, windows, index, MAP, scale=of.scale, kept=place / "evaluated")
+                for run in trained_seeds(data, replace(config, model=model), place / "runs", seeds)
+            ]
             for model in models
         }
-        gains += [gain(case, model, [errors[model]], [errors["b"]], MAP) for model in models[1:]]
+        gains += [gain(case, model, errors[model], errors["b"], MAP) for model in models[1:]]
     table = gain_table("Trained on snapshots", gains, ABOUT)
     return write_control(folder, [table], {"control": "snapshots", "windows": len(on_map.drives), "gains": gains})
 

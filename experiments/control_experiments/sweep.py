@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from experiments.control_experiments.data import driven_dataset, planned
 from experiments.control_experiments.errors import MAP, Gain, errors_of, evaluation_index, gain
-from experiments.control_experiments.models import trained
+from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.dataset.ground_truth_features import LAYERS, truth_map, with_ground_truth
@@ -51,16 +51,16 @@ class Sweep:
     world: str = "mojave"
     train: tuple[float, ...] = (120.0, 120.0, 120.0)
     validation: tuple[float, ...] = (90.0,)
-    test: tuple[float, ...] = (90.0, 90.0)
+    test: tuple[float, ...] = (45.0, 45.0, 45.0, 45.0)
 
 
-def sweep_control(of: Reproduced, out: Path, kind: str, sweep: Sweep) -> Path:
+def sweep_control(of: Reproduced, out: Path, kind: str, sweep: Sweep, seeds: int) -> Path:
     """Simulate, train and evaluate at every value of "contrast" or "appearance"."""
     by_contrast, gains = kind == "contrast", []
     values = sweep.contrasts if by_contrast else sweep.appearances
     for value in values:
         contrast, looks = (value, 1.0 if sweep.visual else 0.0) if by_contrast else (1.0, value)
-        mine = _condition(of, out / "sweeps", sweep, contrast, looks)
+        mine = _condition(of, out / "sweeps", sweep, contrast, looks, seeds)
         gains += [(value, _named(g, f"{kind} {value:g}")) for g in mine]
         logger.info(f"{kind} {value:g}: " + ", ".join(f"{g.model} {g.distance.mean:+.1%}" for g in mine))
     name = f"{kind}-visual" if sweep.visual else kind
@@ -77,7 +77,7 @@ def _named(result: Gain, case: str) -> Gain:
     return msgspec.structs.replace(result, case=case)
 
 
-def _condition(of: Reproduced, folder: Path, sweep: Sweep, contrast: float, looks: float) -> list[Gain]:
+def _condition(of: Reproduced, folder: Path, sweep: Sweep, contrast: float, looks: float, seeds: int) -> list[Gain]:
     lengths = (sweep.train, sweep.validation, sweep.test)
     appearance, noise = (looks, 0.0) if sweep.visual else (1.0, looks)
     sensors = "light" if sweep.visual else "none"
@@ -94,14 +94,17 @@ def _condition(of: Reproduced, folder: Path, sweep: Sweep, contrast: float, look
     runs = {}
     for model in models:
         own = place / (f"runs-noise{noise:g}" if noise and model != "b" else "runs")
-        runs[model] = trained(dataset, replace(config, model=model), own, stages=place / "runs")
-    windows, scale = Windows(dataset, "test"), runs["b"].scale
+        runs[model] = trained_seeds(dataset, replace(config, model=model), own, seeds, stages=place / "runs")
+    windows, scale = Windows(dataset, "test"), runs["b"][0].scale
     index = evaluation_index(windows, MAP, of.size.stride)
     errors = {
-        model: errors_of(run, windows, index, MAP, scale=scale, kept=run.folder.parent.parent / f"evaluated-{noise:g}")
-        for model, run in runs.items()
+        model: [
+            errors_of(run, windows, index, MAP, scale=scale, kept=run.folder.parent.parent / f"evaluated-{noise:g}")
+            for run in mine
+        ]
+        for model, mine in runs.items()
     }
-    return [gain("", model, [errors[model]], [errors["b"]], MAP) for model in models[1:]]
+    return [gain("", model, errors[model], errors["b"], MAP) for model in models[1:]]
 
 
 def with_noise(dataset: Dataset, logs: Sequence[Path], noise: float) -> Dataset:
@@ -140,7 +143,7 @@ def _about(sweep: Sweep) -> str:
     )
     return (
         f"World {sweep.world}, {sight}. Trained and evaluated anew at each value, on the map at predicted places, "
-        "against b; 95 % intervals over blocks of 10 s."
+        "against b; 95 % intervals."
     )
 
 

@@ -50,9 +50,10 @@ def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
             number(g.baseline_error_m),
             percent(g.distance),
             percent(g.loss),
-            f"{g.n} x {g.seeds}" if g.seeds > 1 else f"{g.n}",
+            f"{g.n}",
+            g.levels.text(),
         )
         for g in gains
     ]
-    names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows")
+    names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
     return TextTable(title, names, tuple(lines), about)

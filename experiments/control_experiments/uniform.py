@@ -5,14 +5,14 @@ from pathlib import Path
 
 from experiments.control_experiments.data import driven_dataset, planned
 from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
-from experiments.control_experiments.models import trained
+from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import gain_table, write_control
 from offpiste.dataset.windows import Windows
 
 ABOUT = (
     "World `uniform`: looks vary, grip does not. Models trained there, visual features, other worlds to test than to "
-    "train; 95 % intervals over blocks of 10 s. The map, read at predicted places, decides; recorded places show how "
+    "train; 95 % intervals. The map, read at predicted places, decides; recorded places show how "
     "far the vehicle went."
 )
 
@@ -23,19 +23,17 @@ class UniformDrives:
 
     Attributes:
         train, validation, test: lengths of the drives [s].
-        seeds: runs of each model.
     """
 
     train: tuple[float, ...] = (100.0, 100.0, 100.0)
     validation: tuple[float, ...] = (60.0,)
-    test: tuple[float, ...] = (90.0, 90.0)
-    seeds: int = 1
+    test: tuple[float, ...] = (45.0, 45.0, 45.0, 45.0)
 
 
 FIRST_SEED = 3000
 
 
-def uniform_control(of: Reproduced, out: Path, drives: UniformDrives) -> Path:
+def uniform_control(of: Reproduced, out: Path, drives: UniformDrives, seeds: int) -> Path:
     """Simulate, train and evaluate b, cf and dc on uniform ground, with the reproduction's PCA and settings."""
     folder = out / "uniform"
     lengths = (drives.train, drives.validation, drives.test)
@@ -44,9 +42,7 @@ def uniform_control(of: Reproduced, out: Path, drives: UniformDrives) -> Path:
     member = of.member("b")
     config = replace(member.config(of.size, 0, "cpu"), pca=min(member.pca, len(dataset.features)))
     runs = {
-        model: [
-            trained(dataset, replace(config, model=model, seed=seed), folder / "runs") for seed in range(drives.seeds)
-        ]
+        model: trained_seeds(dataset, replace(config, model=model), folder / "runs", seeds)
         for model in ("b", "cf", "dc")
     }
     scale = runs["b"][0].scale

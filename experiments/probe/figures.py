@@ -42,7 +42,9 @@ def distance_picture(rows: Rows, *, title: str) -> bytes:
             _lines(plot, mine, quantity)
             plot.set(ylabel=f"{target.replace('_', ' ')}: {label}", xlabel="seen from [m]")
     axes[0, 1].legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(1.0, 0.3))
-    figure.suptitle(f"{title}: probes trained on hindsight, tested on other drives; 95 % intervals over blocks of 10 s")
+    figure.suptitle(
+        f"{title}: probes trained on hindsight, tested on other drives; 95 % intervals over drives and blocks"
+    )
     return png(figure)
 
 

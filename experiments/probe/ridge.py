@@ -83,7 +83,8 @@ class Score:
     Attributes:
         r2: 1 - squared error / squared deviation from the mean of the test cells; below 0 where that mean is better.
         rank: Spearman's correlation; NaN where either is constant.
-        r2_ci95, rank_ci95: 95 % intervals from blocks drawn with replacement (ranks stay those of all cells).
+        r2_ci95, rank_ci95: 95 % intervals from drives, and blocks in them, drawn with replacement (ranks stay
+            those of all cells).
         n: cells.
     """
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from experiments.probe.cells import SeenCells
 from experiments.probe.ridge import Ridge, Score, fit_ridge, score
 from offpiste.conventions import FEATURE_SETS
-from offpiste.evaluation.intervals import Resampling, blocks, resampling
+from offpiste.evaluation.intervals import Resampling, Sampling
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 
 TARGETS = ("friction", "rolling_resistance")
@@ -132,12 +132,13 @@ def fit_probe(pooled: Pooled, target: str, name: str, sets: Sequence[str]) -> Ri
 
 
 def drawn_blocks(pooled: Pooled, chosen: Bool[np.ndarray, " M"], *, seed: int = 0) -> Resampling:
-    """Resamples of blocks of 10 s of each drive."""
-    order = np.lexsort((pooled.cells.row, pooled.drive))
-    block = np.empty(len(order), np.int64)
-    block[order] = blocks(pooled.drive[order], pooled.cells.row[order])
-    _, mine = np.unique(block[chosen], return_inverse=True)
-    return resampling(mine, np.random.default_rng(seed))
+    """Resamples of drives, and of blocks of 10 s within each."""
+    return Sampling(seed).on(_Rows(pooled.drive[chosen], pooled.cells.row[chosen]))
+
+
+class _Rows(NamedTuple):
+    drive: Int[np.ndarray, " n"]
+    row: Int[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)

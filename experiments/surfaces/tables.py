@@ -4,14 +4,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from offpiste.evaluation.errors import Errors, pool
-from offpiste.evaluation.intervals import Resampling, blocks, relative, resampling
+from offpiste.evaluation.errors import Errors, SeededErrors, by_seed
+from offpiste.evaluation.intervals import Resampling, Sampling, relative
 
 Results = Mapping[tuple[str, str, int], Errors]
 """Errors on the held-out recordings by label, model and seed; the same windows in each."""
 
 _READ = {"floor": "the floor", "format": "the file format", "exchanged": "floor, evaluated with another floor's label"}
-_VX = 2
+_VX = "vx_error_mps"
 
 
 def tables(results: Results, drives: Sequence[str], floors: Mapping[str, int], names: Sequence[str]) -> str:
@@ -22,30 +22,31 @@ def tables(results: Results, drives: Sequence[str], floors: Mapping[str, int], n
         floors, names: floor of each recording, and what floors are called.
     """
     blind = _seeds(results, "none", "b")
-    drawn = _resampled(blocks(blind.drive, blind.row))
-    by_recording = _resampled(np.unique(blind.drive, return_inverse=True)[1])
+    drawn = Sampling().on(blind)
     lines = [
-        f"{len(blind.row)} windows, {drawn.blocks} blocks of 10 s, {by_recording.blocks} recordings",
+        f"{len(blind.row)} windows. Intervals are over recordings, blocks of 10 s and seeds: "
+        f"{drawn.levels(len(blind.runs)).text()}.",
         "",
-        "| model | label | 5 s error [m] | minus `b` (by blocks; by recordings) | v_x at 5 s | loss |",
+        "| model | label | 5 s error [m] | minus `b` | v_x at 5 s | loss |",
         "|---|---|---|---|---|---|",
         f"| `b` | none | {blind.distance().mean():.3f} | | {_vx(blind).mean():.3f} | {blind.loss.mean():.3f} |",
     ]
     models = list(dict.fromkeys(model for _, model, _ in results if model != "b"))
     for label, words in _READ.items():
         for model in models:
-            lines.append(_row(f"| `{model}` | {words}", _seeds(results, label, model), blind, drawn, by_recording))
+            lines.append(_row(f"| `{model}` | {words}", _seeds(results, label, model), blind, drawn))
     false = list(dict.fromkeys(label for label, _, _ in results if label.startswith("shuffled")))
     for model in models:
         both = [_against(results, label, model) for label in false]
-        pooled = pool([mine for mine, _ in both])
-        lines.append(_row(f"| `{model}` | changed places ({len(false)})", pooled, blind, drawn, by_recording))
+        pooled = by_seed([mine for mine, _ in both], range(len(both)))
+        lines.append(_row(f"| `{model}` | changed places ({len(false)})", pooled, blind, drawn))
     lines += ["", *_each(results, models, false), "", *_by_recording(results, models, blind, drives, floors, names)]
     return "\n".join(lines)
 
 
-def _seeds(results: Results, label: str, model: str) -> Errors:
-    return pool([errors for (result, name, _), errors in results.items() if (result, name) == (label, model)])
+def _seeds(results: Results, label: str, model: str) -> SeededErrors:
+    runs = {seed: errors for (result, name, seed), errors in results.items() if (result, name) == (label, model)}
+    return by_seed(list(runs.values()), list(runs))
 
 
 def _against(results: Results, label: str, model: str) -> tuple[Errors, Errors]:
@@ -54,13 +55,12 @@ def _against(results: Results, label: str, model: str) -> tuple[Errors, Errors]:
     return results[label, model, seed], results["none", "b", seed]
 
 
-def _row(begin: str, mine: Errors, blind: Errors, *drawn: Resampling) -> str:
-    result = [relative(mine.distance(), blind.distance(), by) for by in drawn]
-    intervals = "; ".join(_interval(one.ci95) for one in result)
-    change = relative(mine.loss, blind.loss, drawn[0])
+def _row(begin: str, mine: SeededErrors, blind: SeededErrors, drawn: Resampling) -> str:
+    result = relative(mine.distance(), blind.distance(), drawn)
+    change = relative(mine.loss, blind.loss, drawn)
     return (
-        f"{begin} | {mine.distance().mean():.3f} | {result[0].mean:+.1%} {intervals} | {_vx(mine).mean():.3f} "
-        f"| {mine.loss.mean():.3f} ({change.mean:+.0%} {_interval(change.ci95)}) |"
+        f"{begin} | {mine.distance().mean():.3f} | {result.mean:+.1%} {_interval(result.ci95)} "
+        f"| {_vx(mine).mean():.3f} | {mine.loss.mean():.3f} ({change.mean:+.0%} {_interval(change.ci95)}) |"
     )
 
 
@@ -84,7 +84,7 @@ def _each(results: Results, models: Sequence[str], false: Sequence[str]) -> list
 def _by_recording(
     results: Results,
     models: Sequence[str],
-    blind: Errors,
+    blind: SeededErrors,
     drives: Sequence[str],
     floors: Mapping[str, int],
     names: Sequence[str],
@@ -96,13 +96,9 @@ def _by_recording(
     ]
     for number in np.unique(blind.drive).tolist():
         mine = blind.drive == number
-        errors = " | ".join(f"{errors.distance()[mine].mean():.3f}" for errors in columns.values())
+        errors = " | ".join(f"{errors.distance()[:, mine].mean():.3f}" for errors in columns.values())
         lines.append(f"| {drives[number]} | {names[floors[drives[number]]]} | {mine.sum()} | {errors} |")
     return lines
-
-
-def _resampled(block: np.ndarray) -> Resampling:
-    return resampling(block, np.random.default_rng(0))
 
 
 def _interval(bounds: tuple[float, float]) -> str:
@@ -110,5 +106,5 @@ def _interval(bounds: tuple[float, float]) -> str:
     return f"[{low:+d}, {high:+d}]"
 
 
-def _vx(errors: Errors) -> np.ndarray:
-    return np.asarray(errors.values[:, -1, _VX])
+def _vx(errors: SeededErrors) -> np.ndarray:
+    return errors.component(_VX)

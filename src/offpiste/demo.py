@@ -21,7 +21,7 @@ from offpiste.evaluation.box_plots import grouped_box_plot
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
-from offpiste.evaluation.intervals import MIN_BLOCKS, PairedDifference, Sampling, relative, summary
+from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.result_rows import REFERENCE
 from offpiste.inspection.inspect import inspect_log, render
 from offpiste.logs import open_log
@@ -99,12 +99,13 @@ def comparison_table(errors: ErrorsByReading) -> TextTable:
                 f"{100 * gain.mean:+.1f} % {interval((100 * low, 100 * high), 1)}",
             )
         )
-    windows = len(next(iter(errors.values()))[MODEL].row)
+    first = next(iter(errors.values()))[MODEL]
+    windows, levels = len(first.row), Sampling().on(first).levels()
     about = (
-        f"Intervals: 95 %, over blocks of 10 s; none with fewer than {MIN_BLOCKS} blocks. Both models read the slope as"
-        " seen from there.\nAll lines but the last read the terrain under the wheels' recorded future places, which"
-        " gives away how far the\nvehicle went. The last one reads the map where predictions go, as a planner does:"
-        " it decides."
+        f"Intervals: 95 %, over {levels.text()}. {levels.caveat}\nBoth models read the slope as seen from"
+        " there. All lines but the last read the terrain under the wheels'\nrecorded future places, which gives away how"
+        " far the vehicle went. The last one reads the map where predictions go, as a planner"
+        " does: it decides."
     )
     title = f"Mean distance error after 5 s [m] on {windows} windows of the test drives"
     return TextTable(
@@ -120,7 +121,7 @@ def conclusion(gain: PairedDifference, dataset: Dataset) -> str:
     if not np.isfinite([low, high]).all():
         return f"No conclusion on dc against b here: {driven} are too few for an interval."
     if high < 0:
-        return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed may say otherwise."
+        return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed or world may say otherwise."
     if low > 0:
         return f"Here dc is {100 * gain.mean:.0f} % above b: {driven} are too little for it."
     return f"No difference between dc and b is shown here: the interval holds zero, with {driven}."

@@ -104,10 +104,76 @@ def pool(runs: Sequence[Errors]) -> Errors:
     return Errors(keys >> 32, keys & 0xFFFFFFFF, values / count[:, None, None], loss / count)
 
 
-def positions(windows: Errors, among: Errors) -> Int[np.ndarray, " n"]:
+@dataclass(frozen=True)
+class SeededErrors:
+    """Errors of a model's runs on the same windows, in ascending order: one run for each seed.
+
+    Attributes:
+        seeds: of the runs; None where they are not known apart.
+    """
+
+    runs: tuple[Errors, ...]
+    seeds: tuple[int | None, ...]
+
+    @property
+    def drive(self) -> Int[np.ndarray, " n"]:
+        """Number of each window's drive."""
+        return self.runs[0].drive
+
+    @property
+    def row(self) -> Int[np.ndarray, " n"]:
+        """Row t of each window in its drive."""
+        return self.runs[0].row
+
+    @property
+    def mean(self) -> Errors:
+        """Each window's mean over the seeds."""
+        return pool(self.runs)
+
+    def at(self, horizon: int, component: int) -> Float[np.ndarray, "S n"]:
+        """Errors by number of the horizon (`HORIZONS`) and of the component (`COMPONENTS`)."""
+        return np.stack([run.values[:, horizon, component] for run in self.runs])
+
+    def component(self, name: str) -> Float[np.ndarray, "S n"]:
+        """Error at the last horizon, of a component (`COMPONENTS`), or the "loss", which is over all steps."""
+        return np.stack([run.component(name) for run in self.runs])
+
+    def distance(self) -> Float[np.ndarray, "S n"]:
+        """Distance error at the last horizon [m]."""
+        return self.component(COMPONENTS[0])
+
+    @property
+    def loss(self) -> Float[np.ndarray, "S n"]:
+        """The loss over all steps."""
+        return self.component("loss")
+
+    def take(self, index: Int[np.ndarray, " m"]) -> "SeededErrors":
+        """Errors on some of the windows."""
+        return SeededErrors(tuple(run.take(index) for run in self.runs), self.seeds)
+
+    def of_seed(self, seed: int | None) -> "SeededErrors":
+        """The run of a seed; all of them where there is none of it."""
+        alike = [number for number, own in enumerate(self.seeds) if own == seed and seed is not None]
+        return SeededErrors((self.runs[alike[0]],), (seed,)) if alike else self
+
+
+def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors:
+    """Runs of a model in the order of their seeds; folds of a seed are put together.
+
+    Where seeds do not predict the same windows (as folds of one seed each), all are one run.
+    """
+    different = sorted(set(seeds), key=lambda seed: (seed is not None, seed))
+    together = [pool([run for run, own in zip(runs, seeds, strict=True) if own == seed]) for seed in different]
+    if any(not np.array_equal(run.key, together[0].key) for run in together):
+        return SeededErrors((pool(runs),), (None,))
+    return SeededErrors(tuple(together), tuple(different))
+
+
+def positions(windows: Errors | SeededErrors, among: Errors | SeededErrors) -> Int[np.ndarray, " n"]:
     """Indices of the windows in `among`, which has them all in ascending order."""
-    result = np.searchsorted(among.key, windows.key)
-    assert np.array_equal(among.key[np.minimum(result, len(among.key) - 1)], windows.key), "not the same windows"
+    have, wanted = (errors.drive.astype(np.int64) << 32 | errors.row for errors in (among, windows))
+    result = np.searchsorted(have, wanted)
+    assert np.array_equal(have[np.minimum(result, len(have) - 1)], wanted), "not the same windows"
     return np.asarray(result)
 
 

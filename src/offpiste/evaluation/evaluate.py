@@ -26,7 +26,7 @@ from offpiste.evaluation.evaluated_models import (
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import LossUnits, Metrics, WindowNumbers, provenance
-from offpiste.evaluation.result_rows import Case, Cases, RunErrors, Start, headlines, pooled, result_rows
+from offpiste.evaluation.result_rows import Case, Cases, RunErrors, Start, headlines, result_rows, seeded
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup
@@ -86,7 +86,7 @@ def evaluate_models(
         lookups: where models read the terrain; datasets without slope have only one way.
         feature_sets: read at recorded places where there are features by distance (`conventions.FEATURE_SETS`).
         stride: rows between windows; where the dataset keeps snapshots of the map, their windows are taken instead.
-        sampling: blocks and seed of the intervals.
+        sampling: settings of the intervals.
         command: command line for the report; empty: this process's own.
         track: shows progress, e.g. `offpiste.progress.track`.
 
@@ -114,7 +114,7 @@ def evaluate_models(
         for case, model, windows in _every_reading(models, dataset, part, starts, readings, device)
     ]
     cases = _by_case(predictions)
-    errors = pooled(cases)
+    errors = {case: runs.mean for case, runs in seeded(cases).items()}
     first = next(iter(errors.values()))
     windows = EvaluatedWindows(dataset, first.drive, first.row)
     splits = splits_of(models, dataset)

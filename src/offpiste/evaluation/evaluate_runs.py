@@ -9,7 +9,7 @@ from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
-from offpiste.evaluation.intervals import MIN_BLOCKS
+from offpiste.evaluation.intervals import MIN_UNITS
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
@@ -64,9 +64,9 @@ def evaluate_runs(
     )
     write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
-    if (result := evaluation.metrics.windows.blocks) < MIN_BLOCKS:
+    if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
         logger.info(
-            f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_BLOCKS} are needed"
+            f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"
         )
     logger.info(f"report: {out / 'report.html'}")
     return evaluation

@@ -1,6 +1,13 @@
-"""Statistics of errors, with intervals bootstrapped over blocks, since overlapping windows are not independent."""
+"""Statistics of errors, with intervals bootstrapped over worlds, blocks within them, and seeds.
+
+Windows overlap, blocks of a world share its ground, and all windows share the runs that predict them: none of these is
+a sample of its own. Each resample draws drives (in the proving ground each has a world of its own), then blocks within
+each drawn drive, then seeds, all with replacement. Where drives do not differ this is conservative: two stages count
+the spread between blocks twice (Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
+"""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -8,15 +15,33 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from offpiste.conventions import DT
-from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 
 BLOCK_SECONDS = 10.0
 """Default length of a block: twice a horizon, so that windows of one block and of the next but one share no row."""
 
 RESAMPLES = 2000
-MIN_BLOCKS = 3
-"""With fewer blocks there is no interval: [nan, nan]."""
+MIN_UNITS = 3
+"""With fewer drives, blocks alone are drawn, and intervals hold for these drives; with fewer blocks there are none."""
+
+
+class Levels(msgspec.Struct, frozen=True):
+    """Numbers of what an interval is drawn from: drives (worlds or recordings), blocks in all of them, seeds."""
+
+    drives: int
+    blocks: int
+    seeds: int = 1
+
+    def text(self) -> str:
+        """In words: "10 drives, 90 blocks, 3 seeds"."""
+        counts = {"drive": self.drives, "block": self.blocks, "seed": self.seeds}
+        return ", ".join(f"{count} {name}{'s' * (count != 1)}" for name, count in counts.items())
+
+    @property
+    def caveat(self) -> str:
+        """What intervals do not say with so few drives; empty where nothing is missing."""
+        if self.drives >= MIN_UNITS:
+            return ""
+        return f"Fewer than {MIN_UNITS} drives: intervals are over blocks and say nothing of other worlds."
 
 
 class Statistics(msgspec.Struct, frozen=True):
@@ -39,37 +64,63 @@ class PairedDifference(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Resampling:
-    """Blocks drawn with replacement, once for all statistics on the same windows.
+    """Drives, blocks and seeds drawn with replacement, once for all statistics on the same windows.
 
     Attributes:
         block: number of each window's block, 0 ... G - 1.
         draws: how often each block was drawn in each resample.
+        drives: number of drives.
+        units: independent units of the top level: drives, or blocks where these are too few.
+        seed: of the draws of seeds.
     """
 
     block: Int[np.ndarray, " n"]
     draws: Int[np.ndarray, "R G"]
+    drives: int
+    units: int
+    seed: int
 
     @property
     def blocks(self) -> int:
         """Number of blocks."""
         return int(self.draws.shape[1])
 
-    def means(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " R"]:
-        """Mean over the windows of each resample."""
-        sums = np.bincount(self.block, weights=values, minlength=self.blocks)
+    def levels(self, seeds: int = 1) -> Levels:
+        """Numbers of what is drawn from."""
+        return Levels(self.drives, self.blocks, seeds)
+
+    def seed_draws(self, seeds: int) -> Int[np.ndarray, "R S"]:
+        """How often each of some runs is drawn; the same for all models with as many, so that they are paired by seed.
+
+        One less than there are is drawn, which makes the variance of their mean unbiased (McCarthy and Snowden, The
+        Bootstrap and Finite Population Sampling, 1985).
+        """
+        rng = np.random.default_rng((self.seed, seeds))
+        return rng.multinomial(max(seeds - 1, 1), np.full(seeds, 1 / seeds), size=len(self.draws))
+
+    def means(self, values: Float[np.ndarray, "*S n"]) -> Float[np.ndarray, " R"]:
+        """Mean over the windows, and over the seeds, of each resample.
+
+        Args:
+            values: of one run, or a row for each seed.
+        """
+        runs = values.reshape(-1, values.shape[-1])
+        sums = np.stack([np.bincount(self.block, weights=run, minlength=self.blocks) for run in runs])
         counts = np.bincount(self.block, minlength=self.blocks)
-        return np.asarray((self.draws @ sums) / (self.draws @ counts))
+        seeds = self.seed_draws(len(runs))
+        of_seeds = (self.draws @ sums.T) / (self.draws @ counts)[:, None]
+        return np.asarray((of_seeds * seeds).sum(axis=1) / seeds.sum(axis=1))
 
     def interval(self, means: Float[np.ndarray, " R"]) -> tuple[float, float]:
-        """The middle 95 % of resampled means, a little more where blocks are few.
+        """The middle 95 % of resampled means, a little more where units are few.
 
-        Plain percentiles are too narrow by sqrt((G-1)/G) and take the normal distribution for Student's; the
+        Plain percentiles are too narrow by sqrt((N-1)/N) and take the normal distribution for Student's; the
         percentiles are moved out to make up for it (Hesterberg, The American Statistician 69, 2015, "expanded
         percentile interval").
         """
-        if self.blocks < MIN_BLOCKS or not np.isfinite(means).all():
+        if self.units < MIN_UNITS or not np.isfinite(means).all():
             return (np.nan, np.nan)
-        reach = np.sqrt(self.blocks / (self.blocks - 1)) * stats.t.ppf(0.975, self.blocks - 1)
+        reach = np.sqrt(self.units / (self.units - 1)) * stats.t.ppf(0.975, self.units - 1)
         tail = stats.norm.cdf(-reach)
         low, high = np.quantile(means, [tail, 1 - tail])
         return (float(low), float(high))
@@ -101,10 +152,40 @@ def blocks(
     return number
 
 
-def resampling(block: Int[np.ndarray, " n"], rng: np.random.Generator, *, resamples: int = RESAMPLES) -> Resampling:
-    """Draw as many blocks as there are, with replacement, many times."""
-    total = int(block.max()) + 1
-    return Resampling(block, rng.multinomial(total, np.full(total, 1 / total), size=resamples))
+def resampling(
+    drive: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], seed: int, *, resamples: int = RESAMPLES
+) -> Resampling:
+    """Draw as many drives as there are, and in each drawn one as many blocks as it has, many times.
+
+    Args:
+        drive: of each window, or whatever else is independent of others.
+        block: number of each window's block, 0 ... G - 1; no block lies in two drives.
+    """
+    rng, total = np.random.default_rng(seed), int(block.max()) + 1
+    names, inside = np.unique(drive, return_inverse=True)
+    if len(names) < MIN_UNITS:
+        draws = rng.multinomial(total, np.full(total, 1 / total), size=resamples)
+        return Resampling(block, draws, len(names), total, seed)
+    drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=resamples)
+    draws = np.zeros((resamples, total), np.int64)
+    for number in range(len(names)):
+        mine = np.unique(block[inside == number])
+        draws[:, mine] = rng.multinomial(drawn[:, number] * len(mine), np.full(len(mine), 1 / len(mine)))
+    return Resampling(block, draws, len(names), len(names), seed)
+
+
+class Located(Protocol):
+    """Windows, or rows, by the number of their drive and the row in it."""
+
+    @property
+    def drive(self) -> Int[np.ndarray, " n"]:
+        """Number of the drive."""
+        ...
+
+    @property
+    def row(self) -> Int[np.ndarray, " n"]:
+        """Row in the drive."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -114,29 +195,38 @@ class Sampling:
     seed: int = 0
     block_seconds: float = BLOCK_SECONDS
 
-    def on(self, windows: Errors | EvaluatedWindows) -> Resampling:
-        """Blocks of these windows. The same windows always get the same draws."""
-        block = blocks(windows.drive, windows.row, seconds=self.block_seconds)
-        return resampling(block, np.random.default_rng(self.seed))
+    def on(self, windows: Located) -> Resampling:
+        """Resamples of these windows, in any order. The same windows always get the same draws."""
+        order = np.lexsort((windows.row, windows.drive))
+        block = np.empty(len(order), np.int64)
+        block[order] = blocks(windows.drive[order], windows.row[order], seconds=self.block_seconds)
+        return resampling(windows.drive, block, self.seed)
 
 
-def summary(values: Float[np.ndarray, " n"], drawn: Resampling) -> Statistics:
-    """Statistics of one error over windows."""
-    q1, median, q3, p90 = _quantiles(values, (0.25, 0.5, 0.75, 0.9))
+def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
+    """Statistics of one error over windows; quantiles are of each window's mean over the seeds.
+
+    Args:
+        values: of one run, or a row for each seed.
+    """
+    over_seeds = values.reshape(-1, values.shape[-1]).mean(axis=0)
+    q1, median, q3, p90 = _quantiles(over_seeds, (0.25, 0.5, 0.75, 0.9))
     failed = not np.isfinite(values).all()
     interval = (np.nan, np.nan) if failed else drawn.interval(drawn.means(values))
     return Statistics(float(values.mean()), median, q1, q3, p90, interval)
 
 
-def paired(values: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], drawn: Resampling) -> PairedDifference:
+def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling) -> PairedDifference:
     """Mean of `values - other` on the same windows: negative where `values` are the smaller errors."""
     if not (np.isfinite(values).all() and np.isfinite(other).all()):
         return PairedDifference(float(values.mean()) - float(other.mean()), (np.nan, np.nan))
-    difference = values - other
-    return PairedDifference(float(difference.mean()), drawn.interval(drawn.means(difference)))
+    difference = drawn.means(values) - drawn.means(other)
+    return PairedDifference(float(values.mean() - other.mean()), drawn.interval(difference))
 
 
-def relative(values: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], drawn: Resampling) -> PairedDifference:
+def relative(
+    values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling
+) -> PairedDifference:
     """`mean(values) / mean(other) - 1` on the same windows: -0.3 where the errors are 30 % smaller."""
     if not (np.isfinite(values).all() and np.isfinite(other).all() and other.mean() > 0):
         return PairedDifference(np.nan, (np.nan, np.nan))

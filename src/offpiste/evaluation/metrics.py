@@ -13,10 +13,10 @@ import msgspec
 import torch
 
 from offpiste.errors import RunError
-from offpiste.evaluation.intervals import PairedDifference, Statistics
+from offpiste.evaluation.intervals import Levels, PairedDifference, Statistics
 from offpiste.files import write_text
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 class Minus(msgspec.Struct, frozen=True):
@@ -55,6 +55,7 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
         lookup: None for models that do not read the terrain.
         n: number of windows.
         n_failed: number of predictions that are not finite at this horizon; any makes the mean infinite, null in JSON.
+        levels: numbers of drives, blocks and seeds that intervals are drawn from.
         loss: over all steps up to 5 s, whatever the horizon of the row.
         minus: paired differences by the other model's label (its name, and its variant if it has one).
     """
@@ -70,6 +71,7 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     horizon_s: float
     n: int
     n_failed: int
+    levels: Levels
     distance_error_m: Statistics
     yaw_error_rad: Statistics
     vx_error_mps: Statistics
@@ -87,6 +89,7 @@ class Headline(msgspec.Struct, frozen=True, kw_only=True):
     lookup: str | None
     feature_set: str | None = None
     runs: int
+    levels: Levels
     distance_error_m: float
     other: str
     relative: float

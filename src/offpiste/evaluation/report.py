@@ -98,7 +98,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         "dataset": metrics.dataset,
         "split": f"{metrics.split}; evaluated on the {metrics.part} part",
         "windows": f"{windows.n} of 5 s from {windows.drives} drive(s), one every {windows.stride_s:g} s, "
-        f"in {windows.blocks} blocks of {windows.block_s:g} s",
+        f"in {windows.blocks} blocks of {windows.block_s:g} s on {windows.drives} drives",
         "driving": f"median {number(windows.median_distance_m, 1)} m in 5 s, "
         f"{number(windows.median_speed_mps, 1)} m/s at the start",
         "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path lies within 5 m of training's",
@@ -121,9 +121,10 @@ def _notes(metrics: Metrics) -> Sequence[str]:
         "Lookup: recorded reads the terrain under the recorded future path, as in the paper, which also gives away how "
         "far the vehicle went; map reads it at the predicted place, as a planner does, and decides. Models without a "
         "lookup do not read the terrain.",
-        f"Intervals are of the mean, bootstrapped over blocks: windows of one drive that start within "
-        f"{metrics.windows.block_s:g} s of each other stay together, since overlapping windows are not independent. "
-        "A dash: fewer than three blocks.",
+        "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
+        f"of one drive that start within {metrics.windows.block_s:g} s of each other stay together, since overlapping "
+        "windows are not independent, and windows of a drive share its ground. With fewer than three drives blocks "
+        "alone are drawn, and nothing is said of other drives; a dash: fewer than three blocks.",
         "A model with several runs: each window's error is the mean over seeds; folds are evaluated on different "
         "windows, which are put together. It is the mean of errors, not the error of a mean prediction.",
         f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "

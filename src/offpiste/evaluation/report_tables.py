@@ -38,7 +38,8 @@ def terminal_table(rows: Sequence[ResultRow]) -> TextTable:
                 f"{number(difference.mean)} {interval(difference.ci95)}" if difference else "",
             )
         )
-    title = f"Mean distance error [m] on {windows} windows of the {rows[0].part} part, 95 % intervals by blocks"
+    levels = ", or ".join(dict.fromkeys(group[-1].levels.text() for group in groups))
+    title = f"Mean distance error [m] on {windows} windows of the {rows[0].part} part, 95 % intervals: {levels}"
     horizons = [f"{seconds} s" for seconds in HORIZONS]
     return TextTable(title, ("model", "start", "lookup", *horizons, "at 5 s", f"minus {REFERENCE}"), lines, left=3)
 
@@ -64,7 +65,7 @@ def component_table(rows: Sequence[ResultRow]) -> TextTable:
     lines: list[tuple[str | Cell, ...]] = [
         (row.reading_label, row.start, *(_mean(row, name, 3) for name in NAMES)) for row in _at_last_horizon(rows)
     ]
-    about = "Mean absolute errors with 95 % intervals; the loss is over all steps."
+    about = f"Mean absolute errors with 95 % intervals; the loss is over all steps. {drawn_from(rows)}"
     return TextTable("All components after 5 s", ("model", "start", *NAMES.values()), lines, about, left=2)
 
 
@@ -96,8 +97,23 @@ def difference_table(rows: Sequence[ResultRow]) -> TextTable:
         cells = [cell for minus in minuses for cell in (_difference(minus.distance_error_m), _difference(minus.loss))]
         lines.append((f"{name} minus {other}", *cells))
     names = ("", *(f"{start}: {what}" for start in starts for what in ("distance [m]", "loss")))
-    about = "The same windows for both; negative: the first is better; bold: the 95 % interval does not hold 0."
+    about = (
+        "The same windows for both; negative: the first is better; bold: the 95 % interval does not hold 0. "
+        + drawn_from(learned)
+    )
     return TextTable("Paired differences after 5 s", names, lines, about)
+
+
+def drawn_from(rows: Sequence[ResultRow]) -> str:
+    """Sentences that say how many drives, blocks and seeds intervals are drawn from, with the models of each."""
+    models: dict[str, list[str]] = {}
+    for row in rows:
+        models.setdefault(row.levels.text(), []).append(row.label)
+    if not models:
+        return ""
+    each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
+    text = "; ".join(each) if len(each) > 1 else next(iter(models))
+    return f"Intervals are over {text}. {rows[0].levels.caveat}".strip()
 
 
 def run_table(rows: Sequence[ResultRow]) -> TextTable:

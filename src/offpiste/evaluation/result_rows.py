@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from offpiste.dynamics.models import is_baseline
-from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, pool, positions
+from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, SeededErrors, by_seed, positions
 from offpiste.evaluation.intervals import Sampling, paired, relative, summary
 from offpiste.evaluation.metrics import Headline, Labelled, Minus, ResultRow
 from offpiste.training.prediction import Lookup
@@ -39,34 +39,37 @@ class RunErrors:
 Cases = Mapping[Case, list[RunErrors]]
 
 
-def pooled(cases: Cases) -> dict[Case, Errors]:
-    """Errors of each case over all its runs."""
-    return {case: pool([run.errors for run in runs]) for case, runs in cases.items()}
+def seeded(cases: Cases) -> dict[Case, SeededErrors]:
+    """Errors of each case by seed."""
+    return {case: by_seed([run.errors for run in runs], [run.seed for run in runs]) for case, runs in cases.items()}
 
 
 def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
     """Rows of every case and horizon; where a case has several runs, one over all of them and one for each.
 
-    `minus` of a single run compares with the other models over all their runs, on that run's windows.
+    `minus` of a single run compares with the other models' runs of its seed, or with all of theirs where there is
+    none, on that run's windows.
     """
-    together = pooled(cases)
+    together = seeded(cases)
     rows = []
     for case, runs in cases.items():
-        over_all = [RunErrors(None, None, together[case])] if len(runs) > 1 else []
-        for run in over_all + runs:
-            rows += _rows(case, run, together, part, sampling)
+        if len(runs) > 1:
+            rows += _rows(case, RunErrors(None, None, together[case].mean), together[case], together, part, sampling)
+        for run in runs:
+            rows += _rows(case, run, by_seed([run.errors], [run.seed]), together, part, sampling)
     return rows
 
 
 def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
     """Comparison of each model but the baselines with `kinematic`, at 5 s."""
-    together = pooled(cases)
+    together = seeded(cases)
     result = []
     for case, errors in together.items():
         reference = _counterpart(together, REFERENCE, case)
         if is_baseline(case.model) or reference is None:
             continue
-        ratio = relative(errors.distance(), reference.distance(), sampling.on(errors))
+        drawn = sampling.on(errors)
+        ratio = relative(errors.distance(), reference.distance(), drawn)
         result.append(
             Headline(
                 model=case.label,
@@ -74,6 +77,7 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
                 lookup=case.lookup,
                 feature_set=case.feature_set,
                 runs=len(cases[case]),
+                levels=drawn.levels(len(errors.runs)),
                 distance_error_m=float(errors.distance().mean()),
                 other=REFERENCE,
                 relative=ratio.mean,
@@ -84,16 +88,21 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
 
 
 def _rows(
-    case: Case, run: RunErrors, together: Mapping[Case, Errors], part: str, sampling: Sampling
+    case: Case,
+    run: RunErrors,
+    errors: SeededErrors,
+    together: Mapping[Case, SeededErrors],
+    part: str,
+    sampling: Sampling,
 ) -> list[ResultRow]:
-    errors = pool([run.errors])  # in ascending order
+    """Rows of a run, or of all runs of a case (`errors`, by seed)."""
     drawn = sampling.on(errors)
     loss = summary(errors.loss, drawn)
-    others = {}
+    others: dict[str, SeededErrors] = {}
     for other in dict.fromkeys(key.label for key in together):
         counterpart = _counterpart(together, other, case)
         if other != case.label and counterpart is not None:
-            others[other] = counterpart.take(positions(errors, counterpart))
+            others[other] = counterpart.take(positions(errors, counterpart)).of_seed(run.seed)
     loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
     return [
         ResultRow(
@@ -107,11 +116,12 @@ def _rows(
             part=part,
             horizon_s=float(seconds),
             n=len(errors.row),
-            n_failed=int(errors.failed[:, h].sum()),
-            **{name: summary(errors.values[:, h, c], drawn) for c, name in enumerate(COMPONENTS)},
+            n_failed=int(run.errors.failed[:, h].sum()),
+            levels=drawn.levels(len(errors.runs)),
+            **{name: summary(errors.at(h, c), drawn) for c, name in enumerate(COMPONENTS)},
             loss=loss,
             minus={
-                other: Minus(paired(errors.values[:, h, 0], result.values[:, h, 0], drawn), loss_minus[other])
+                other: Minus(paired(errors.at(h, 0), result.at(h, 0), drawn), loss_minus[other])
                 for other, result in others.items()
             },
         )
@@ -119,7 +129,7 @@ def _rows(
     ]
 
 
-def _counterpart(together: Mapping[Case, Errors], other: str, case: Case) -> Errors | None:
+def _counterpart(together: Mapping[Case, SeededErrors], other: str, case: Case) -> SeededErrors | None:
     """Errors of another model that reads the terrain in the same way, or in the only way it can."""
     readings = ((case.lookup, case.feature_set), (None, None))
     for key, errors in together.items():

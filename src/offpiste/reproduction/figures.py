@@ -21,7 +21,7 @@ from offpiste.reproduction.tables import HINDSIGHT, MAP
 
 CAPTION = (
     "Boxes: quartiles; whiskers: last value within 1.5 IQR, given by the values with arrows; green: median; orange: "
-    "mean. Several seeds: each window's error is their mean."
+    "mean. Each window's error is the mean over seeds."
 )
 
 

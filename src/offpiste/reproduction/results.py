@@ -11,15 +11,15 @@ from jaxtyping import Bool
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.errors import HORIZONS, Errors, load_errors, pool
+from offpiste.evaluation.errors import HORIZONS, Errors, SeededErrors, by_seed, load_errors, pool
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
+from offpiste.evaluation.intervals import Levels, PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import LossUnits, Provenance, ResultRow
 from offpiste.evaluation.result_rows import Case, RunErrors, result_rows
 from offpiste.reproduction.runs import PART, errors_path
 from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
 
-SCHEMA = 1
+SCHEMA = 2
 QUANTITIES = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "loss")
 """Errors that are compared with the baseline's, at the last horizon; the loss is over all steps."""
 
@@ -31,6 +31,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
         seed: of a single run, compared with the `b` of its seed; None over all.
         seen: whether only windows count in which all wheels have features of the set all along.
         n: number of windows.
+        levels: numbers of drives, blocks and seeds that intervals are drawn from; None without windows.
     """
 
     model: str
@@ -40,6 +41,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     feature_set: str | None
     seen: bool
     n: int
+    levels: Levels | None
     relative: dict[str, PairedDifference]
 
 
@@ -90,7 +92,12 @@ class FigureResults:
 
     def over_seeds(self, model: FigureModel, reading: Reading) -> Errors:
         """Errors of a model, each window's the mean over its seeds."""
-        return pool([run.errors for run in self.runs[model, reading]])
+        return self.by_seed(model, reading).mean
+
+    def by_seed(self, model: FigureModel, reading: Reading) -> SeededErrors:
+        """Errors of a model's runs."""
+        runs = self.runs[model, reading]
+        return by_seed([run.errors for run in runs], [run.seed for run in runs])
 
     def rows(self) -> list[ResultRow]:
         """The rows of metrics.json."""
@@ -104,32 +111,33 @@ class FigureResults:
         Args:
             seen: whether each window counts; None: all do.
         """
-        mine, others = self.over_seeds(model, reading), self.over_seeds(self.baseline, reading)
+        mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
         return self._compared(model, reading, mine, others, None, seen)
 
     def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
         """Comparison of each run of a model with the `b` of its seed."""
-        others = {run.seed: run.errors for run in self.runs[self.baseline, reading]}
+        mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
         return [
-            self._compared(model, reading, run.errors, others[run.seed], run.seed, None)
-            for run in self.runs[model, reading]
-            if run.seed in others
+            self._compared(model, reading, mine.of_seed(seed), others.of_seed(seed), seed, None)
+            for seed in mine.seeds
+            if seed in others.seeds
         ]
 
     def _compared(
         self,
         model: FigureModel,
         reading: Reading,
-        mine: Errors,
-        others: Errors,
+        mine: SeededErrors,
+        others: SeededErrors,
         seed: int | None,
         seen: Bool[np.ndarray, " n"] | None,
     ) -> Comparison:
         index = np.arange(len(mine.row)) if seen is None else np.flatnonzero(seen)
-        differences = {name: PairedDifference(np.nan, (np.nan, np.nan)) for name in QUANTITIES}
+        differences, levels = {name: PairedDifference(np.nan, (np.nan, np.nan)) for name in QUANTITIES}, None
         if len(index):
             mine, others = mine.take(index), others.take(index)
             drawn = self.sampling.on(mine)
+            levels = drawn.levels(len(mine.runs))
             differences = {name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES}
         lookup, chosen = reading
         return Comparison(
@@ -140,6 +148,7 @@ class FigureResults:
             feature_set=chosen,
             seen=seen is not None,
             n=len(index),
+            levels=levels,
             relative=differences,
         )
 

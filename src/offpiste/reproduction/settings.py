@@ -29,7 +29,7 @@ class Size:
         images: number of images that the PCA is fitted on.
         pca_drives: number of drives of each world that the PCA is fitted on.
         snapshot_seconds: least time between windows of validation and test for which the map is kept [s].
-        seeds: number of runs of `b`, `cf` and `dc`; other models have one.
+        seeds: number of runs of every model.
         stride: rows between windows evaluated at recorded places; on the map, those with a snapshot are evaluated.
         train: settings of all trainings.
         world_size, world_resolution: extent and cell size of the worlds [m].
@@ -163,9 +163,6 @@ CODES_SWEPT = (1, 2, 4, 8, 16)
 PCA_SWEPT = (5, 10, 20, 40, 80)
 """Code lengths of Fig. 3b and numbers of features of Fig. 3c."""
 
-SEEDED = ("b", "cf", "dc")
-"""Models that are trained with several seeds."""
-
 
 @dataclass(frozen=True)
 class FigureModel:
@@ -198,7 +195,7 @@ class FigureModel:
 
     def seeds(self, size: Size) -> range:
         """Seeds of its runs."""
-        return range(size.seeds if self.model in SEEDED and not self.variant else 1)
+        return range(size.seeds)
 
 
 def standard_model(model: str, stored: int) -> FigureModel:

@@ -111,8 +111,8 @@ def _place(reading: Reading) -> str:
 
 def _table(lines: Sequence[tuple[str, ...]]) -> TextTable:
     about = (
-        "Relative to b on the same windows, with 95 % intervals. The last column follows the mean; 'not certain' where "
-        "its interval holds the limit as well."
+        "Relative to b on the same windows, over all seeds, with 95 % intervals over drives, blocks and seeds. The "
+        "last column follows the mean; 'not certain' where its interval holds the limit as well."
     )
     return TextTable("What the paper says", ("claim", "paper", "here", "as in the paper"), tuple(lines), about)
 
@@ -134,14 +134,24 @@ def error_table(rows: Sequence[ResultRow]) -> TextTable:
             *(f"{number(getattr(row, key).mean, 3)} {interval(getattr(row, key).ci95, 3)}" for key in NAMES),
             number(row.distance_error_m.median),
             f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else ""),
+            f"{row.levels.seeds}",
         )
         for row in last_rows(rows)
     ]
     about = (
-        "Mean absolute errors with 95 % intervals, bootstrapped over blocks of 10 s; the loss is over all steps. "
-        "Several seeds: each window's error is their mean. On the map, other windows are evaluated."
+        "Mean absolute errors over all seeds, with 95 % intervals bootstrapped over drives, blocks of 10 s within "
+        "them, and seeds; the loss is over all steps. On the map, other windows are evaluated."
     )
-    return TextTable("Errors after 5 s", ("model", *NAMES.values(), "median [m]", "windows"), tuple(lines), about)
+    names = ("model", *NAMES.values(), "median [m]", "windows", "seeds")
+    return TextTable("Errors after 5 s", names, tuple(lines), " ".join((about, *_caveats(rows))))
+
+
+def _caveats(rows: Sequence[ResultRow]) -> list[str]:
+    """Numbers of drives and blocks at recorded places and on the map, and what these do not allow to say."""
+    counts = {row.lookup or "": row.levels for row in last_rows(rows)}
+    each = [f"{name}: {levels.drives} drives, {levels.blocks} blocks" for name, levels in counts.items()]
+    caveats = dict.fromkeys(levels.caveat for levels in counts.values() if levels.caveat)
+    return [f"{'; '.join(each)}.", *caveats]
 
 
 def difference_table(results: FigureResults) -> TextTable:
@@ -152,9 +162,13 @@ def difference_table(results: FigureResults) -> TextTable:
             if model.label != BASELINE:
                 against = results.compare(model, reading)
                 name = f"{model.label} · {' '.join(filter(None, reading))}"
-                lines.append((name, *(percent(against.relative[key]) for key in NAMES), str(against.n)))
-    about = f"Mean error of the model relative to that of {BASELINE}; negative: the model is better."
-    names = ("model", *(name.partition(" [")[0] for name in NAMES.values()), "windows")
+                seeds = str(against.levels.seeds if against.levels else 0)
+                lines.append((name, *(percent(against.relative[key]) for key in NAMES), str(against.n), seeds))
+    about = (
+        f"Mean error of the model relative to that of {BASELINE}; negative: the model is better. Both on the same "
+        "draws of drives, blocks and seeds."
+    )
+    names = ("model", *(name.partition(" [")[0] for name in NAMES.values()), "windows", "seeds")
     return TextTable("Against b", names, tuple(lines), about)
 
 
