@@ -103,9 +103,8 @@ def comparison_table(errors: ErrorsByReading) -> TextTable:
     windows, levels = len(first.row), Sampling().on(first).levels()
     about = (
         f"Intervals: 95 %, over {levels.text()}. {levels.caveat}\nBoth models read the slope as seen from"
-        " there. All lines but the last read the terrain under the wheels'\nrecorded future places, which gives away how"
-        " far the vehicle went. The last one reads the map where predictions go, as a planner"
-        " does: it decides."
+        " there. All lines but the last read the terrain under the wheels'\nrecorded future places, which gives away"
+        " how far the vehicle went. The last one reads the map where predictions go, as a\nplanner does: it decides."
     )
     title = f"Mean distance error after 5 s [m] on {windows} windows of the test drives"
     return TextTable(

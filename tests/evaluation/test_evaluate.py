@@ -18,7 +18,7 @@ from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.errors import RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
-from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.intervals import Levels, Sampling
 from offpiste.evaluation.metrics import Headline, ResultRow, pooled_rows, read_metrics, run_rows
 from offpiste.evaluation.report import draw_figures, headline_text, report_page, write_report
 from offpiste.evaluation.report_figures import REPORT_FIGURES, ReportFigure
@@ -265,14 +265,16 @@ def replace_row(found: ResultRow, **change) -> ResultRow:
 
 def test_headlines_say_how_far_below_or_above() -> None:
     about = {"model": "b", "start": "causal", "lookup": "map", "feature_set": None, "other": "kinematic"}
-    better = Headline(**about, runs=3, distance_error_m=1.7, relative=-0.5, ci95=(-0.61, -0.42))
+    better = Headline(**about, runs=3, levels=Levels(5, 9, 3), distance_error_m=1.7, relative=-0.5, ci95=(-0.61, -0.42))
     assert headline_text(better) == (
         "b: 1.70 m mean distance error after 5 s, 50 % [42, 61] below kinematic "
         "(causal start, map lookup, mean of 3 runs)"
     )
-    worse = Headline(**about, runs=1, distance_error_m=4.0, relative=0.2, ci95=(-0.1, 0.5))
+    worse = Headline(**about, runs=1, levels=Levels(5, 9), distance_error_m=4.0, relative=0.2, ci95=(-0.1, 0.5))
     assert "20 % [-10, 50] above kinematic" in headline_text(worse)
-    failed = Headline(**about, runs=1, distance_error_m=np.inf, relative=np.nan, ci95=(np.nan, np.nan))
+    failed = Headline(
+        **about, runs=1, levels=Levels(5, 9), distance_error_m=np.inf, relative=np.nan, ci95=(np.nan, np.nan)
+    )
     assert headline_text(failed) == "b: – m mean distance error after 5 s (causal start, map lookup)"
 
 

@@ -1,12 +1,33 @@
+import time
+
 import numpy as np
 import pytest
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.evaluation.intervals import blocks, paired, relative, resampling, summary
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.intervals import (
+    RESAMPLES,
+    Levels,
+    Resampling,
+    Sampling,
+    blocks,
+    paired,
+    relative,
+    resampling,
+    summary,
+)
 
 
-def drawn(block: np.ndarray | list[int], seed: int = 0):
-    return resampling(np.asarray(block, dtype=np.int64), np.random.default_rng(seed))
+def drawn(block: np.ndarray | list[int], seed: int = 0, resamples: int = RESAMPLES) -> Resampling:
+    """Blocks of one drive."""
+    block = np.asarray(block, dtype=np.int64)
+    return resampling(np.zeros(len(block), np.int64), block, seed, resamples=resamples)
+
+
+def nested(drives: int, per_drive: int, windows: int, seed: int = 0, resamples: int = RESAMPLES) -> Resampling:
+    """Drives of as many blocks of as many windows each."""
+    block = np.repeat(np.arange(drives * per_drive), windows)
+    return resampling(block // per_drive, block, seed, resamples=resamples)
 
 
 def test_statistics_worked_by_hand() -> None:
@@ -91,6 +112,113 @@ def test_failed_predictions_make_the_mean_infinite_and_leave_low_quantiles() -> 
     assert paired(values, np.ones(5), drawn([0, 1, 2, 3, 4])).mean == np.inf
     assert paired(np.ones(5), values, drawn([0, 1, 2, 3, 4])).mean == -np.inf
     assert np.isnan(relative(values, np.ones(5), drawn([0, 1, 2, 3, 4])).mean)
+
+
+@pytest.mark.parametrize("drives", [4, 8])
+def test_intervals_hold_the_truth_about_worlds_where_pooled_blocks_do_not(drives: int) -> None:
+    """Worlds differ as much as blocks do; what is true of all worlds is asked for."""
+    rng = np.random.default_rng(3)
+    hierarchical = pooled = 0
+    for seed in range(300):
+        world = np.repeat(rng.normal(5.0, 1.0, drives), 4)
+        values = np.repeat(world + rng.normal(0.0, 1.0, 4 * drives), 3)
+        low, high = summary(values, nested(drives, 4, 3, seed, 1000)).ci95
+        hierarchical += low <= 5.0 <= high
+        low, high = summary(values, drawn(np.repeat(np.arange(4 * drives), 3), seed, 1000)).ci95
+        pooled += low <= 5.0 <= high
+    assert 0.92 <= hierarchical / 300 <= 0.99
+    assert pooled / 300 < 0.75
+
+
+def test_intervals_hold_the_truth_about_seeds_where_their_mean_alone_does_not() -> None:
+    """Runs of a model differ as much as its worlds do; what is true of all runs is asked for."""
+    rng = np.random.default_rng(4)
+    seeded = of_mean = 0
+    for seed in range(300):
+        world = np.repeat(rng.normal(5.0, 1.0, 8), 4)
+        values = world + rng.normal(0.0, 0.4, 32) + rng.normal(0.0, 0.5, (3, 1))
+        sample = nested(8, 4, 1, seed, 1000)
+        low, high = summary(values, sample).ci95
+        seeded += low <= 5.0 <= high
+        low, high = summary(values.mean(axis=0), sample).ci95
+        of_mean += low <= 5.0 <= high
+    assert 0.91 <= seeded / 300 <= 0.985
+    assert seeded > of_mean + 10
+
+
+def test_draws_of_drives_and_blocks_have_the_right_weights() -> None:
+    # Drive 0 has blocks 0, 1; drive 1 has block 2; drive 2 has blocks 3, 4, 5.
+    block = np.arange(6)
+    sample = resampling(np.array([0, 0, 1, 2, 2, 2]), block, 0, resamples=4000)
+    times = np.stack((sample.draws[:, :2].sum(axis=1) / 2, sample.draws[:, 2], sample.draws[:, 3:].sum(axis=1) / 3))
+    assert (times == times.round()).all()  # a drawn drive is drawn with as many blocks as it has
+    assert (times.sum(axis=0) == 3).all()
+    np.testing.assert_allclose(times.mean(axis=1), 1.0, atol=0.05)
+    np.testing.assert_allclose(times.var(axis=1), 3 * (1 / 3) * (2 / 3), atol=0.05)
+    once = times[0] == 1
+    np.testing.assert_allclose((sample.draws[once, 0][:, None] == [0, 1, 2]).mean(axis=0), [0.25, 0.5, 0.25], atol=0.05)
+    values = np.array([3.0, 1.0, 4.0, 1.0, 5.0, 9.0])
+    by_hand = sample.draws[7] @ values / sample.draws[7].sum()
+    assert sample.means(values)[7] == pytest.approx(by_hand)
+    assert (sample.drives, sample.units, sample.levels(3)) == (3, 3, Levels(3, 6, 3))
+    assert Levels(3, 6, 1).text() == "3 drives, 6 blocks, 1 seed"
+
+
+def test_seeds_are_drawn_with_all_windows_and_weigh_alike() -> None:
+    sample = nested(4, 2, 2)
+    values = np.random.default_rng(0).normal(size=(3, 16))
+    seeds = sample.seed_draws(3)
+    assert (seeds.sum(axis=1) == 2).all()  # one less than there are
+    single = np.stack([sample.means(run) for run in values], axis=1)
+    np.testing.assert_allclose(sample.means(values), (single * seeds).sum(axis=1) / 2)
+    np.testing.assert_allclose(sample.means(values[:1]), sample.means(values[0]))
+    # The variance of the mean over seeds is that of independent runs: s^2 / 3, not 2/3 of it.
+    runs = np.array([[1.0], [2.0], [6.0]]) * np.ones(16)
+    assert sample.means(runs).var() == pytest.approx(np.var([1, 2, 6], ddof=1) / 3, rel=0.1)
+
+
+def test_models_are_compared_on_the_same_draws_of_seeds() -> None:
+    rng = np.random.default_rng(5)
+    sample, luck = nested(6, 3, 2), rng.normal(0, 1, (3, 1))  # of a seed, common to both models
+    other = 5 + luck + rng.normal(0, 0.1, (3, 36))
+    found = paired(other - 0.5, other, sample)
+    assert found.mean == pytest.approx(-0.5)
+    assert found.ci95 == pytest.approx((-0.5, -0.5))
+    low, high = summary(other, sample).ci95
+    assert high - low > 1
+    # A model with one run, as a baseline that is not trained, is the same for every seed.
+    assert paired(other, other[0], sample).ci95[1] - paired(other, other[0], sample).ci95[0] > 1
+
+
+def test_two_drives_are_blocks_and_say_so() -> None:
+    sample = nested(2, 5, 2)
+    assert (sample.drives, sample.units, sample.blocks) == (2, 10, 10)
+    assert (sample.draws.sum(axis=1) == 10).all()
+    assert "say nothing of other worlds" in sample.levels().caveat
+    assert nested(3, 5, 2).levels().caveat == ""
+    assert sample.draws.tolist() == resampling(np.zeros(20, np.int64), np.repeat(np.arange(10), 2), 0).draws.tolist()
+
+
+def test_the_order_of_windows_does_not_matter() -> None:
+    rng = np.random.default_rng(6)
+    drive, row = np.repeat(np.arange(5), 40), np.tile(np.arange(40) * 50, 5)
+    values = rng.normal(size=(200, 5, 5))
+    errors = Errors(drive, row, values, values[:, 0, 0])
+    mixed = errors.take(rng.permutation(200))
+    one, other = (summary(e.loss, Sampling().on(e)) for e in (errors, mixed))
+    assert other.ci95 == pytest.approx(one.ci95)
+    assert other.mean == pytest.approx(one.mean)
+    assert Sampling().on(errors).levels() == Levels(5, 20)
+
+
+def test_ten_thousand_windows_are_cheap() -> None:
+    block = np.repeat(np.arange(300), 40)
+    began = time.process_time()
+    sample = resampling(block // 10, block, 0)
+    values = np.random.default_rng(0).normal(size=(3, len(block)))
+    for _ in range(10):
+        summary(values, sample)
+    assert time.process_time() - began < 5  # 0.3 s; a matrix of windows by resamples would take minutes
 
 
 def test_blocks_do_not_mix_drives() -> None:

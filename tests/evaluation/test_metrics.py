@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import RunError
-from offpiste.evaluation.intervals import PairedDifference, Statistics
+from offpiste.evaluation.intervals import Levels, PairedDifference, Statistics
 from offpiste.evaluation.metrics import (
     Headline,
     LossUnits,
@@ -39,6 +39,7 @@ def row(**change) -> ResultRow:
         "horizon_s": 5.0,
         "n": 903,
         "n_failed": 0,
+        "levels": Levels(1, 9, 3),
         "minus": {"kinematic": Minus(DIFFERENCE, DIFFERENCE)},
     }
     return ResultRow(**{**about, **dict.fromkeys(names, ONE), **change})
@@ -67,6 +68,7 @@ def metrics(*rows: ResultRow) -> Metrics:
                 start="causal",
                 lookup="map",
                 runs=1,
+                levels=Levels(1, 9),
                 distance_error_m=1.7,
                 other="kinematic",
                 relative=-0.5,
@@ -87,14 +89,15 @@ def strict(path: Path) -> dict:
 def test_the_schema_is_that_of_the_design(tmp_path: Path) -> None:
     write_metrics(tmp_path / "metrics.json", metrics(row()))
     content = strict(tmp_path / "metrics.json")
-    assert content["schema"] == 1
+    assert content["schema"] == 2
     assert {"dataset", "split", "results"} <= set(content)
     (found,) = content["results"]
     statistics = {"mean", "median", "q1", "q3", "p90", "ci95"}
     errors = {"distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps", "loss"}
     about = {"model", "variant", "seed", "fold", "start", "feature_set", "lookup", "part", "horizon_s", "n"}
-    assert set(found) == about | errors | {"minus", "n_failed"}
+    assert set(found) == about | errors | {"minus", "n_failed", "levels"}
     assert all(set(found[name]) == statistics for name in errors)
+    assert found["levels"] == {"drives": 1, "blocks": 9, "seeds": 3}
     assert found["distance_error_m"]["ci95"] == [1.5, 1.9]
     assert found["minus"] == {
         "kinematic": {name: {"mean": -1.4, "ci95": [-1.9, -0.9]} for name in ("distance_error_m", "loss")}

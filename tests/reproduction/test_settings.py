@@ -84,11 +84,11 @@ def test_no_more_features_than_there_are(stored, numbers):
     assert standard_model("cf", stored).pca == min(40, stored)
 
 
-def test_three_seeds_where_claims_rest_on_them():
+def test_every_model_of_a_table_has_three_seeds():
     size = SIZES["laptop"]
     seeds = {member.label: len(member.seeds(size)) for member in figure_models("fig3", 48) + figure_models("fig4", 48)}
-    assert {label for label, number in seeds.items() if number == 3} == {"b", "cf", "dc"}
-    assert all(number == 1 for label, number in seeds.items() if "n=" in label or "pca=" in label)
+    assert len(seeds) > 10
+    assert set(seeds.values()) == {3}
 
 
 def test_a_config_says_what_its_member_is():

@@ -7,7 +7,7 @@ the spread between blocks twice (Davison and Hinkley, Bootstrap Methods and thei
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -174,6 +174,7 @@ def resampling(
     return Resampling(block, draws, len(names), len(names), seed)
 
 
+@runtime_checkable
 class Located(Protocol):
     """Windows, or rows, by the number of their drive and the row in it."""
 

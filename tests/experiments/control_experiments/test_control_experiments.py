@@ -37,7 +37,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_models_are_trained_once_and_evaluated_beside_b_and_dc(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
-    page = models_control(of, out, ["dc-hold"])
+    page = models_control(of, out, ["dc-hold"], 1)
     found = json.loads((page.parent / "control.json").read_text("utf-8"))
     readings = {(g["model"], g["lookup"], g["feature_set"]) for g in found["against_b"]}
     assert {("dc", "map", None), ("dc-hold", "recorded", "40"), ("dc-hold", "recorded", "hindsight")} <= readings
@@ -47,7 +47,7 @@ def test_models_are_trained_once_and_evaluated_beside_b_and_dc(reproduction: Pat
     stage = "bicycle.safetensors"
     assert (out / "models/runs/dc-hold-0" / stage).read_bytes() == (reproduction / "runs/b-0" / stage).read_bytes()
     kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
-    models_control(of, out, ["dc-hold"])
+    models_control(of, out, ["dc-hold"], 1)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
 
 

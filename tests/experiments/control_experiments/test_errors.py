@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from experiments.control_experiments.errors import MAP, gain, share
+from experiments.control_experiments.errors import MAP, gain, runs_of, share
 from experiments.control_experiments.tables import gain_table, write_control
-from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.report.text_table import TextTable
 from window_errors import BASE, ROW, errors
 
@@ -19,31 +20,36 @@ def test_a_model_that_is_a_quarter_better_everywhere() -> None:
     assert found.distance.mean == pytest.approx(-0.25)
     assert found.distance.ci95 == pytest.approx((-0.25, -0.25))
     assert found.loss.mean == pytest.approx(0.75**2 - 1)
-    assert (found.n, found.seeds, found.lookup) == (len(ROW), 1, "map")
+    assert (found.n, found.levels.seeds, found.lookup) == (len(ROW), 1, "map")
 
 
 def test_seeds_are_averaged_window_by_window() -> None:
     both = [errors(0.5 * BASE.distance()), errors(1.5 * BASE.distance())]
     found = gain("", "dc", both, [BASE], MAP)
-    assert (found.distance.mean, found.seeds) == (pytest.approx(0.0, abs=1e-12), 2)
+    assert (found.distance.mean, found.levels.seeds) == (pytest.approx(0.0, abs=1e-12), 2)
+
+
+def shared(*errors: Errors) -> PairedDifference:
+    """The share, of one run each."""
+    return share(*(runs_of([each]) for each in errors), Sampling().on(BASE))
 
 
 def test_share_of_the_oracle_by_hand() -> None:
     # The oracle halves the error of its own baseline; the model takes off a fifth of its own: 0.2 / 0.5.
     own = errors(1.3 * BASE.distance())
-    reached = share(errors(0.8 * BASE.distance()), BASE, errors(0.5 * own.distance()), own, Sampling().on(BASE))
+    reached = shared(errors(0.8 * BASE.distance()), BASE, errors(0.5 * own.distance()), own)
     assert reached.mean == pytest.approx(0.4)
     assert reached.ci95 == pytest.approx((0.4, 0.4))
 
 
 def test_an_oracle_without_a_gain_has_no_shares() -> None:
     worse = errors(1.1 * BASE.distance())
-    assert np.isnan(share(errors(0.8 * BASE.distance()), BASE, worse, BASE, Sampling().on(BASE)).mean)
+    assert np.isnan(shared(errors(0.8 * BASE.distance()), BASE, worse, BASE).mean)
 
 
 def test_a_failed_window_leaves_no_share() -> None:
     broken = errors(np.where(ROW == 0, np.inf, BASE.distance()))
-    assert np.isnan(share(broken, BASE, BASE, BASE, Sampling().on(BASE)).mean)
+    assert np.isnan(shared(broken, BASE, BASE, BASE).mean)
 
 
 def test_what_is_written_can_be_read(tmp_path: Path) -> None:
