@@ -129,8 +129,8 @@ def test_what_is_not_finite_is_null_and_comes_back_as_nan(tmp_path: Path) -> Non
         (None, "No such file"),
         ("{", "truncated"),
         ("[]", "Expected `object`"),
-        ('{"schema": 2}', "schema 2"),
-        ('{"schema": 1, "dataset": "x"}', "missing required field"),
+        ('{"schema": 1}', "schema 1"),
+        ('{"schema": 2, "dataset": "x"}', "missing required field"),
     ],
 )
 def test_other_files_are_refused_in_one_line(tmp_path: Path, content: str | None, message: str) -> None:

@@ -131,7 +131,7 @@ def test_tables_compare_runs_of_the_same_seed_and_name_every_recording() -> None
         },
     }
     said = tables(results, NAMES[:3], dict(zip(NAMES[:3], range(3), strict=True)), FLOORS)
-    assert "| `df` | the floor | 1.500 | -50.0% [-50, -50]; [-50, -50]" in said
+    assert "| `df` | the floor | 1.500 | -50.0% [-50, -50]" in said
     assert "`df` minus `b` of the same seed: -50.0%, -50.0%; false: +0.0%." in said
     assert f"| {NAMES[2]} | slippery | 400 | 4.500 | 2.250 |" in said
 

@@ -77,8 +77,8 @@ def _distance(results: FigureResults, model: FigureModel, reading: Reading) -> n
     return results.over_seeds(model, reading).distance()
 
 
-def caption(name: str) -> str:
-    """Text below a figure."""
+def caption(name: str, results: FigureResults) -> str:
+    """Text below a figure, with the numbers of drives, blocks and seeds."""
     about = {
         "3a": "B has no terrain features, DF reads features as they are, CF compresses them.",
         "3b": "CF by the length of its code; C 4 is CF.",
@@ -88,7 +88,8 @@ def caption(name: str) -> str:
         "4b": "DC, trained on a random distance per trajectory, and B.",
         "4": "The map as it was at the window's start, read where predictions go.",
     }
-    return f"Fig. {name}: {about[name.split()[0]]} {CAPTION}"
+    reading = MAP if "map" in name else HINDSIGHT
+    return f"Fig. {name}: {about[name.split()[0]]} {CAPTION} Windows: {results.levels(reading).text()}."
 
 
 SHOWN = 10

@@ -41,7 +41,7 @@ def write_figure(settings: ReproductionSettings, data: EvaluationData, results: 
     metrics = _metrics(settings, data, results, seen)
     compared = tables.fig4_claims(results) if is_fig4 else tables.fig3_claims(results, stored)
     drawn = figures.fig4(results) if is_fig4 else figures.fig3(results, stored)
-    pictures = [_picture(name, figure, figures.caption(name)) for name, figure in drawn.items()]
+    pictures = [_picture(name, figure, figures.caption(name, results)) for name, figure in drawn.items()]
     sections = [table_section(compared, *pictures)]
     sections += [table_section(table) for table in _error_tables(results, metrics, dataset) if table.lines]
     if is_fig4:

@@ -99,6 +99,11 @@ class FigureResults:
         runs = self.runs[model, reading]
         return by_seed([run.errors for run in runs], [run.seed for run in runs])
 
+    def levels(self, reading: Reading) -> Levels:
+        """Numbers of drives, blocks and seeds of the baseline's runs."""
+        errors = self.by_seed(self.baseline, reading)
+        return self.sampling.on(errors).levels(len(errors.runs))
+
     def rows(self) -> list[ResultRow]:
         """The rows of metrics.json."""
         return result_rows(
