@@ -86,7 +86,8 @@ class Compiler:
     @cached_property
     def _digest(self) -> str:
         package = Path(__file__).parent
-        roots = [package / source for source in self.sources]
+        # This file, too: options are no part of the key of Numba's cache.
+        roots = [Path(__file__), *(package / source for source in self.sources)]
         files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*.py")))]
         return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
