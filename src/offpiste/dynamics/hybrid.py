@@ -128,8 +128,12 @@ class Hybrid(Dynamics):
         return self.compensator.hidden + self.actuators.hidden
 
     def standardise_on(self, history: History) -> None:
-        """Set mean and scale of the network's inputs."""
-        self.compensator.standardise_on(self.recorded_inputs(history).flatten(0, 1), self.unknown)
+        """Set mean and scale of the network's inputs, and the range of those that are no codes.
+
+        Codes change while their encoder learns.
+        """
+        inputs = self.recorded_inputs(history).flatten(0, 1)
+        self.compensator.standardise_on(inputs, self.unknown, ranged=inputs.shape[-1] - 4 * self.codes)
 
     def kernel_parts(self) -> KernelParts:
         """The bicycle, and what corrects its forces."""

@@ -50,6 +50,10 @@ def example(
         if name.endswith("compensator.scale"):
             buffer *= 1 + torch.rand_like(buffer)
             buffer[-4 * codes - 4 : len(buffer) - 4 * codes] = torch.tensor([2000.0, 3000.0, 3000.0, 1.0])
+        if name.endswith("compensator.low"):
+            buffer[: len(buffer) - 4 * codes] = -1.5
+        if name.endswith("compensator.high"):
+            buffer[: len(buffer) - 4 * codes] = 0.7
     model.actuators.requires_grad_(False)
     return model.double()
 

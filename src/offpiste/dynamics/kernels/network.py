@@ -17,7 +17,7 @@ from offpiste.compilation import KERNELS
 from offpiste.dynamics.kernels.elementary import Lane, f4, tanh
 from offpiste.dynamics.kernels.generated import cell, cell_adjoint
 from offpiste.dynamics.kernels.layout import CELL_ROW, CELL_ROWS, HIDDEN, LANES
-from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.lstm import FADE, Compensator
 
 
 @KERNELS.loop
@@ -93,6 +93,7 @@ class Network(NamedTuple):
     Attributes:
         inputs: rows of the workspace that the network sees.
         mean, inverse_scale: that these are standardised with.
+        low, high: range of each, standardised.
         gates, inner, outer: see `Weights`.
         gates_t, inner_t, outer_t: their transposes.
         first_hidden: its first hidden unit among those of all networks.
@@ -102,6 +103,8 @@ class Network(NamedTuple):
     inputs: np.ndarray
     mean: np.ndarray
     inverse_scale: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
     gates: np.ndarray
     inner: np.ndarray
     outer: np.ndarray
@@ -148,6 +151,8 @@ def network(
         inputs=np.array(inputs, dtype=np.int64),
         mean=(nothing if compensator is None else compensator.mean).numpy(),
         inverse_scale=(nothing if compensator is None else 1 / compensator.scale).numpy(),
+        low=(nothing if compensator is None else compensator.low).numpy(),
+        high=(nothing if compensator is None else compensator.high).numpy(),
         gates=_array(weights.gates),
         inner=_array(weights.inner),
         outer=_array(weights.outer),
@@ -179,14 +184,16 @@ class Buffers(NamedTuple):
     """What a network computes in one step, as rows of lanes.
 
     Attributes:
-        seen: hidden before, standardised inputs, 1, padding, hidden after.
+        seen: hidden before, standardised inputs within their ranges, 1, padding, hidden after.
         cell: workspace of the LSTM cell (`layout.CELL_ROWS`).
         layer: hidden layer, padding, 1, padding.
+        trust: factor of the outputs, 1 while the inputs are within their ranges.
     """
 
     seen: np.ndarray
     cell: np.ndarray
     layer: np.ndarray
+    trust: np.ndarray
 
 
 @KERNELS.maker
@@ -199,7 +206,7 @@ def make_buffers(network: Network, one: Lane) -> Buffers:
         seen[bias : bias + LANES] = one
         bias = network.inner.shape[0] * LANES
         layer[bias : bias + LANES] = one
-    return Buffers(seen, np.zeros(CELL, f4), layer)
+    return Buffers(seen, np.zeros(CELL, f4), layer, np.zeros(LANES, f4))
 
 
 @KERNELS.loop
@@ -216,12 +223,17 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
     hidden = network.first_hidden * LANES
     memory = hidden + units * LANES
     copy(before[hidden : hidden + UNITS], s.seen[:inputs])
+    s.trust[:] = f4(0)
     for k in range(len(network.inputs)):
         row = w[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
         standardised = s.seen[inputs + k * LANES : inputs + (k + 1) * LANES]
-        mean, scale = network.mean[k], network.inverse_scale[k]
+        mean, scale, low, high = network.mean[k], network.inverse_scale[k], network.low[k], network.high[k]
         for i in range(LANES):
-            standardised[i] = (row[i] - mean) * scale
+            z = (row[i] - mean) * scale
+            standardised[i] = min(max(z, low), high)
+            s.trust[i] += (z - standardised[i]) * (z - standardised[i])
+    for i in range(LANES):
+        s.trust[i] = f4(1) / (f4(1) + f4(FADE) * s.trust[i])
 
     s.cell[:GATES] = f4(0)
     add_product(network.gates, s.seen, s.cell)
@@ -239,6 +251,9 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
     out = w[network.first_output * LANES : (network.first_output + network.outer.shape[0]) * LANES]
     out[:] = f4(0)
     add_product(network.outer, s.layer, out)
+    for k in range(network.outer.shape[0]):
+        for i in range(LANES):
+            out[k * LANES + i] *= s.trust[i]
 
 
 @KERNELS.loop
@@ -246,6 +261,7 @@ def compensate_adjoint(
     network: Network,
     s: Buffers,
     bar: Buffers,
+    w: np.ndarray,
     w_bar: np.ndarray,
     model_state_bar: np.ndarray,
     units: int,
@@ -257,7 +273,8 @@ def compensate_adjoint(
 
     Args:
         s: what `compensate` left.
-        bar: like `s`, for the adjoints.
+        bar: like `s`, for the adjoints; its `trust` is that of the trust's logarithm.
+        w: has the inputs and the outputs.
         w_bar: has the outputs' adjoints; those of the inputs are added.
         model_state_bar: adjoint of the recurrent state after the step, replaced by the one before it.
         gates_bar, inner_bar, outer_bar: the weights' adjoints, added to; without rows where the network is frozen.
@@ -268,7 +285,13 @@ def compensate_adjoint(
     hidden = network.first_hidden * LANES
     memory = hidden + units * LANES
     after = len(s.seen) - UNITS
+    out = w[network.first_output * LANES : (network.first_output + network.outer.shape[0]) * LANES]
     out_bar = w_bar[network.first_output * LANES : (network.first_output + network.outer.shape[0]) * LANES]
+    bar.trust[:] = f4(0)
+    for k in range(network.outer.shape[0]):
+        for i in range(LANES):
+            bar.trust[i] += out_bar[k * LANES + i] * out[k * LANES + i]
+            out_bar[k * LANES + i] *= s.trust[i]
     add_outer(out_bar, s.layer, outer_bar)
     bar.layer[:] = f4(0)
     add_product(network.outer_t, out_bar, bar.layer)
@@ -290,8 +313,12 @@ def compensate_adjoint(
     copy(bar.seen[:inputs], model_state_bar[hidden : hidden + UNITS])
     copy(bar.cell[MEMORY : MEMORY + UNITS], model_state_bar[memory : memory + UNITS])
     for k in range(len(network.inputs)):
-        row = w_bar[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
-        standardised = bar.seen[inputs + k * LANES : inputs + (k + 1) * LANES]
-        scale = network.inverse_scale[k]
+        row = w[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
+        row_bar = w_bar[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
+        seen_bar = bar.seen[inputs + k * LANES : inputs + (k + 1) * LANES]
+        mean, scale, low, high = network.mean[k], network.inverse_scale[k], network.low[k], network.high[k]
         for i in range(LANES):
-            row[i] += standardised[i] * scale
+            z = (row[i] - mean) * scale
+            beyond = z - min(max(z, low), high)
+            within = seen_bar[i] if beyond == f4(0) else f4(0)
+            row_bar[i] += (within - f4(2 * FADE) * beyond * s.trust[i] * bar.trust[i]) * scale

@@ -192,13 +192,14 @@ def backward(
                     w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[window, t, k]
             advance_adjoint(w, c, w_bar, constants_bar)
             compensate_adjoint(
-                networks[0], buffer_sets[0], bars[0], w_bar, model_state_bar[MOVED:], units,
+                networks[0], buffer_sets[0], bars[0], w, w_bar, model_state_bar[MOVED:], units,
                 gates_bar[block], inner_bar[block], outer_bar[block],
             )  # fmt: skip
             for k in range(1, len(networks)):
                 compensate_adjoint(
-                    networks[k], buffer_sets[k], bars[k], w_bar, model_state_bar[MOVED:], units, frozen, frozen, frozen
-                )
+                    networks[k], buffer_sets[k], bars[k], w, w_bar, model_state_bar[MOVED:], units,
+                    frozen, frozen, frozen,
+                )  # fmt: skip
             sense_adjoint(w, c, w_bar, constants_bar)
             model_state_bar[:MOVED] = w_bar[:MOVED]
             if len(codes_bar) > 0:
