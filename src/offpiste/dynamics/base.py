@@ -97,8 +97,8 @@ class Dynamics(nn.Module, ABC):
         """The same model without networks, which is fitted first; None if there is nothing to fit first."""
         return None
 
-    def adopt_physics(self, fitted: "Dynamics") -> None:
-        """Take over the parameters of what `physics` returned, once they are fitted."""
+    def adopt_physics(self, fitted: "Dynamics", *, learns: bool = False) -> None:
+        """Take over the parameters of what `physics` returned, once they are fitted; they learn no more by default."""
 
     def standardise_on(self, history: History) -> None:
         """Set mean and scale of the inputs of the model's networks from training windows, their codes included."""

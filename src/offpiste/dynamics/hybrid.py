@@ -143,11 +143,12 @@ class Hybrid(Dynamics):
         """The bicycle alone, with a copy of the actuators."""
         return Parametric(self.vehicle, deepcopy(self.actuators))
 
-    def adopt_physics(self, fitted: Dynamics) -> None:
-        """Take over the bicycle's constants."""
+    def adopt_physics(self, fitted: Dynamics, *, learns: bool = False) -> None:
+        """Take over the bicycle's constants, and keep them unless the bicycle `learns` further."""
         parts = fitted.kernel_parts()
         assert parts is not None
         self.bicycle.load_state_dict(parts.bicycle.state_dict())
+        self.bicycle.requires_grad_(learns)
 
     def recorded_inputs(self, history: History) -> Float[Tensor, "B H I"]:
         """What the network would have seen at recorded rows."""

@@ -65,7 +65,7 @@ SIZES = {
         (2400.0, 300.0, 900.0),
         snapshot_seconds=1.0,
         seeds=3,
-        train=TrainConfig(epochs=12, bicycle_epochs=8, batch=128),
+        train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128),
     ),
     "paper": Size(
         "paper",

@@ -35,6 +35,8 @@ class TrainConfig:
         pca: number of the dataset's features that models read, the first ones; 0: all.
         epochs: passes over the training windows for the model itself.
         bicycle_epochs: passes that fit the bicycle's constants before the network joins in.
+        refit_constants: the bicycle's constants keep learning beside the network, as in the paper; otherwise they stay
+            those that fit without it.
         actuator_epochs: passes that fit the actuator models before they are frozen.
         batch: windows in a step.
         stride: rows between the windows of one epoch; the phase changes from epoch to epoch, so all rows are used.
@@ -52,6 +54,7 @@ class TrainConfig:
     pca: int = 0
     epochs: int = 30
     bicycle_epochs: int = 30
+    refit_constants: bool = False
     actuator_epochs: int = 8
     batch: int = 128
     stride: int = 5

@@ -99,6 +99,7 @@ def run_stage(
 ) -> None:
     """Fit the stage's module and leave its best weights in it and in `<folder>/<stage>.safetensors`.
 
+    The weights that it begins with compete: a network that no epoch improves leaves the physics as it is.
     A finished stage is read back; an interrupted one resumes after its last whole epoch and comes to the same weights
     as without the interruption. Several processes take the steps that one alone would, up to rounding.
 
@@ -114,10 +115,12 @@ def run_stage(
     state = _State(stage, config)
     if running.exists():
         state.restore(running)
+    else:
+        state.keep_if_best(_score(stage, validation, config, group))
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
         loss = _train_epoch(stage, state, train, config, epoch, group)
-        score = stage.on_map() if stage.on_map is not None else mean_loss(stage, validation, config, group)
+        score = _score(stage, validation, config, group)
         state.keep_if_best(score)
         state.epoch = epoch + 1
         record(
@@ -137,6 +140,11 @@ def run_stage(
         save_tensors(done, state.best, validation_loss=state.best_score)
         running.unlink(missing_ok=True)
     group.together(None)
+
+
+def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group) -> float:
+    """What epochs are chosen by; the least is best."""
+    return stage.on_map() if stage.on_map is not None else mean_loss(stage, validation, config, group)
 
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:

@@ -96,7 +96,7 @@ def train(
         if physics.actuators is not None:
             physics.actuators.requires_grad_(False)
         fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight))  # alike, whatever the model draws
-        dynamics.adopt_physics(physics)
+        dynamics.adopt_physics(physics, learns=config.refit_constants)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
         fit(rolled_out("model", dynamics, config.epochs, draw))

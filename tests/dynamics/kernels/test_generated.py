@@ -1,7 +1,7 @@
 import numpy as np
 
 from offpiste.dynamics.kernels import generate, layout
-from offpiste.dynamics.kernels.network import add_outer, add_product
+from offpiste.dynamics.kernels.elementary import add_outer, add_product
 
 
 def test_generated_code_is_what_the_physics_gives():

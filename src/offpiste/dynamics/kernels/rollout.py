@@ -10,10 +10,10 @@ import numpy as np
 
 from offpiste.compilation import KERNELS
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
-from offpiste.dynamics.kernels.elementary import Lane, f4
+from offpiste.dynamics.kernels.elementary import Lane, copy, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
 from offpiste.dynamics.kernels.layout import CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED, UNKNOWN
-from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, copy, make_buffers
+from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, make_buffers
 
 MOVED = len(STEPPED) * LANES
 STATES, ACTUATED, COMMANDED = len(STATE), len(ACTUATORS), len(CONTROL)
