@@ -30,14 +30,20 @@ def test_constraints_hold_for_every_raw_value(raw):
     nearly = 1e-6
     for name in ("rear_peak", "rear_stiffness", "front_peak", "front_stiffness", "yaw_gain", "drag_x", "drag_y"):
         assert getattr(c, name) >= 0
-    assert 0 <= c.front_shape <= math.pi + nearly
-    assert 0 <= c.rear_shape <= math.pi + nearly
+    for peak, shape in ((c.front_peak, c.front_shape), (c.rear_peak, c.rear_shape)):
+        assert peak / c.mass <= GRAVITY * (1 + nearly)
+        assert shape >= 0
+        assert math.sin(max(shape, math.pi / 2)) >= 0.7
+    for length in (c.rear_length, c.front_length):
+        assert 0 <= length <= COMMANDED.wheelbase * (1 + nearly)
+    assert max(c.drag_x, c.drag_y) <= 0.05 * (1 + nearly)
     assert c.brake_1 >= 0 <= c.brake_2
     assert c.resistance >= 0 <= c.resistance_slope
-    assert 0 <= c.gravity_x <= 2 * GRAVITY + nearly
+    for pull in (c.gravity_x, c.gravity_y):
+        assert 0 <= pull <= 1.1 * GRAVITY * (1 + nearly)
     assert 0 < c.yaw_damping * DT < 1
     stiffness = c.front_peak * c.front_shape * c.front_stiffness + c.rear_peak * c.rear_shape * c.rear_stiffness
-    assert c.min_slip_speed >= DT * stiffness / c.mass * (1 - nearly)
+    assert 1 - nearly <= c.min_slip_speed / (DT * stiffness / c.mass) <= 4 * (1 + nearly) or stiffness < 1e-9
     assert c.yaw_gain / c.yaw_damping * (c.rear_length + c.front_length) <= 1 + nearly
 
 

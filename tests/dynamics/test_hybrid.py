@@ -220,5 +220,4 @@ def test_identifiable_combinations_are_recovered_from_150_s_of_driving():
 
     wanted, found = (identifiable(Constants(*(float(x.detach()) for x in m.bicycle()))) for m in (truth, model))
     off = {name: found[name] / wanted[name] - 1 for name in wanted}
-    tolerance = {"front stiffness": 0.1, "rear stiffness": 0.1, "coasting at 3 m/s": 0.06, "coasting at 8 m/s": 0.06}
-    assert {name: error for name, error in off.items() if abs(error) > tolerance.get(name, 0.03)} == {}
+    assert {name: error for name, error in off.items() if abs(error) > 0.03} == {}

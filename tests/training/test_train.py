@@ -193,6 +193,7 @@ def test_a_part_without_windows_is_named(tmp_path: Path) -> None:
         ("model.json", lambda path: save_json(path, {}), "lacks or misstates 'vehicle'"),
         ("model.json", lambda path: path.write_text(path.read_text().replace('"b"', '"lstm"')), "is damaged"),
         ("model.json", lambda path: save_json(path, {**load_json(path), "model": "lstm"}), "do not fit the model"),
+        ("model.json", lambda path: save_json(path, {"schema": 1}), "schema 1, this offpiste reads 2"),
     ],
 )
 def test_a_damaged_run_ends_in_one_line(dataset: Dataset, run: Path, tmp_path: Path, name, damage, said) -> None:

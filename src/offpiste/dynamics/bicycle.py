@@ -37,7 +37,7 @@ class Constants(NamedTuple):
         engine_1, engine_2: P(x_rpm) = 1 + engine_1 x + engine_2 x^2, cut at 0, x in 1000 rev/min (or 10 m/s, reduced).
         brake_1, brake_2: P(x_br) = brake_1 x + brake_2 x^2, >= 0 [N]; pressure below zero counts as zero.
         resistance, resistance_slope: beta(vx) = resistance tanh(resistance_slope vx) [N, s/m].
-        rear_peak, rear_shape, rear_stiffness: D_R > 0 [N], 0 < C_R < pi, B_R > 0.
+        rear_peak, rear_shape, rear_stiffness: D_R > 0 [N], 0 < C_R < 3 pi / 4, B_R > 0.
         front_peak, front_shape, front_stiffness: D_F, C_F, B_F.
         rear_length, front_length: L_R, L_F > 0: pose point to axle [m].
         min_slip_speed: C_max [m/s], bounded below for Euler's sake.
@@ -196,8 +196,6 @@ class Range(NamedTuple):
     initial: float
 
 
-_HALF_PI = 1.5707963267948966
-
 _RANGES: dict[str, Range] = {
     # Accelerations in m/s^2; forces act at both axles, hence their halves.
     "drive_1": Range(0, 10, 1.5),
@@ -208,31 +206,36 @@ _RANGES: dict[str, Range] = {
     "brake_2": Range(0, 4, 0.5),
     "resistance": Range(0, 2.5, 0.3),
     "resistance_slope": Range(0, 1 / STANDSTILL, 1),
-    "rear_peak": Range(0, 15, 4),
-    "rear_shape": Range(0, 2 * _HALF_PI, 1.3),
+    # An axle carries less than the whole weight and grips with less than its load; a tyre that slides keeps at least
+    # sin(C) = 0.7 of its peak.
+    "rear_peak": Range(0, GRAVITY, 4),
+    "rear_shape": Range(0, 2.35, 1.3),
     "rear_stiffness": Range(0, 20, 3),
-    "front_peak": Range(0, 15, 4),
-    "front_shape": Range(0, 2 * _HALF_PI, 1.3),
+    "front_peak": Range(0, GRAVITY, 4),
+    "front_shape": Range(0, 2.35, 1.3),
     "front_stiffness": Range(0, 20, 3),
-    # In wheelbases.
-    "rear_length": Range(0, 1.5, 0.5),
-    "front_length": Range(0, 1.5, 0.5),
+    # In wheelbases: the pose point lies between the axles.
+    "rear_length": Range(0, 1, 0.5),
+    "front_length": Range(0, 1, 0.5),
     # In units of the bound below which Euler at DT is unstable.
-    "min_slip_speed": Range(1, 20, 2),
-    # Yaw gain over its steady value vx delta / wheelbase; damping in 1/s.
-    "yaw_understeer": Range(0, 3, 0.9),
+    "min_slip_speed": Range(1, 4, 2),
+    # Yaw gain over its steady value vx delta / wheelbase, above 1 where the rig's largest angle is too small; damping
+    # in 1/s.
+    "yaw_understeer": Range(0, 1.5, 0.9),
     "yaw_damping": Range(0.2, 40, 5),
-    "drag_x": Range(0, 0.5, 0.005),
-    "drag_y": Range(0, 0.5, 0.005),
-    "gravity_x": Range(0, 2 * GRAVITY, GRAVITY),
-    "gravity_y": Range(0, 2 * GRAVITY, GRAVITY),
+    # Air alone is about 0.003 /m: density, drag area and mass of the vehicle give 1.2 c_d A / (2 m).
+    "drag_x": Range(0, 0.05, 0.005),
+    "drag_y": Range(0, 0.05, 0.005),
+    # Gravity itself, and a tenth for slopes that the map or the path smooths; noise in the slopes makes it less.
+    "gravity_x": Range(0, 1.1 * GRAVITY, GRAVITY),
+    "gravity_y": Range(0, 1.1 * GRAVITY, GRAVITY),
 }
 
 
 class BicycleConstants(nn.Module):
     """Unconstrained parameters -> `Constants`, through a sigmoid into each constant's interval.
 
-    Signs: tyre peaks and stiffnesses are positive and shapes below pi, so tyre force opposes slip at every angle;
+    Signs: tyre peaks and stiffnesses are positive and shapes below 3 pi / 4, so tyre force opposes slip at every angle;
     brakes, rolling resistance and drag are positive; drive is positive and rises with throttle; gravity is positive.
     Energy: the yaw rate follows the steering, not the tyres' moments, so a front axle that turns faster than its wheels
     point would push the vehicle forward for ever. Both axles' distances are therefore shortened together until

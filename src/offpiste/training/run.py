@@ -30,6 +30,9 @@ from offpiste.training.prediction import Lookup, predict_windows
 
 WEIGHTS = "model.safetensors"
 
+SCHEMA = 2
+"""Version of a run: of what its files say, and of the physics that its weights belong to."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -81,6 +84,12 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     if (folder / "config.json").exists() and not (folder / "model.json").exists():
         raise RunError("training has not finished", where=folder, how="resume it with `offpiste train --resume`")
     about = load_json(folder / "model.json")
+    if about.get("schema", SCHEMA) != SCHEMA:
+        raise RunError(
+            f"schema {about['schema']}, this offpiste reads {SCHEMA}: the physics has changed since",
+            where=folder / "model.json",
+            how="train again",
+        )
     try:
         vehicle = msgspec.convert(about["vehicle"], type=Vehicle)
         dynamics = build(about["model"], vehicle, seed=about["seed"]).to(device)
@@ -105,7 +114,7 @@ def save_run(
     """Write model.safetensors and model.json; a run is finished once the latter is there."""
     save_tensors(folder / WEIGHTS, dynamics.state_dict())
     about = {
-        "schema": 1,
+        "schema": SCHEMA,
         "model": config.model,
         "weights_sha256": sha256_of(folder / WEIGHTS),
         "seed": config.seed,
