@@ -32,9 +32,9 @@ def sha256_of_json(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def sha256_of_arrays(arrays: Mapping[str, np.ndarray], about: str) -> str:
-    """SHA-256 of named arrays and of a text about them, wherever they lie in a file."""
-    digest = hashlib.sha256(about.encode())
+def sha256_of_arrays(arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> str:
+    """SHA-256 of named arrays and of JSON values about them, wherever they lie in a file."""
+    digest = hashlib.sha256(sha256_of_json(about).encode())
     for name in sorted(arrays):
         values = arrays[name]
         digest.update(json.dumps([name, str(values.dtype), values.shape]).encode())

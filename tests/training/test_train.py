@@ -15,7 +15,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid
 from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training import optimise, prediction
-from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.checkpoint import load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.prediction import predict
 from offpiste.training.run import load_run, refuse_seen
@@ -227,3 +227,11 @@ def test_folds_refit_everything_on_their_own_parts(dataset: Dataset, tmp_path: P
 def test_too_few_folds_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="3 or more"):
         train_folds(dataset, QUICK, tmp_path, folds=2)
+
+
+def test_files_of_weights_have_the_same_bytes_each_time(tmp_path: Path) -> None:
+    tensors = {name: torch.arange(3.0) for name in "abcdef"}
+    for number in range(5):
+        save_tensors(tmp_path / f"{number}.safetensors", tensors, epoch=1, best_score=float("inf"), names=["a"])
+    assert len({(tmp_path / f"{number}.safetensors").read_bytes() for number in range(5)}) == 1
+    assert load_tensors(tmp_path / "0.safetensors")[1] == {"epoch": 1, "best_score": float("inf"), "names": ["a"]}

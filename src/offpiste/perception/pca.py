@@ -211,8 +211,8 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
         "fitted_on": dict(pca.fitted_on),
     }
     tensors = {"mean": pca.mean, "basis": pca.basis.copy(), "variance": pca.variance.copy()}
-    header = {PCA_HEADER: json.dumps(about)}
-    header["sha256"] = sha256_of_arrays(tensors, header[PCA_HEADER])
+    about = json.loads(json.dumps(about))
+    header = {PCA_HEADER: json.dumps({**about, "sha256": sha256_of_arrays(tensors, about)})}
     write_whole(path, lambda partial: save_file(tensors, partial, metadata=header))
 
 
@@ -227,11 +227,12 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in ("mean", "basis", "variance")}
         about = json.loads(header[PCA_HEADER])
+        written = about.pop("sha256", None)
         if about["schema"] != _SCHEMA:
             raise ValueError(f"schema {about['schema']}, not {_SCHEMA}")
-        if "sha256" not in header:
+        if written is None:
             logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
-        elif header["sha256"] != sha256_of_arrays(tensors, header[PCA_HEADER]):
+        elif written != sha256_of_arrays(tensors, about):
             raise ValueError("damaged: its checksum differs")
         pca = PrincipalComponents(
             **tensors,
@@ -240,7 +241,7 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
             fingerprint=str(about["fingerprint"]),
             fitted_on=dict(about["fitted_on"]),
         )
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise PerceptionError(
             f"not a PCA of offpiste ({reason})", where=path, how="give the file that `offpiste fit-pca` wrote"

@@ -22,8 +22,8 @@ REMEDY: Final = "train again, or restore the file"
 def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
     """Write tensors, with a few JSON values and a SHA-256 of it all in the file's own header."""
     kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-    header = {"about": json.dumps(about)}
-    header["sha256"] = _digest(kept, header["about"])
+    # One entry: safetensors writes several in an order that differs from process to process.
+    header = {"about": json.dumps({**about, "sha256": _digest(kept, about)})}
     write_whole(path, lambda partial: save_file(kept, partial, metadata=header))
 
 
@@ -36,15 +36,15 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            header = file.metadata() or {}
-    except (OSError, SafetensorError) as error:
+            about: dict[str, Any] = json.loads((file.metadata() or {}).get("about", "{}"))
+            written = about.pop("sha256", None)
+    except (OSError, SafetensorError, json.JSONDecodeError, AttributeError) as error:
         raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
-    about = header.get("about", "{}")
-    _refuse_changed(path, header.get("sha256"), _digest(tensors, about))
-    return tensors, json.loads(about)
+    _refuse_changed(path, written, _digest(tensors, about))
+    return tensors, about
 
 
-def _digest(tensors: dict[str, Tensor], about: str) -> str:
+def _digest(tensors: dict[str, Tensor], about: dict[str, Any]) -> str:
     return sha256_of_arrays({name: tensor.numpy() for name, tensor in tensors.items()}, about)
 
 
