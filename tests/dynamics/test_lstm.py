@@ -37,6 +37,27 @@ def test_its_step_is_an_lstm_cell_on_standardised_inputs():
     torch.testing.assert_close(out, network.output(torch.cat((next_h, seen), -1)))
 
 
+def test_it_fades_where_inputs_leave_their_range_and_sees_the_end_of_the_range():
+    network = unsettled(Compensator(3, 2).double())
+    rows = torch.linspace(-1, 1, 2001, dtype=torch.float64)[:, None] * torch.tensor([1.0, 10.0, 0.0]).double() + 5
+    # The second input is a share, the third does not vary: its range is a point.
+    network.standardise_on(rows, slice(1, 2), ranged=3)
+    at_end, state = torch.tensor([[5.99, 3.0, 5.0]], dtype=torch.float64), torch.rand(2, 1, 4).double()
+    reference, *memory = network(at_end, *state)
+    torch.testing.assert_close(network.high[0] * network.scale[0] + network.mean[0], at_end[0, 0])
+    sigma = network.scale[0].item()
+    for beyond, factor in (0.0, 1.0), (0.5, 1 / 3.5), (1.0, 1 / 11), (100.0, 1 / 100_001):
+        out, *same = network(at_end + torch.tensor([beyond * sigma, 0.0, 0.0]).double(), *state)
+        torch.testing.assert_close(out, factor * reference)
+        torch.testing.assert_close(same, memory)
+    both = network(at_end + torch.tensor([sigma, 0.0, -2.0]).double(), *state)[0]
+    torch.testing.assert_close(both, reference / 51)
+    assert not torch.allclose(network(at_end + torch.tensor([0.0, 9.0, 0.0]), *state)[0], reference)
+    history = at_end.expand(1, 10, 3)
+    beyond = history + torch.tensor([7.0, 0.0, 0.0])
+    torch.testing.assert_close(network.start(beyond), network.start(history))
+
+
 def test_every_row_of_the_history_counts():
     network = unsettled(Compensator(3, 1).double())
     history = torch.randn(1, 10, 3).double()

@@ -30,6 +30,9 @@ def test_physics_that_is_fitted_first_is_taken_over() -> None:
         physics.bicycle.raw += 0.5
     hybrid.adopt_physics(physics)
     assert torch.equal(hybrid.bicycle.raw, physics.bicycle.raw)
+    assert not hybrid.bicycle.raw.requires_grad
+    hybrid.adopt_physics(physics, learns=True)
+    assert hybrid.bicycle.raw.requires_grad
     assert MODELS["ctrv"](VEHICLE, seed=0).physics() is None
 
 

@@ -74,6 +74,31 @@ def test_a_stage_finds_what_its_loss_asks_for(dataset: Dataset, tmp_path: Path) 
     assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], line.weight)
 
 
+def test_a_stage_that_only_gets_worse_keeps_the_weights_it_began_with(dataset: Dataset, tmp_path: Path) -> None:
+    class Offset(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.value = torch.nn.Parameter(torch.zeros(1))
+
+    # Training pulls away from zero, where validation is best, as a network does that learns what holds nowhere else.
+    offset, train_part, validation = Offset(), Windows(dataset, "train"), Windows(dataset, "validation")
+
+    def misfit(batch: Batch) -> torch.Tensor:
+        wanted = 1.0 if torch.is_grad_enabled() else 0.0
+        return (offset.value - wanted).square().expand(len(batch.state))
+
+    optimise.run_stage(
+        optimise.Stage("offset", offset, misfit, 3), train_part, validation, QUICK, tmp_path, lambda record: None
+    )
+    assert offset.value.item() == 0
+    assert load_file(tmp_path / "offset.safetensors")["value"].item() == 0
+
+
+def test_constants_keep_what_the_bicycle_alone_was_fitted_to(run: Path) -> None:
+    fitted, whole = load_file(run / "bicycle.safetensors"), load_file(run / "model.safetensors")
+    assert torch.equal(whole["bicycle.raw"], fitted["bicycle.raw"])
+
+
 def test_every_epoch_is_recorded(run: Path) -> None:
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [(line["stage"], line["epoch"]) for line in lines] == [("bicycle", 1), ("model", 1), ("model", 2)]
