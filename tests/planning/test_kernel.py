@@ -59,6 +59,9 @@ def model(kind, vehicle=COMMANDED):
     }[kind]
     if isinstance(made, Hybrid):
         torch.nn.init.normal_(made.compensator.output[-1].weight, std=0.1)
+        # Speed forwards, sideways and of yaw, which samples leave and come back to.
+        made.compensator.low[:3] = torch.tensor([2.0, -0.5, -0.4])
+        made.compensator.high[:3] = torch.tensor([7.5, 0.5, 0.4])
     return unsettled(made, scale=0.05).requires_grad_(False)
 
 
