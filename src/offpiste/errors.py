@@ -5,6 +5,10 @@ from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Final
+
+_LONGEST: Final = 600
+"""Longest message [characters]: a damaged file may hold a name of any length."""
 
 
 class OffpisteError(Exception):
@@ -26,7 +30,13 @@ class OffpisteError(Exception):
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""
         fix = f"; {self.how}" if self.how else ""
-        return " ".join(f"{place}{self.what}{fix}".split())
+        return _one_line(f"{place}{self.what}{fix}")
+
+
+def _one_line(text: str) -> str:
+    """A text as one line of a terminal, whatever it quotes: no control characters, and not longer than `_LONGEST`."""
+    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.split()))
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST * 3 // 4]} … {line[-_LONGEST // 5 :]}"
 
 
 class LogError(OffpisteError):

@@ -37,6 +37,11 @@ PIPELINE: Final = (
 """Order of the commands in the help: as a log goes through them. Others follow."""
 
 
+OPENCV: Final = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_IO_MAX_IMAGE_PIXELS": str(1 << 27)}
+"""What OpenCV reads of the environment when it is imported: our errors say what is wrong with a picture, and a small
+file cannot claim to hold gigabytes."""
+
+
 def commands_in_order() -> dict[str, Callable[..., Command]]:
     """All commands by name, those of `PIPELINE` first."""
     order = {name: number for number, name in enumerate(PIPELINE)}
@@ -47,6 +52,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
+    for name, value in OPENCV.items():
+        os.environ.setdefault(name, value)
     arguments = [a for a in arguments if a != "--debug"]
     try:
         command = tyro.extras.subcommand_cli_from_dict(

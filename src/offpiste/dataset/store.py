@@ -3,7 +3,7 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
@@ -21,7 +21,7 @@ from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, parse_split
-from offpiste.dataset.store_validation import refuse_invalid, refuse_unlike
+from offpiste.dataset.store_validation import read_settings, refuse_invalid, refuse_misshapen, refuse_unlike
 from offpiste.dataset.stored_arrays import mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
 from offpiste.files import PARTIAL, remove_partials
@@ -201,16 +201,16 @@ def open_dataset(path: str | Path) -> Dataset:
         raise DatasetError(
             "holds no drive", where=path, how="run `offpiste extract` again; it resumes where it stopped"
         )
-    rig = msgspec.convert(attributes["rig"], type=Rig)
-    split = stored_split(attributes["split"], attributes["split_drives"])
-    features = tuple(attributes.get("features", ()))
+    about = read_settings(attributes, path)
+    split = stored_split(about.split, about.split_drives)
     drives = tuple(_read_drive(path, name) for name in names)
     for drive in drives:
-        refuse_invalid(path, drive.name, drive.rows, rig, needs_cells=bool(features))
-    return Dataset(path, rig, split, drives, features, attributes.get("min_hindsight", 0.0), attributes.get("pca"))
+        refuse_invalid(path, drive.name, drive.rows, about.rig, needs_cells=bool(about.features))
+        refuse_misshapen(path, drive.name, drive.rows, drive.part, about)
+    return Dataset(path, about.rig, split, drives, about.features, about.min_hindsight, about.pca)
 
 
-def stored_split(text: str, drives: list[list[str]]) -> Split:
+def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
     """A split as stored: its text, and for a split by drives their parts rather than the file that named them."""
     if drives:
         return Split(text, "drives", drives=tuple((name, part) for name, part in drives))
@@ -257,7 +257,7 @@ def _read_map(path: Path, name: str) -> TerrainMap:
 def _reading(path: Path, name: str) -> Iterator[None]:
     try:
         yield
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise DatasetError(
             f"drive '{name}' cannot be read ({type(error).__name__}: {error})",
             where=path,
@@ -273,7 +273,7 @@ def _attributes(path: Path) -> dict[str, Any]:
             check_files(path)
     except DamagedFile as error:
         raise damaged from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         if (path / CHECKSUMS).exists():
             raise damaged from error
         raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error

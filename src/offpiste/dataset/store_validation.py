@@ -1,17 +1,50 @@
 """Validation of a dataset's files: it is resumed only as it was begun, and rows marked complete are complete."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from jaxtyping import Int
 
-from offpiste.dataset.columns import COLUMNS
+from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.resample import Rows
-from offpiste.errors import DatasetError
-from offpiste.rig.rig import Rig
+from offpiste.dataset.splits import PARTS
+from offpiste.errors import DatasetError, RigError
+from offpiste.rig.rig import Rig, check_rig
 
 MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", "latency")
 """What all drives of a dataset must share."""
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """What all drives of a dataset share, as its attributes have it (`offpiste.dataset.store.Dataset`)."""
+
+    rig: Rig
+    split: str
+    split_drives: tuple[tuple[str, str], ...] = ()
+    features: tuple[str, ...] = ()
+    min_hindsight: float = 0.0
+    pca: str | None = None
+
+
+def read_settings(attributes: dict[str, Any], path: Path) -> Settings:
+    """The settings among a dataset's attributes.
+
+    Raises:
+        DatasetError: one is missing, of another type, or impossible.
+    """
+    try:
+        settings = msgspec.convert(attributes, type=Settings)
+        check_rig(settings.rig)
+        wrong = {part for _, part in settings.split_drives} - set(PARTS)
+        if wrong:
+            raise ValueError(f"'{min(wrong)}' is no part of a split")
+    except (msgspec.ValidationError, RigError, ValueError) as error:
+        how = "restore it from a copy, or extract again"
+        raise DatasetError(f"cannot be read ({error})", where=path / "zarr.json", how=how) from error
+    return settings
 
 
 def refuse_unlike(path: Path, stored: dict[str, Any], wanted: dict[str, Any]) -> None:
@@ -57,6 +90,53 @@ def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: 
             raise DatasetError(f"drive '{name}': {what}", where=path, how=how)
     if needs_cells and rows.cells is None:
         raise DatasetError(f"drive '{name}' has none of the features that the dataset names", where=path, how=how)
+
+
+def refuse_misshapen(path: Path, name: str, rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> None:
+    """Raise if arrays of a drive do not fit together, whatever their checksums say.
+
+    Args:
+        path: of the dataset.
+        name: of the drive.
+
+    Raises:
+        DatasetError: names the drive and the array.
+    """
+    for what, good in _claims(rows, part, about):
+        if not good:
+            how = f"delete {path / name} and run `offpiste extract` again"
+            raise DatasetError(f"drive '{name}' cannot be read ({what})", where=path, how=how)
+
+
+def _claims(rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> Iterator[tuple[str, bool]]:
+    """What may be wrong with arrays of a drive, and whether it is not."""
+    time, count = rows.time, rows.time.size
+    yield "'time' does not rise", time.ndim == 1 and count > 0 and bool((np.diff(time) > 0).all())
+    yield "'time' is not finite", bool(np.isfinite(time).all())
+    yield "its origin is no place", rows.origin.shape == (2,) and bool(np.isfinite(rows.origin).all())
+    for key, values in rows.arrays().items():
+        column = COLUMNS.get(key)
+        axis, kind = (column.row_axis, "f") if column else (0, "b" if key == "valid" else "f")
+        fits = values.shape[axis : axis + 1] == (count,) and values.dtype.kind == kind
+        fits = fits and (not column or _fits(column, values, about))
+        yield f"'{key}' is {values.dtype} of shape {values.shape}", fits
+    yield "'part' holds no parts", part.shape == (count,) and bool(np.isin(part, (-1, 0, 1, 2)).all())
+    cells = rows.cells
+    if cells is not None:
+        sets, many = cells.valid.shape if cells.valid.ndim == 2 else (-1, -1)
+        yield "'cells/index' is no number of a cell", cells.index.shape == (count, 4) and cells.index.dtype.kind == "i"
+        yield "'cells/index' counts beyond the cells", bool((cells.index >= -1).all() and (cells.index < many).all())
+        yield "'cells/valid' is not boolean", cells.valid.dtype == bool
+        yield "'cells/features' do not fit", cells.features.shape == (sets, many, len(about.features))
+        for key in ("distance", "elevation"):
+            yield f"'cells/{key}' does not fit", getattr(cells, key).shape == (sets, many)
+
+
+def _fits(column: Column, values: np.ndarray, about: Settings) -> bool:
+    """Whether the components of an array are those of its column."""
+    shape = values.shape[column.row_axis + 1 :]
+    present = column.present(about.rig)
+    return len(shape) == len(column.shape) and (shape[-1:] == np.shape(present) or shape == column.shape)
 
 
 def _short(value: Any) -> str:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
 from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.motion import driven_slope, heading
@@ -13,8 +12,6 @@ from offpiste.logs.motion import driven_slope, heading
 _STEP = 0.05
 _WINDOW = 0.4
 """Span of pose samples behind a velocity [s]; slower poses take six samples."""
-_LONGEST = 86400.0
-"""A recording is no longer than a day [s]."""
 MOVING = 0.3
 """Speed below which a vehicle is at a standstill [m/s]."""
 TURNING = 0.05
@@ -70,12 +67,6 @@ def driven_path(drive: Drive) -> Path:
     """
     place, yaw = drive.channels["position"], heading(drive)
     start, end = common_span([place, yaw], drive.name)
-    if end - start > _LONGEST:
-        raise LogError(
-            f"stamps span {(end - start) / 3600:.0f} hours",
-            where=drive.name,
-            how="fix clock.unit, or cut away the stamps that are far off",
-        )
     time = np.arange(start, end, _STEP)
     window = max(_WINDOW, *(6 * float(np.median(np.diff(channel.time))) for channel in (place, yaw)))
 

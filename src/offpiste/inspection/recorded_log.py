@@ -17,6 +17,8 @@ _BULK = re.compile(
     r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
 )
 """Types that are slow to read and hold nothing about the motion."""
+_LARGEST = 1e100
+"""Largest number that is taken for a measurement, whatever its unit."""
 _MAX_FIELDS = 64
 """Most fields of a topic that are read."""
 
@@ -66,16 +68,22 @@ class RememberedLog(Log):
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         quantities = self.quantities(topic)
         if not set(fields) <= set(quantities):
-            return self._log.read(topic.name, fields, stamps=stamps)
+            return _of_usable_size(self._log.read(topic.name, fields, stamps=stamps))
         key = (topic.name, stamps)
         if key not in self._samples:
             try:
-                self._samples[key] = self._log.read(topic.name, quantities, stamps=stamps)
+                self._samples[key] = _of_usable_size(self._log.read(topic.name, quantities, stamps=stamps))
             except LogError:
                 # One field that cannot be read must not hide the others.
-                return self._log.read(topic.name, fields, stamps=stamps)
+                return _of_usable_size(self._log.read(topic.name, fields, stamps=stamps))
         samples = self._samples[key]
         return Samples(samples.time, samples.values[:, [quantities.index(f) for f in fields]])
+
+
+def _of_usable_size(samples: Samples) -> Samples:
+    """Samples whose values and stamps beyond `_LARGEST` are infinite: their squares would be."""
+    time, values = (np.where(np.abs(x) > _LARGEST, np.copysign(np.inf, x), x) for x in (samples.time, samples.values))
+    return Samples(time, values)
 
 
 def read_topics(log: RememberedLog, *, stamps: str) -> tuple[dict[str, Recorded], list[Finding]]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,6 +12,13 @@ from offpiste.errors import LogError, RigError
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import ChannelSource, known_channels, unit_factor
 from offpiste.rig.rig import Rig
+
+_FARTHEST: Final = 1.5e7
+"""Largest coordinate that is a measurement and no fault [m]; northings of UTM reach 1e7 m."""
+_LARGEST: Final = 1e9
+"""The same of all other channels, in their units."""
+_LONGEST: Final = 86400.0
+"""Longest recording [s]: stamps that span more are of another unit, or damaged."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,20 @@ class Channel:
         return inside & (self.time[after] - self.time[after - 1] <= max_gap)
 
 
+def refuse_long(start: float, end: float, path: str | Path) -> None:
+    """Raise if a grid of time from `start` to `end` [s] would be longer than any recording.
+
+    Raises:
+        LogError: it is longer than a day.
+    """
+    if end - start > _LONGEST:
+        raise LogError(
+            f"stamps span {(end - start) / 3600:.0f} hours",
+            where=path,
+            how="fix clock.unit, or cut away the stamps that are far off",
+        )
+
+
 def read_channel(log: Log, rig: Rig, name: str, source: ChannelSource) -> tuple[Channel, list[str]]:
     """One channel, cleaned and converted, and the samples dropped, in words.
 
@@ -74,7 +96,9 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
     time = samples.time - source.delay
     notes = []
 
-    bad = ~(np.isfinite(values).all(axis=1) & np.isfinite(time))
+    unit = known_channels()[name][0]
+    with np.errstate(invalid="ignore"):
+        bad = ~((np.abs(values) <= (_FARTHEST if unit == "m" else _LARGEST)).all(axis=1) & np.isfinite(time))
     if source.valid is not None:
         with np.errstate(invalid="ignore"):
             bad |= ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
@@ -105,7 +129,7 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
             where=path,
             how="fix its entry in the rig, or declare it absent",
         )
-    return Channel(name, known_channels()[name][0], time, values), notes
+    return Channel(name, unit, time, values), notes
 
 
 def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
@@ -113,7 +137,8 @@ def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> 
     values = raw
     if source.wrap is not None:
         values = np.where(values > source.wrap.above, values - source.wrap.period, values)
-    values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit)
+    with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
+        values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit)
     return values if source.clip is None else np.clip(values, *source.clip)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.geometry import local_polynomial
-from offpiste.logs.channel import Channel, read_channel
+from offpiste.logs.channel import Channel, read_channel, refuse_long
 from offpiste.logs.log import Log
 from offpiste.rig.channels import Alignment
 from offpiste.rig.rig import Rig
@@ -60,7 +60,9 @@ def align_clock(
     # Wheels are read like a velocity of two components, one a field; their mean is the speed.
     wheels, _ = read_channel(log, rig, "wheel_speed", alignment.speed)
     speed = Channel("wheel_speed", wheels.unit, wheels.time, wheels.values.mean(axis=1, keepdims=True))
-    lag = estimate_lag(pose_speed(channels), speed, max_lag=alignment.max_lag)
+    reference = pose_speed(channels)
+    refuse_long(reference.time[0], reference.time[-1], log.path)
+    lag = estimate_lag(reference, speed, max_lag=alignment.max_lag)
     aligned = dict(channels)
     for name, source in rig.channels.items():
         if source.topic in alignment.topics:

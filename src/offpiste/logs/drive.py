@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from offpiste.errors import LogError
-from offpiste.logs.channel import Channel, read_channel
+from offpiste.logs.channel import Channel, read_channel, refuse_long
 from offpiste.logs.clock_drift import align_clock
 from offpiste.logs.log import Log, open_log
 from offpiste.rig.rig import Rig
@@ -61,7 +61,7 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
     """First and last moment [s] that all of these channels cover.
 
     Raises:
-        LogError: there is no such moment.
+        LogError: there is no such moment, or more than a day of them.
     """
     start = max(channel.time[0] for channel in channels)
     end = min(channel.time[-1] for channel in channels)
@@ -73,4 +73,5 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
             where=path,
             how='their clocks differ: use clock.stamps = "receive", fix a delay, or drop the channel',
         )
+    refuse_long(start, end, path)
     return start, end

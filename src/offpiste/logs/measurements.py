@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -80,6 +81,18 @@ class Cloud:
     def end(self) -> float:
         """Moment at which the last of its points was measured, or its stamp if that is later [s]."""
         return float(max(self.times.max(initial=-np.inf), self.time))
+
+
+def decoded_picture(data: UInt8[np.ndarray, " n"], *, grey: bool = False) -> UInt8[np.ndarray, "h w *c"] | None:
+    """BGR, or grey, of a PNG, a JPEG or whatever else OpenCV decodes; None where it cannot, or will not for its size.
+
+    The command line sets OPENCV_IO_MAX_IMAGE_PIXELS, so that a few bytes cannot ask for gigabytes.
+    """
+    try:
+        decoded = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) if data.size else None
+    except cv2.error:
+        return None
+    return None if decoded is None else np.asarray(decoded, np.uint8)
 
 
 def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:

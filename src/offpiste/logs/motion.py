@@ -92,11 +92,9 @@ def _slope_along(
     distance = np.cumsum(step)
     distance = distance - distance.min()
     # A vehicle at rest must not outweigh the path before and after it.
-    cell = np.round(distance / _SPACING).astype(int)
-    count = np.bincount(cell)
-    filled = count > 0
-    mean = np.bincount(cell, weights=elevation)[filled] / count[filled]
-    along = np.flatnonzero(filled) * _SPACING
+    cell, of = np.unique(np.round(distance / _SPACING), return_inverse=True)
+    mean = np.bincount(of, weights=elevation) / np.bincount(of)
+    along = cell * _SPACING
     _, fitted = local_polynomial(along, mean[:, None], along, window=length, causal=False)
     fitted = fitted[:, 0]
     usable = np.isfinite(fitted)

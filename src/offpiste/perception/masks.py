@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from offpiste.errors import PerceptionError
+from offpiste.logs.measurements import decoded_picture
 from offpiste.perception.patch_grid import PatchGrid
 
 MOST_OF_A_PATCH = 0.1
@@ -21,7 +22,7 @@ def mask_from_png(path: Path, width: int, height: int) -> Bool[np.ndarray, "heig
         PerceptionError: no such picture, or one of another size.
     """
     content = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    picture = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
+    picture = decoded_picture(content, grey=True)
     if picture is None:
         raise PerceptionError("no picture to mask a camera with", where=path, how="give a PNG of the camera's size")
     if picture.shape != (height, width):

@@ -151,6 +151,12 @@ class PrincipalComponents:
         Raises:
             PerceptionError: it is another one, or other weights.
         """
+        if len(self.mean) != backbone.channels:
+            raise PerceptionError(
+                f"the PCA is of {len(self.mean)} channels, {backbone.name} has {backbone.channels}",
+                where=where,
+                how="run `offpiste fit-pca` again",
+            )
         if backbone.fingerprint != self.fingerprint:
             raise PerceptionError(
                 f"the PCA was fitted on features of {self.backbone} ({self.fingerprint}), "
@@ -234,6 +240,7 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
             logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
         elif written != sha256_of_arrays(tensors, about):
             raise ValueError("damaged: its checksum differs")
+        _check_shapes(tensors)
         pca = PrincipalComponents(
             **tensors,
             total_variance=float(about["total_variance"]),
@@ -241,7 +248,7 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
             fingerprint=str(about["fingerprint"]),
             fitted_on=dict(about["fitted_on"]),
         )
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise PerceptionError(
             f"not a PCA of offpiste ({reason})", where=path, how="give the file that `offpiste fit-pca` wrote"
@@ -249,3 +256,17 @@ def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponent
     if backbone is not None:
         pca.check(backbone, where=path)
     return pca
+
+
+def _check_shapes(tensors: Mapping[str, np.ndarray]) -> None:
+    """Raise if the tensors of a file are no map.
+
+    Raises:
+        ValueError: one is not finite float32, or their shapes do not fit together.
+    """
+    for name, values in tensors.items():
+        if values.dtype != np.float32 or not np.isfinite(values).all():
+            raise ValueError(f"'{name}' is not finite float32")
+    mean, basis, variance = (tensors[name].shape for name in ("mean", "basis", "variance"))
+    if len(basis) != 2 or not min(basis) or mean != basis[:1] or variance != basis[1:]:
+        raise ValueError(f"mean, basis and variance of shapes {mean}, {basis}, {variance} do not fit together")

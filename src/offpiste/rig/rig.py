@@ -153,12 +153,12 @@ def parse_rig(text: str, *, where: str) -> Rig:
     load_extensions()  # may declare channels
     try:
         rig = msgspec.convert(tomllib.loads(text), type=Rig)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except msgspec.ValidationError as error:
         raise RigError(str(error), where=where, how="see docs/rig.md for the keys of a rig") from error
     try:
-        _check(rig)
+        check_rig(rig)
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig
@@ -170,7 +170,12 @@ def preset_names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
-def _check(rig: Rig) -> None:
+def check_rig(rig: Rig) -> None:
+    """Refuse impossible numbers and contradicting entries, which types alone cannot.
+
+    Raises:
+        RigError: which entry, and how to fix it.
+    """
     check_channels(rig.channels, rig.absent)
     for key, number in (
         ("clock.max_gap", rig.clock.max_gap),

@@ -69,7 +69,7 @@ def load_json(path: Path) -> dict[str, Any]:
     """
     try:
         content = json.loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise RunError("not a run", where=path, how="give the folder that `offpiste train` wrote") from error
     if not isinstance(content, dict):
         raise RunError("not a JSON object", where=path, how=REMEDY)

@@ -87,6 +87,8 @@ def overlay(
         farthest: is drawn in the last colour, in the logarithm of distance from 2 m on [m].
         radius: of a point [px].
     """
+    if not len(pixels):
+        return image
     share = np.log(np.clip(distance, 2, farthest) / 2) / np.log(farthest / 2)
     shade = np.clip(255 * (0.95 - 0.9 * share), 0, 255).astype(np.uint8)
     colours = cv2.applyColorMap(shade[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]

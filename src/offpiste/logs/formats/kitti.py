@@ -3,6 +3,7 @@
 The day's calibration files are expected in the folder above.
 """
 
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
+from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 
@@ -85,9 +87,10 @@ class KittiLog(Log):
         """
         path = self.path / topic / name
         try:
-            lines = path.read_text().split("\n")
-            stamps = [np.datetime64(line.strip().replace(" ", "T"), "ns") for line in lines if line.strip()]
-        except (OSError, ValueError) as error:
+            lines = path.read_text("utf-8").split("\n")
+            with warnings.catch_warnings(action="error"):  # of time zones, which stamps do not have
+                stamps = [np.datetime64(line.strip().replace(" ", "T"), "ns") for line in lines if line.strip()]
+        except (OSError, ValueError, UserWarning) as error:
             raise LogError(f"no stamps: {error}", where=path, how="download the drive again") from error
         return np.array(stamps, dtype="datetime64[ns]").astype(np.int64) / 10**9
 
@@ -147,8 +150,7 @@ class KittiLog(Log):
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
         """Images of PNG or JPEG files."""
         for time, path in zip(self.stamps(topic), self.files(topic).values(), strict=True):
-            data = np.fromfile(path, np.uint8)
-            decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+            decoded = decoded_picture(np.fromfile(path, np.uint8))
             pixels = None if decoded is None else np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), np.uint8)
             yield RawImage(float(time), topic, pixels)
 
@@ -179,7 +181,8 @@ def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = np.cos(np.deg2rad(latitude[0])) * _EARTH_RADIUS
     east = scale * np.deg2rad(longitude)
-    north = scale * np.log(np.tan(np.deg2rad(90 + latitude) / 2))
+    with np.errstate(invalid="ignore", divide="ignore"):  # latitudes beyond the poles
+        north = scale * np.log(np.tan(np.deg2rad(90 + latitude) / 2))
     position = np.stack((east, north, altitude), axis=1)
     orientation = Rotation.from_euler("ZYX", np.column_stack((yaw, pitch, roll))).as_quat()
     return np.column_stack((position - position[0], orientation))
@@ -187,7 +190,7 @@ def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
 
 def _row(path: Path) -> Float[np.ndarray, " 30"]:
     try:
-        row = np.array(path.read_text().split(), dtype=np.float64)
+        row = np.array(path.read_text("utf-8").split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise LogError(f"not a row of numbers: {error}", where=path, how="download the drive again") from error
     if len(row) != len(_OXTS):
@@ -213,8 +216,8 @@ def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
         LogError: no such file.
     """
     try:
-        lines = path.read_text().splitlines()
-    except OSError as error:
+        lines = path.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
         how = "put the day's calibration files into the folder above the drive"
         raise LogError("no calibration file", where=path, how=how) from error
     result = {}

@@ -1,5 +1,6 @@
 """TartanDrive 2.0 folders: one folder a modality, with one `.npy` array and `timestamps.txt`."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -69,6 +70,7 @@ def _load(path: Path, *, mapped: bool) -> np.ndarray:
 
 def _load_stamps(path: Path) -> Float[np.ndarray, " n"]:
     try:
-        return np.loadtxt(path, dtype=np.float64, ndmin=1)
+        with warnings.catch_warnings(action="ignore"):  # of an empty file, which gives no stamps
+            return np.loadtxt(path, dtype=np.float64, ndmin=1)
     except (OSError, ValueError) as error:
         raise LogError(f"stamps are not numbers: {error}", where=path, how="export the folder again") from error

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from offpiste.errors import LogError
+from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.ros.writer import header, make
 
 _CHANNELS: Final = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3} | {
@@ -33,11 +34,8 @@ _TO_RGB: Final[dict[str, int]] = {
 
 def decompressed(message: Any) -> UInt8[np.ndarray, "h w 3"] | None:
     """RGB of a JPEG, a PNG or whatever else OpenCV decodes; None where it cannot."""
-    data = np.asarray(message.data, np.uint8)
-    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    if decoded is None:
-        return None
-    return _to_rgb(np.asarray(decoded, np.uint8), cv2.COLOR_BGR2RGB)
+    decoded = decoded_picture(np.asarray(message.data, np.uint8))
+    return None if decoded is None else _to_rgb(decoded, cv2.COLOR_BGR2RGB)
 
 
 def raw_pixels(message: Any, topic: str) -> UInt8[np.ndarray, "h w 3"] | None:

@@ -120,6 +120,16 @@ class World:
     trails: tuple[Float[np.ndarray, "_ 2"], ...]
 
 
+_RANGES: Final = {
+    **dict.fromkeys(("dunes", "bank", "ditch", "rut", "roughness"), (0.0, 50.0)),
+    **dict.fromkeys(("wetness", "wetness_spread", "grass"), (0.0, 1.0)),
+    **dict.fromkeys(("trees", "bushes"), (0.0, 2000.0)),
+    "grass_height": (0.0, 10.0),
+    "grip": (0.0, 5.0),
+}
+"""Smallest and largest values of a preset, in its units."""
+
+
 class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a world's landscape is made of; the seed decides on everything else.
 
@@ -161,6 +171,17 @@ class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         unknown = {*self.open_ground, *self.trail_ground} - {*GROUND_KINDS}
         if unknown:
             raise ValueError(f"unknown ground {', '.join(sorted(unknown))}; known are {', '.join(GROUND_KINDS)}")
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"{name} is {value:g}, not between {low:g} and {high:g}")
+        if not all(1 <= grain <= 1000 and abs(height) <= 100 for grain, height in self.hills):
+            raise ValueError("hills are pairs of a grain from 1 to 1000 m and a height of at most 100 m")
+        if not 0 < self.tree_height[0] <= self.tree_height[1] <= 100:
+            raise ValueError("tree_height is not a lowest and a highest from 0 to 100 m")
+        for shares in (self.open_ground, self.trail_ground):
+            if not (all(0 <= share <= 1e3 for share in shares.values()) and sum(shares.values()) > 0):
+                raise ValueError("shares of open_ground and trail_ground are numbers from 0 on, and not all 0")
 
 
 def read_world_preset(file: Path | Traversable) -> WorldPreset:
@@ -173,7 +194,7 @@ def read_world_preset(file: Path | Traversable) -> WorldPreset:
         return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), WorldPreset)
     except OSError as error:
         raise OffpisteError(f"cannot read the world: {error.strerror}", where=str(file)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise OffpisteError(f"not TOML: {error}", where=str(file)) from error
     except msgspec.ValidationError as error:
         how = "see docs/proving-ground.md, or copy one from offpiste/simulation/world/presets"

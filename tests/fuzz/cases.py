@@ -1,0 +1,174 @@
+"""A case: a sound input, mutated as its number and the seed say, a command that reads it, and the verdict on it."""
+
+import json
+import re
+import shutil
+import signal
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.corpus import Sound, run_command
+from tests.fuzz.isolation import MEMORY, OUT_OF_MEMORY, TRACEBACK, Outcome, run_isolated
+from tests.fuzz.mutations import Generator, mutate_bytes, mutate_text
+
+TEXTS = {".toml", ".txt", ".csv", ".json", ".yaml"}
+GOOD = ("ok", "refused")
+"""Verdicts as they should be."""
+LONGEST_LINE = 700
+"""Longest message [characters]."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What was done and what came of it; a line of the output.
+
+    Attributes:
+        mutation: of the input, in words.
+        verdict: ok, refused, traceback, hang, memory, killed, or wrong message.
+        why: the message, or the last line of a traceback.
+        memory: largest resident memory [MB].
+        warnings: number of Python's warnings on standard error.
+    """
+
+    case: int
+    seed: int
+    kind: str
+    source: str
+    command: str
+    mutation: str
+    verdict: str
+    why: str
+    seconds: float
+    memory: int
+    warnings: int
+
+    def as_line(self) -> str:
+        """As JSON."""
+        return json.dumps(asdict(self))
+
+
+def run_case(number: int, seed: int, corpus: Sequence[Sound], folder: Path) -> Case:
+    """Build the input of a case anew in a folder, and run its command.
+
+    Args:
+        folder: holds the input, the output and the messages afterwards.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng([seed, number])
+    sound = _chosen(corpus, rng)
+    command = sound.commands[int(rng.integers(len(sound.commands)))]
+    (folder / "input").mkdir()
+    copy = folder / "input" / sound.files.name
+    made = run_isolated(partial(_mutate, sound, copy, rng), folder)
+    mutation = made.out.strip().splitlines()[-1] if made.out.strip() else ""
+    if made.code:
+        raise RuntimeError(f"case {number}: the input could not be made\n{made.err}")
+    (folder / "out").mkdir()
+    given = copy / sound.input if sound.input else copy
+    outcome = run_isolated(partial(_run, command, given, folder), folder)
+    verdict, why = judge(outcome)
+    return Case(
+        case=number,
+        seed=seed,
+        kind=sound.kind,
+        source=sound.files.name,
+        command=command.split()[0],
+        mutation=mutation,
+        verdict=verdict,
+        why=why,
+        seconds=round(outcome.seconds, 2),
+        memory=outcome.memory >> 20,
+        warnings=sum("Warning: " in line for line in outcome.err.splitlines()),
+    )
+
+
+def _chosen(corpus: Sequence[Sound], rng: Generator) -> Sound:
+    """A sound input; where there are no recorded drives, the other cases are the same."""
+    made, recorded = ([sound for sound in corpus if sound.recorded == which] for which in (False, True))
+    shares = np.array([sound.share for sound in made])
+    sound, instead, which = made[int(rng.choice(len(made), p=shares / shares.sum()))], rng.random() < 0.1, rng.random()
+    return recorded[int(which * len(recorded))] if recorded and instead else sound
+
+
+def _run(command: str, given: Path, folder: Path) -> None:
+    (folder / "command.txt").write_text(f"offpiste {command.format(input=given, out=folder / 'out')}\n")
+    if command.startswith(("simulate", "drive")):
+        _small_worlds()
+    run_command(command, input=given, out=folder / "out")
+
+
+def _small_worlds() -> None:
+    """A world takes seconds to make, and its size is no option: mutated presets are tried on a small square."""
+    from offpiste.simulation.world.world import WorldSettings
+
+    WorldSettings.__init__.__defaults__ = (*WorldSettings.__init__.__defaults__[:-2], 120.0, 1.0)
+
+
+def _mutate(sound: Sound, copy: Path, rng: Generator) -> None:
+    """Copy the input and mutate it; prints how."""
+    shutil.copytree(sound.files, copy) if sound.files.is_dir() else shutil.copy(sound.files, copy)
+    if rng.random() < 0.02:
+        print("none")
+    elif sound.rewrite is not None and rng.random() < 0.45:
+        print(f"rewritten: {sound.rewrite(copy, rng)}")
+    else:
+        files = sorted(p for p in copy.rglob("*") if p.is_file()) if copy.is_dir() else [copy]
+        # A folder of many files like one: each folder of it is as likely as another.
+        places = sorted({file.parent for file in files})
+        place = places[int(rng.integers(len(places)))]
+        files = [file for file in files if file.parent == place]
+        file = files[int(rng.integers(len(files)))]
+        if copy.is_dir() and rng.random() < 0.05:
+            file.unlink()
+            print(f"{file.relative_to(copy.parent)}: removed")
+            return
+        mutate = mutate_text if file.suffix in TEXTS and rng.random() < 0.8 else mutate_bytes
+        data, how = mutate(file.read_bytes(), rng)
+        file.write_bytes(data)
+        print(f"{file.relative_to(copy.parent)}: {how}")
+
+
+def judge(outcome: Outcome) -> tuple[str, str]:
+    """Verdict on a process, and the reason in one line."""
+    # libpng writes to standard error by itself, before our message.
+    lines = [line for line in outcome.err.splitlines() if line.strip() and not line.startswith("libpng ")]
+    last = lines[-1][:300] if lines else ""
+    if outcome.hung:
+        return "hang", f"{outcome.seconds:.0f} s"
+    if outcome.memory > MEMORY or outcome.code == OUT_OF_MEMORY:
+        return "memory", last or f"{outcome.memory >> 20} MB"
+    if outcome.code < 0:
+        return "killed", signal.Signals(-outcome.code).name
+    if outcome.code == TRACEBACK or "Traceback (most recent call last)" in outcome.err:
+        return "traceback", last
+    if outcome.code == 0:
+        return "ok", ""
+    if outcome.code == 2:
+        return ("refused", last) if lines else ("wrong message", "exit code 2 without a message")
+    if outcome.code != 1:
+        return "wrong message", f"exit code {outcome.code}"
+    # `inspect` says why in its report; `--write-rig` says on standard error what it wrote, and what the rig lacks.
+    others = [line for line in lines if not line.startswith(("wrote ", "  missing: "))]
+    if not others and "NOT usable for training" in outcome.out:
+        return "refused", "NOT usable for training"
+    return ("refused", last) if not (wrong := _wrong(lines)) else ("wrong message", f"{wrong}: {last}")
+
+
+def _wrong(lines: list[str]) -> str:
+    """What is wrong with the message of a refusal; empty if nothing."""
+    messages = [line for line in lines if line.startswith("offpiste: ")]
+    if len(messages) != 1 or len(lines) != 1:
+        return f"{len(lines)} lines"
+    message = messages[0].removeprefix("offpiste: ")
+    if len(message) > LONGEST_LINE:
+        return f"{len(message)} characters"
+    if not message.isprintable():
+        return "unprintable characters"
+    if not re.search(r"\w.*[:;] .*\w", message):
+        return "neither where nor how"
+    return ""

@@ -1,0 +1,360 @@
+"""Sound inputs of every kind, small, and the commands that read them; mutations begin here."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import zarr
+from safetensors import safe_open
+from safetensors.numpy import save_file
+
+from feature_datasets import dataset_with_features
+from offpiste.cli import main
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import build, save_run, vehicle_of
+from sensor_bags import cloud, compressed, info, odometry, raw_image, transforms
+from sensor_drive import AROUND, SIDE, STATIC, clouds, good_drive, images, poses, written
+from tests.fuzz.mutations import Generator, mutate_values
+from tests.fuzz.recordings import CONTAINERS, absurd, driven, rig_text
+
+Rewrite = Callable[[Path, Generator], str]
+"""Writes an input anew, through its format's own writer, with absurd content; says what is absurd."""
+
+
+@dataclass(frozen=True)
+class Sound:
+    """A sound input and what reads it.
+
+    Attributes:
+        kind: what it is, for the summary.
+        files: a file or folder that is copied.
+        input: what the commands are given of it, relative to the copy; "" for all.
+        commands: `{input}`, `{out}` and `{corpus}` stand for paths.
+        rewrite: of the copy; None where only bytes and text are mutated.
+        share: how often it is chosen, against others.
+        recorded: whether it is part of a real drive.
+    """
+
+    kind: str
+    files: Path
+    commands: tuple[str, ...]
+    input: str = ""
+    rewrite: Rewrite | None = None
+    share: float = 1.0
+    recorded: bool = False
+
+
+def run_command(line: str, **places: object) -> None:
+    """A command of the CLI; exits as that does."""
+    main([word.format(**places) for word in line.split()])
+
+
+def _made(line: str, **places: object) -> None:
+    """A command that must succeed."""
+    try:
+        run_command(line, **places)
+    except SystemExit as exit_:
+        if exit_.code:
+            raise RuntimeError(f"{line.format(**places)} failed") from exit_
+
+
+QUICK = "--epochs 1 --bicycle-epochs 1 --actuator-epochs 1 --stride 100 --batch 2"
+EXTRACT = "extract {input} --out {out}/d.zarr --processes 1"
+
+
+def make_corpus(folder: Path, data: Path | None) -> list[Sound]:
+    """All sound inputs, written into a new folder.
+
+    Args:
+        data: recorded drives beside the project, small parts of which are inputs, too.
+    """
+    folder.mkdir(parents=True)
+    sound = [*_tables(folder), *_sensors(folder), *_kitti(folder), *_learned(folder), *_texts(folder)]
+    return [*sound, *(_recorded(folder, data) if data is not None else ())]
+
+
+def _tables(folder: Path) -> list[Sound]:
+    result = []
+    for kind, container in CONTAINERS.items():
+        place, rig = folder / kind, folder / f"{kind}.toml"
+        place.mkdir()
+        container.write(driven(), place / container.name)
+        rig.write_text(rig_text(kind))
+
+        def rewrite(copy: Path, rng: Generator, container=container) -> str:
+            recording, how = absurd(driven(), rng)
+            target = copy / container.name
+            shutil.rmtree(target) if target.is_dir() else target.unlink()
+            container.write(recording, target)
+            return how
+
+        given = f"--rig {rig}"
+        commands = (
+            f"inspect {{input}} {given}",
+            "inspect {input}",
+            f"{EXTRACT} {given}",
+            f"{EXTRACT} {given} --split places:5",
+            "inspect {input} --write-rig {out}/drafted.toml",
+        )
+        result.append(Sound(kind, place, commands, container.name, rewrite))
+        if kind in ("csv", "ros1"):
+            log = place / container.name
+            lines = (f"inspect {log} --rig {{input}}", f"extract {log} --rig {{input}} --out {{out}}/d.zarr")
+            result.append(Sound("rig", rig, lines))
+    return result
+
+
+def _sensors(folder: Path) -> list[Sound]:
+    place = folder / "sensors"
+    place.mkdir()
+    log, rig, pca = good_drive(place) / "good.mcap", place / "rig.toml", folder / "p.pca"
+    cv2.imwrite(str(place / "mask.png"), np.full((SIDE, SIDE), 0, np.uint8))
+    rig.write_text(rig.read_text().replace('info = "/info"', 'info = "/info"\nmask = "mask.png"'))
+    fit = "fit-pca {log} --rig {rig} --backbone filterbank --images 4 --components 3 --split blocks:1,0,0 --out {pca}"
+    _made(fit, log=log, rig=rig, pca=pca)
+    rigs = folder / "sensor-rig"
+    rigs.mkdir()
+    for name in ("rig.toml", "mask.png"):
+        shutil.copy(place / name, rigs / name)
+    only = folder / "sensor-log"
+    only.mkdir()
+    shutil.copy(log, only / "good.mcap")
+    options = "--split blocks:1,0,0"
+    extract = f"extract {{log}} --rig {{rig}} --pca {{pca}} {options} --processes 1 --out {{{{out}}}}/d.zarr"
+    fit = f"fit-pca {{log}} --rig {{rig}} --backbone filterbank --images 4 --components 3 {options} --out {{{{out}}}}/p"
+    view = "view {log} --rig {rig} --seconds 1:2 --no-rrd --out {{out}}/v"
+    inspect = "inspect {log} --rig {rig}"
+
+    def lines(*commands: str, **changed: object) -> tuple[str, ...]:
+        return tuple(command.format(**{"log": log, "rig": rig, "pca": pca} | changed) for command in commands)
+
+    listed = folder / "good.images.txt"
+    shutil.copy(pca.with_suffix(".images.txt"), listed)
+    of_log = lines(extract, extract, fit, inspect, view, log="{input}")
+    of_pca = lines(extract, extract, view + " --pca {{input}}", pca="{input}")
+    of_list = lines(fit.replace("--images 4", "--images {{input}}"))
+    return [
+        Sound("sensors", only, of_log, "good.mcap", _absurd_drive, 2),
+        Sound("rig", rigs, lines(extract, inspect, fit, rig="{input}"), "rig.toml", share=2),
+        Sound("pca", pca, of_pca, rewrite=_absurd_tensors, share=2),
+        Sound("image list", listed, of_list, share=0.4),
+    ]
+
+
+def _absurd_drive(copy: Path, rng: Generator) -> str:
+    """The sensor drive with one kind of message absurd: declared sizes, values, calibrations, transforms."""
+    parts = {"static": STATIC, "images": images(), "clouds": clouds(), "poses": poses()}
+    how = int(rng.integers(7))
+    large = int(rng.choice((0, 1, 2**31 - 1, 2**32 - 1, 100_000, 65_535)))
+    if how == 0:
+        points, said = mutate_values(AROUND.copy(), rng)
+        parts["clouds"], said = clouds(points), f"points {said}"
+    elif how == 1:
+        field = str(rng.choice(("height", "width", "point_step", "row_step")))
+        parts["clouds"], said = [(t, n, _changed(m, field, large)) for t, n, m in clouds()], f"cloud {field} {large}"
+    elif how == 2:
+        field = str(rng.choice(("height", "width", "step")))
+        encoding = str(rng.choice(("rgb8", "mono8", "bayer_rggb8", "16UC1", "")))
+        picture = np.zeros((SIDE, SIDE, 3) if encoding == "rgb8" else (SIDE, SIDE), np.uint8)
+        shown = [
+            (t, "/image", _changed(raw_image(t, encoding, picture), field, large)) for t in np.arange(0.05, 6, 0.25)
+        ]
+        parts["images"], said = shown, f"image {encoding} {field} {large}"
+    elif how == 3:
+        key = str(rng.choice(("k", "d", "p", "r", "width", "height")))
+        if key in ("width", "height"):
+            changed, said = {key: large}, f"CameraInfo {key} {large}"
+        else:
+            values, said = mutate_values(np.asarray(getattr(STATIC[1][2], key), np.float64), rng)
+            changed, said = {key: values}, f"CameraInfo {key} {said}"
+        parts["static"] = [
+            STATIC[0],
+            (
+                0.0,
+                "/info",
+                info(SIDE, SIDE, **changed) if "d" in changed else _changed(STATIC[1][2], key, changed[key]),
+            ),
+        ]
+    elif how == 4:
+        numbers, said = mutate_values(np.array([[1.0, 0, 2, 0, 0, 0, 1], [0, 0, 0.25, 0.5, -0.5, 0.5, 0.5]]), rng)
+        (a, b) = ((row[:3], row[3:]) for row in numbers)
+        joints = (("base_link", "lidar", *a), ("lidar", "camera", *b))
+        parts["static"], said = [(0.0, "/tf_static", transforms(*joints)), STATIC[1]], f"transforms {said}"
+    elif how == 5:
+        times, aside = np.arange(0, 6.01, 0.05), np.zeros(121)
+        moved, said = mutate_values(aside[:, None], rng)
+        parts["poses"] = [
+            (float(t), "/odom", odometry(float(t), float(y))) for t, y in zip(times, moved[:, 0], strict=True)
+        ]
+        said = f"poses {said}"
+    else:
+        size = int(rng.choice((1, 2, 3000)))
+        parts["images"] = [
+            (0.05 * n, "/image", compressed(0.05 * n, np.zeros((size, 1 + n % 3, 3), np.uint8))) for n in range(20)
+        ]
+        parts["clouds"] = parts["clouds"] if size > 1 else [(0.1, "/points", cloud(0.1, AROUND[:1]))]
+        said = f"pictures {size} high"
+    (copy / "good.mcap").unlink()
+    written(copy / "good.mcap", *parts.values())
+    return said
+
+
+def _changed(message: object, name: str, value: object) -> object:
+    return replace(message, **{name: value})
+
+
+def _absurd_tensors(copy: Path, rng: Generator) -> str:
+    """A safetensors file with absurd values in one tensor, or another shape."""
+    with safe_open(copy, framework="numpy") as file:
+        tensors, about = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+    name = str(rng.choice(sorted(tensors)))
+    if rng.random() < 0.7:
+        tensors[name], how = mutate_values(tensors[name], rng)
+    else:
+        shape = tensors[name].shape
+        other = {"cut": tensors[name][:-1], "flat": tensors[name].ravel(), "empty": tensors[name][:0]} if shape else {}
+        other |= {"ints": tensors[name].astype(np.int32), "doubles": tensors[name].astype(np.float64)}
+        how = str(rng.choice(sorted(other)))
+        tensors[name] = np.ascontiguousarray(other[how])
+    save_file({key: np.ascontiguousarray(value) for key, value in tensors.items()}, copy, metadata=about)
+    return f"{name} {how}"
+
+
+def _kitti(folder: Path) -> list[Sound]:
+    day, rng = folder / "kitti", np.random.default_rng(0)
+    drive, frames = day / "drive_sync", 40
+    for name in ("oxts", "image_02", "velodyne_points"):
+        (drive / name / "data").mkdir(parents=True)
+        stamps = [f"2011-09-26 13:10:{n / 10:012.9f}" for n in range(frames)]
+        (drive / name / "timestamps.txt").write_text("\n".join(stamps) + "\n")
+        if name == "velodyne_points":
+            for edge, by in (("start", -0.05), ("end", 0.05)):
+                stamps = [f"2011-09-26 13:10:{n / 10 + by + 0.05:012.9f}" for n in range(frames)]
+                (drive / name / f"timestamps_{edge}.txt").write_text("\n".join(stamps) + "\n")
+    for frame in range(frames):
+        row = [49 + 7e-6 * frame, 8.0, 100.0, 0, 0, np.pi / 2, 8.0, 0.0, 8.0, *21 * [0.0]]
+        (drive / "oxts" / "data" / f"{frame:010d}.txt").write_text(" ".join(map(str, row)))
+        if frame % 4 == 0:
+            picture = rng.integers(0, 255, (SIDE, SIDE, 3), dtype=np.uint8)
+            cv2.imwrite(str(drive / "image_02" / "data" / f"{frame:010d}.png"), picture)
+            points = np.column_stack((rng.uniform(-15, 15, (400, 2)), np.full(400, -1.7), rng.random(400)))
+            points.astype("<f4").tofile(drive / "velodyne_points" / "data" / f"{frame:010d}.bin")
+    for name, text in {
+        "calib_imu_to_velo.txt": "R: 1 0 0 0 1 0 0 0 1\nT: -1 0 -2\n",
+        "calib_velo_to_cam.txt": "calib_time: 09-Jan-2012 13:57:47\nR: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.5\n",
+        "calib_cam_to_cam.txt": f"S_rect_02: {SIDE} {SIDE}\nR_rect_00: 1 0 0 0 1 0 0 0 1\n"
+        "P_rect_02: 30 0 27.5 2 0 30 27.5 0 0 0 1 0\n",
+    }.items():
+        (day / name).write_text(text)
+    rig = "--rig kitti --split blocks:1,0,0"
+    commands = (
+        "inspect {input} --rig kitti",
+        f"{EXTRACT} {rig}",
+        f"{EXTRACT} {rig} --pca {folder}/p.pca",
+        f"fit-pca {{input}} {rig} --backbone filterbank --images 4 --out {{out}}/p",
+    )
+    return [Sound("kitti", day, commands, "drive_sync", _absurd_oxts, 1.5)]
+
+
+def _absurd_oxts(copy: Path, rng: Generator) -> str:
+    """OXTS rows or scans with absurd numbers."""
+    drive = copy / "drive_sync"
+    if rng.random() < 0.3:
+        path = sorted((drive / "velodyne_points" / "data").iterdir())[int(rng.integers(10))]
+        values, how = mutate_values(np.fromfile(path, "<f4").reshape(-1, 4), rng)
+        values.tofile(path)
+        return f"scan {how}"
+    paths = sorted((drive / "oxts" / "data").iterdir())
+    rows, how = mutate_values(np.array([np.loadtxt(path) for path in paths]), rng)
+    for path, row in zip(paths, rows.tolist(), strict=True):
+        path.write_text(" ".join(map(repr, row)))
+    return f"oxts {how}"
+
+
+def _learned(folder: Path) -> list[Sound]:
+    dataset = dataset_with_features(folder / "data.zarr", rows=560)
+    for model in ("b", "dc"):
+        save_run(
+            folder / model, build(model, vehicle_of(dataset), seed=0), TrainConfig(model=model), dataset, torch.ones(5)
+        )
+    report = "--out {out}/report"
+    of_dataset = (
+        f"train {{input}} --model b --out {{out}}/run {QUICK}",
+        f"train {{input}} --model dc --out {{out}}/run {QUICK}",
+        f"evaluate {folder}/b --dataset {{input}} --lookup recorded {report}",
+        f"evaluate {folder}/dc --dataset {{input}} {report}",
+        "view {input} --out {out}/v",
+    )
+    of_run = (
+        f"evaluate {{input}} --dataset {folder}/data.zarr --lookup recorded {report}",
+        f"evaluate {{input}} --dataset {folder}/data.zarr --lookup map {report}",
+    )
+    return [
+        Sound("dataset", dataset.path, of_dataset, rewrite=_absurd_dataset, share=2.5),
+        *(Sound("run", folder / name, of_run, rewrite=_absurd_run, share=1.2) for name in ("b", "dc")),
+    ]
+
+
+def _absurd_dataset(copy: Path, rng: Generator) -> str:
+    """One array of one drive with absurd values."""
+    drive = str(rng.choice(sorted(p.name for p in copy.iterdir() if (p / "zarr.json").exists())))
+    group = zarr.open_group(copy / drive, mode="r+")
+    names = sorted(name for name, member in group.members(max_depth=None) if isinstance(member, zarr.Array))
+    name = str(rng.choice(names))
+    values, how = mutate_values(np.asarray(group[name][...]), rng)
+    group[name][...] = values
+    return f"{drive}/{name} {how}"
+
+
+def _absurd_run(copy: Path, rng: Generator) -> str:
+    return _absurd_tensors(copy / "model.safetensors", rng)
+
+
+def _texts(folder: Path) -> list[Sound]:
+    log, rig = folder / "csv" / "drive.csv", folder / "csv.toml"
+    split = folder / "split.txt"
+    split.write_text("drive train\nother test\nthird validation\n")
+    world = folder / "world.toml"
+    world.write_text((Path(__file__).parents[2] / "examples/extending/salt_flat.toml").read_text())
+    lines = (f"extract {log} --rig {rig} --out {{out}}/d.zarr --split drives:{{input}}",)
+    drive = "simulate --world {input} --sensors none --seconds 1 --out {out}/s.mcap"
+    course = f"drive {folder}/b --world {{input}} --seconds 0.2 --out {{out}}/c"
+    return [Sound("split", split, lines, share=0.4), Sound("world", world, (drive, drive, course), share=0.4)]
+
+
+def _recorded(folder: Path, data: Path) -> list[Sound]:
+    """Small parts of real drives."""
+    result = []
+    cut = folder / "turnpike"
+    for stamps in sorted((data / "tartandrive2/drives").glob("*turnpike*/*/timestamps.txt")):
+        (target := cut / "drive" / stamps.parent.name).mkdir(parents=True)
+        time = np.loadtxt(stamps, ndmin=1)
+        for array in stamps.parent.glob("*.npy"):
+            rows = np.load(array)
+            keep = len(rows) // 20
+            np.save(target / array.name, rows[:keep])
+            time = time[:keep]
+        np.savetxt(target / "timestamps.txt", time)
+    rig = "--rig tartandrive2"
+    commands = (f"inspect {{input}} {rig}", f"{EXTRACT} {rig}", "inspect {input}")
+    if cut.is_dir():
+        result.append(Sound("tartandrive", cut, commands, "drive", _absurd_modality, recorded=True))
+    for bag in ("PlotJuggler_tilt_laser.bag", "evo_nav2_turtlebot.mcap", "rosbag2_only_topics.mcap"):
+        if (data / "bags" / bag).is_file():
+            commands = ("inspect {input}", "inspect {input} --write-rig {out}/drafted.toml")
+            kind = "ros1" if bag.endswith(".bag") else "mcap"
+            shutil.copyfile(data / "bags" / bag, folder / bag)
+            result.append(Sound(kind, folder / bag, commands, recorded=True))
+    return result
+
+
+def _absurd_modality(copy: Path, rng: Generator) -> str:
+    paths = sorted((copy / "drive").glob("*/*.npy"))
+    path = paths[int(rng.integers(len(paths)))]
+    values, how = mutate_values(np.load(path), rng)
+    np.save(path, values)
+    return f"{path.parent.name} {how}"

@@ -1,0 +1,119 @@
+"""One command in a forked process, with limits on time, memory and disk, and what came of it."""
+
+import contextlib
+import os
+import resource
+import signal
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+MEMORY = 4 << 30
+"""Largest resident memory [bytes]."""
+ADDRESSES = 8 << 30
+"""Address space beyond what the server holds [bytes]: libraries reserve more than they use."""
+DISK = 1 << 30
+"""Largest file [bytes]."""
+PROCESSOR = 120
+"""Longest processor time [s]: a loaded machine does not change it."""
+WALL = 900.0
+"""Longest time by the clock [s], against a process that waits for ever."""
+
+TRACEBACK, OUT_OF_MEMORY = 70, 71
+"""Exit codes of a process that ended in an exception."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a process ended.
+
+    Attributes:
+        code: exit code; negative: the signal that killed it.
+        hung: whether it ran out of processor time or of time by the clock.
+        memory: largest resident memory [bytes].
+        out, err: standard output and error.
+    """
+
+    code: int
+    hung: bool
+    seconds: float
+    memory: int
+    out: str
+    err: str
+
+
+def run_isolated(work: Callable[[], object], folder: Path) -> Outcome:
+    """Call `work` in a fork of this process; the folder, which must exist, gets its standard output and error."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    start = time.monotonic()
+    child = os.fork()
+    if child == 0:
+        _in_child(work, folder)
+    status, usage, hung, killed = _wait(child, start)
+    code = os.waitstatus_to_exitcode(status)
+    memory = max(usage.ru_maxrss << 10, MEMORY + 1 if killed else 0)
+    out, err = ((folder / name).read_text("utf-8", "replace") for name in ("out.txt", "err.txt"))
+    return Outcome(code, hung or code == -signal.SIGXCPU, time.monotonic() - start, memory, out, err)
+
+
+def _in_child(work: Callable[[], object], folder: Path) -> None:
+    code = TRACEBACK
+    try:
+        os.setsid()
+        for name, number in (("out.txt", 1), ("err.txt", 2)):
+            os.dup2(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        addresses = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (addresses + ADDRESSES, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (DISK, DISK))
+        resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR, PROCESSOR + 5))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        warnings.resetwarnings()
+        warnings.simplefilter("ignore", DeprecationWarning)
+        code = _exit_code(work)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+def _exit_code(work: Callable[[], object]) -> int:
+    try:
+        work()
+    except SystemExit as exit_:
+        return int(exit_.code or 0)
+    except MemoryError:
+        traceback.print_exc()
+        return OUT_OF_MEMORY
+    except BaseException:  # noqa: BLE001
+        traceback.print_exc()
+        return TRACEBACK
+    return 0
+
+
+def _wait(child: int, start: float) -> tuple[int, resource.struct_rusage, bool, bool]:
+    pause = 0.001
+    while True:
+        done, status, usage = os.wait4(child, os.WNOHANG)
+        if done:
+            return status, usage, False, False
+        late, large = time.monotonic() - start > WALL, _resident(child) > MEMORY
+        if late or large:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child, signal.SIGKILL)
+            _, status, usage = os.wait4(child, 0)
+            return status, usage, late, large
+        time.sleep(pause)
+        pause = min(1.5 * pause, 0.05)
+
+
+def _resident(process: int) -> int:
+    try:
+        return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
+    except (OSError, IndexError):
+        return 0

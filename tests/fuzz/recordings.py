@@ -1,0 +1,220 @@
+"""A short drive as tables, and its writers: every container that offpiste reads, whatever the numbers are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2.enums import StoragePlugin
+from rosbags.typesys import Stores, get_typestore
+
+from tests.fuzz.mutations import Generator, mutate_values
+
+RATE = 25.0
+"""Samples a second [1/s]."""
+SECONDS = 24.0
+START = 1_700_000_000.0
+"""First stamp [s]."""
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+COMMANDS = ("throttle", "brake", "steer")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Samples of one topic: stamps [s] and a column a name."""
+
+    time: np.ndarray
+    names: tuple[str, ...]
+    values: np.ndarray
+
+
+Recording = dict[str, Table]
+
+
+def driven() -> Recording:
+    """Bends of changing radius over gentle hills, with pedals and steering that fit."""
+    time = np.arange(0, SECONDS, 1 / RATE)
+    speed = 4 + 2 * np.sin(0.5 * time)
+    steer = 0.4 * np.sin(0.7 * time)
+    yaw_rate = speed * np.tan(0.4 * steer) / 2.2
+    yaw = np.cumsum(yaw_rate) / RATE
+    x, y = np.cumsum(speed * np.cos(yaw)) / RATE, np.cumsum(speed * np.sin(yaw)) / RATE
+    zero = np.zeros_like(time)
+    pose = np.column_stack((x, y, 0.5 * np.sin(x / 20), zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)))
+    rise = np.gradient(speed) * RATE
+    pedals = np.column_stack((np.clip(0.3 + 0.3 * rise, 0, 1), np.clip(-0.5 * rise - 0.2, 0, 1), steer))
+    return {"odom": Table(START + time, POSE, pose), "commands": Table(START + time + 0.004, COMMANDS, pedals)}
+
+
+def absurd(recording: Recording, rng: Generator) -> tuple[Recording, str]:
+    """The same with absurd stamps or values in one topic."""
+    topic = str(rng.choice(sorted(recording)))
+    table = recording[topic]
+    if rng.random() < 0.3:
+        time, how = mutate_values(table.time, rng)
+        return recording | {topic: replace(table, time=time)}, f"{topic} stamps {how}"
+    values, how = mutate_values(table.values, rng)
+    return recording | {topic: replace(table, values=values)}, f"{topic} values {how}"
+
+
+def write_csv(recording: Recording, path: Path) -> None:
+    """Everything at the stamps of the pose."""
+    pa_csv.write_csv(_one_table(recording), path)
+
+
+def write_parquet(recording: Recording, path: Path) -> None:
+    """Everything at the stamps of the pose."""
+    pq.write_table(_one_table(recording), path)
+
+
+def _one_table(recording: Recording) -> pa.Table:
+    columns = {"time": recording["odom"].time}
+    for table in recording.values():
+        columns |= dict(zip(table.names, table.values.T, strict=True))
+    return pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
+
+
+def write_tartandrive(recording: Recording, path: Path) -> None:
+    """A folder a topic."""
+    for topic, table in recording.items():
+        (path / topic).mkdir(parents=True)
+        np.save(path / topic / "data.npy", table.values)
+        np.savetxt(path / topic / "timestamps.txt", table.time)
+
+
+def write_ros1(recording: Recording, path: Path) -> None:
+    """A ROS 1 bag."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = rosbag1.Writer(path)
+    writer.chunk_threshold = 20_000
+    with writer:
+        for topic, kind, at, message in _messages(recording, store, ros1=True):
+            connection = next((c for c in writer.connections if c.topic == topic), None)
+            connection = connection or writer.add_connection(topic, kind, typestore=store)
+            writer.write(connection, at, store.serialize_ros1(message, kind))
+
+
+def write_mcap(recording: Recording, path: Path) -> None:
+    """A ROS 2 folder of MCAP."""
+    _write_ros2(recording, path, StoragePlugin.MCAP)
+
+
+def write_db3(recording: Recording, path: Path) -> None:
+    """A ROS 2 folder of SQLite."""
+    _write_ros2(recording, path, StoragePlugin.SQLITE3)
+
+
+def _write_ros2(recording: Recording, path: Path, storage: StoragePlugin) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
+        connections = {}
+        for topic, kind, at, message in _messages(recording, store, ros1=False):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], at, store.serialize_cdr(message, kind))
+
+
+def _messages(recording: Recording, store, *, ros1: bool):
+    """Topic, type, arrival [ns] and message of every row, in the order of arrival."""
+    types = store.types
+    vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
+    twist, turn = types["geometry_msgs/msg/Twist"], types["geometry_msgs/msg/Quaternion"]
+
+    def header(stamp: float):
+        seconds = float(np.clip(np.nan_to_num(stamp), 0 if ros1 else -(2**31), 2**31 - 1))
+        time = types["builtin_interfaces/msg/Time"](sec=int(seconds // 1), nanosec=int(seconds % 1 * 1e9))
+        return types["std_msgs/msg/Header"](stamp=time, frame_id="map", **({"seq": 0} if ros1 else {}))
+
+    def odometry(stamp: float, v: list[float]):
+        pose = types["geometry_msgs/msg/Pose"](position=point(*v[:3]), orientation=turn(*v[3:]))
+        covered = types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36))
+        still = types["geometry_msgs/msg/TwistWithCovariance"](twist=still_twist, covariance=np.zeros(36))
+        odometry_type = types["nav_msgs/msg/Odometry"]
+        return odometry_type(header=header(stamp), child_frame_id="base_link", pose=covered, twist=still)
+
+    def command(stamp: float, v: list[float]):
+        moved = twist(linear=vector(v[0], v[1], 0.0), angular=vector(0.0, 0.0, v[2]))
+        return types["geometry_msgs/msg/TwistStamped"](header=header(stamp), twist=moved)
+
+    still_twist = twist(linear=vector(0.0, 0.0, 0.0), angular=vector(0.0, 0.0, 0.0))
+    rows = []
+    for topic, kind, make in (
+        ("odom", "nav_msgs/msg/Odometry", odometry),
+        ("commands", "geometry_msgs/msg/TwistStamped", command),
+    ):
+        table = recording[topic]
+        for number, (stamp, values) in enumerate(zip(table.time.tolist(), table.values.tolist(), strict=True)):
+            arrival = int((START + number / RATE) * 1e9)
+            rows.append((f"/{topic}", kind, arrival, make(stamp, values)))
+    return sorted(rows, key=lambda row: row[2])
+
+
+@dataclass(frozen=True)
+class Container:
+    """A format: its writer, the name of what it writes, and the fields of its rig by channel."""
+
+    name: str
+    write: Callable[[Recording, Path], None]
+    topics: dict[str, str]
+    fields: Callable[[str, tuple[str, ...]], list[str]]
+
+
+def _columns(topic: str, names: tuple[str, ...]) -> list[str]:
+    return list(names)
+
+
+def _numbers(topic: str, names: tuple[str, ...]) -> list[str]:
+    known = POSE if topic == "odom" else COMMANDS
+    return [str(known.index(name)) for name in names]
+
+
+_PATHS = {name: f"pose.pose.position.{name}" for name in "xyz"}
+_PATHS |= {f"q{name}": f"pose.pose.orientation.{name}" for name in "xyzw"}
+_PATHS |= {"throttle": "twist.linear.x", "brake": "twist.linear.y", "steer": "twist.angular.z"}
+
+
+def _paths(topic: str, names: tuple[str, ...]) -> list[str]:
+    return [_PATHS[name] for name in names]
+
+
+_TOPICS = {"odom": "/odom", "commands": "/commands"}
+CONTAINERS = {
+    "csv": Container("drive.csv", write_csv, {"odom": "", "commands": ""}, _columns),
+    "parquet": Container("drive.parquet", write_parquet, {"odom": "", "commands": ""}, _columns),
+    "tartandrive": Container("drive", write_tartandrive, {"odom": "odom", "commands": "commands"}, _numbers),
+    "ros1": Container("drive.bag", write_ros1, _TOPICS, _paths),
+    "mcap": Container("drive", write_mcap, _TOPICS, _paths),
+    "db3": Container("drive", write_db3, _TOPICS, _paths),
+}
+"""Formats by name; what each writes is called `name`."""
+
+VEHICLE = """name = "fuzz"
+absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
+[vehicle]
+mass = 800.0
+max_steer = 0.4
+pose_point = "the rear axle"
+wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
+[clock]
+max_gap = 0.5
+[motion]
+window = 0.3
+slope_length = 6.0
+"""
+
+
+def rig_text(kind: str) -> str:
+    """A rig that reads a container."""
+    container, text = CONTAINERS[kind], VEHICLE
+    for channel, topic, names in (
+        ("position", "odom", POSE[:3]),
+        ("orientation", "odom", POSE[3:]),
+        *((name, "commands", (name,)) for name in COMMANDS),
+    ):
+        fields = ", ".join(f'"{field}"' for field in container.fields(topic, names))
+        text += f'[channels.{channel}]\ntopic = "{container.topics[topic]}"\nfields = [{fields}]\nscale = 1.0\n'
+    return text
