@@ -110,27 +110,34 @@ def _small_worlds() -> None:
 
 
 def _mutate(sound: Sound, copy: Path, rng: Generator) -> None:
-    """Copy the input and mutate it; prints how."""
+    """Copy the input and mutate it; prints how. Most checksums are written anew: what is behind them is tried, too."""
     shutil.copytree(sound.files, copy) if sound.files.is_dir() else shutil.copy(sound.files, copy)
+    sealed = sound.seal is not None and rng.random() < 0.7
+    how = _mutated(sound, copy, rng)
+    if sealed and sound.seal is not None and how != "none":
+        sound.seal(copy)
+    print(f"{how}, sealed" if sealed else how)
+
+
+def _mutated(sound: Sound, copy: Path, rng: Generator) -> str:
     if rng.random() < 0.02:
-        print("none")
-    elif sound.rewrite is not None and rng.random() < 0.45:
-        print(f"rewritten: {sound.rewrite(copy, rng)}")
-    else:
-        files = sorted(p for p in copy.rglob("*") if p.is_file()) if copy.is_dir() else [copy]
-        # A folder of many files like one: each folder of it is as likely as another.
-        places = sorted({file.parent for file in files})
-        place = places[int(rng.integers(len(places)))]
-        files = [file for file in files if file.parent == place]
-        file = files[int(rng.integers(len(files)))]
-        if copy.is_dir() and rng.random() < 0.05:
-            file.unlink()
-            print(f"{file.relative_to(copy.parent)}: removed")
-            return
-        mutate = mutate_text if file.suffix in TEXTS and rng.random() < 0.8 else mutate_bytes
-        data, how = mutate(file.read_bytes(), rng)
-        file.write_bytes(data)
-        print(f"{file.relative_to(copy.parent)}: {how}")
+        return "none"
+    if sound.rewrite is not None and rng.random() < 0.45:
+        return f"rewritten: {sound.rewrite(copy, rng)}"
+    files = sorted(p for p in copy.rglob("*") if p.is_file()) if copy.is_dir() else [copy]
+    # A folder of many files like one: each folder of it is as likely as another.
+    places = sorted({file.parent for file in files})
+    place = places[int(rng.integers(len(places)))]
+    files = [file for file in files if file.parent == place]
+    file = files[int(rng.integers(len(files)))]
+    name = file.relative_to(copy.parent)
+    if copy.is_dir() and rng.random() < 0.05:
+        file.unlink()
+        return f"{name}: removed"
+    mutate = mutate_text if file.suffix in TEXTS and rng.random() < 0.8 else mutate_bytes
+    data, how = mutate(file.read_bytes(), rng)
+    file.write_bytes(data)
+    return f"{name}: {how}"
 
 
 def judge(outcome: Outcome) -> tuple[str, str]:

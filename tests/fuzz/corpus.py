@@ -20,6 +20,7 @@ from sensor_bags import cloud, compressed, info, odometry, raw_image, transforms
 from sensor_drive import AROUND, SIDE, STATIC, clouds, good_drive, images, poses, written
 from tests.fuzz.mutations import Generator, mutate_values
 from tests.fuzz.recordings import CONTAINERS, absurd, driven, rig_text
+from tests.fuzz.seals import seal_dataset, seal_run, seal_tensors
 
 Rewrite = Callable[[Path, Generator], str]
 """Writes an input anew, through its format's own writer, with absurd content; says what is absurd."""
@@ -37,6 +38,7 @@ class Sound:
         rewrite: of the copy; None where only bytes and text are mutated.
         share: how often it is chosen, against others.
         recorded: whether it is part of a real drive.
+        seal: writes its checksums anew; None where it has none.
     """
 
     kind: str
@@ -46,6 +48,7 @@ class Sound:
     rewrite: Rewrite | None = None
     share: float = 1.0
     recorded: bool = False
+    seal: Callable[[Path], None] | None = None
 
 
 def run_command(line: str, **places: object) -> None:
@@ -140,7 +143,7 @@ def _sensors(folder: Path) -> list[Sound]:
     return [
         Sound("sensors", only, of_log, "good.mcap", _absurd_drive, 2),
         Sound("rig", rigs, lines(extract, inspect, fit, rig="{input}"), "rig.toml", share=2),
-        Sound("pca", pca, of_pca, rewrite=_absurd_tensors, share=2),
+        Sound("pca", pca, of_pca, rewrite=_absurd_tensors, share=2, seal=seal_tensors),
         Sound("image list", listed, of_list, share=0.4),
     ]
 
@@ -287,15 +290,17 @@ def _learned(folder: Path) -> list[Sound]:
         f"train {{input}} --model dc --out {{out}}/run {QUICK}",
         f"evaluate {folder}/b --dataset {{input}} --lookup recorded {report}",
         f"evaluate {folder}/dc --dataset {{input}} {report}",
+        "check {input}",
         "view {input} --out {out}/v",
     )
     of_run = (
         f"evaluate {{input}} --dataset {folder}/data.zarr --lookup recorded {report}",
         f"evaluate {{input}} --dataset {folder}/data.zarr --lookup map {report}",
+        "check {input}",
     )
     return [
-        Sound("dataset", dataset.path, of_dataset, rewrite=_absurd_dataset, share=2.5),
-        *(Sound("run", folder / name, of_run, rewrite=_absurd_run, share=1.2) for name in ("b", "dc")),
+        Sound("dataset", dataset.path, of_dataset, rewrite=_absurd_dataset, share=2.5, seal=seal_dataset),
+        *(Sound("run", folder / name, of_run, rewrite=_absurd_run, share=1.2, seal=seal_run) for name in ("b", "dc")),
     ]
 
 

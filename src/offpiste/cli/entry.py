@@ -1,5 +1,6 @@
 """The command line: which commands there are, from arguments to one of them, and from its outcome to an exit code."""
 
+import errno
 import os
 import sys
 from collections.abc import Callable
@@ -42,6 +43,10 @@ OPENCV: Final = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_IO_MAX_IMAGE_PIXELS": str
 file cannot claim to hold gigabytes."""
 
 
+_NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_MAKE_ROOM: Final = "make room on the disk and run it again; what was finished is kept"
+
+
 def commands_in_order() -> dict[str, Callable[..., Command]]:
     """All commands by name, those of `PIPELINE` first."""
     order = {name: number for number, name in enumerate(PIPELINE)}
@@ -76,4 +81,10 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         # The reader of a pipe has closed it, e.g. `head`; Python would complain when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except OSError as error:
+        if debug or error.errno not in _NO_ROOM:
+            raise
+        full = OffpisteError(f"cannot be written: {error.strerror}", where=error.filename or "a file", how=_MAKE_ROOM)
+        print(f"offpiste: {full}", file=sys.stderr)  # noqa: T201
         sys.exit(1)

@@ -4,6 +4,7 @@ A drive is read, brought to 50 Hz, given its ground, and written whole or not at
 """
 
 import logging
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,7 +192,10 @@ def make_dataset(
         if name not in done
     ]
     processes = processes or (usable_cores() if device == "cpu" else 1)
-    _refuse_failed(run_all(extract_drive, jobs, processes, "extract"), out)
+    failed = run_all(extract_drive, jobs, processes, "extract")
+    if not drive_names(out):
+        shutil.rmtree(out)  # all logs failed
+    _refuse_failed(failed, out)
     return open_dataset(out)
 
 

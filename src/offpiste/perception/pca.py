@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 from torch import Tensor
 
 from offpiste.checksums import sha256_of_arrays
 from offpiste.errors import PerceptionError
-from offpiste.files import write_whole
+from offpiste.files import write_bytes
 from offpiste.perception.backbones import Backbone
 
 logger = logging.getLogger(__name__)
@@ -219,7 +219,7 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
     tensors = {"mean": pca.mean, "basis": pca.basis.copy(), "variance": pca.variance.copy()}
     about = json.loads(json.dumps(about))
     header = {PCA_HEADER: json.dumps({**about, "sha256": sha256_of_arrays(tensors, about)})}
-    write_whole(path, lambda partial: save_file(tensors, partial, metadata=header))
+    write_bytes(path, save(tensors, metadata=header))  # its own writing hides that a disk is full
 
 
 def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponents:

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json
 from offpiste.errors import RunError
-from offpiste.files import write_text, write_whole
+from offpiste.files import write_bytes, write_text
 
 logger = logging.getLogger(__name__)
 
@@ -24,7 +24,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
     kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     # One entry: safetensors writes several in an order that differs from process to process.
     header = {"about": json.dumps({**about, "sha256": _digest(kept, about)})}
-    write_whole(path, lambda partial: save_file(kept, partial, metadata=header))
+    write_bytes(path, save(kept, metadata=header))  # its own writing hides that a disk is full
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
