@@ -115,7 +115,7 @@ def _claims(rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> Iterato
     yield "'time' is not finite", bool(np.isfinite(time).all())
     yield "its origin is no place", rows.origin.shape == (2,) and bool(np.isfinite(rows.origin).all())
     for key, values in rows.arrays().items():
-        column = COLUMNS[key] if key in COLUMNS else None
+        column = COLUMNS.get(key, None)
         axis, kind = (column.row_axis, "f") if column else (0, "b" if key == "valid" else "f")
         fits = values.shape[axis : axis + 1] == (count,) and values.dtype.kind == kind
         fits = fits and (not column or _fits(column, values, about))
