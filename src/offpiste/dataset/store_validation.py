@@ -114,8 +114,9 @@ def _claims(rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> Iterato
     yield "'time' does not rise", time.ndim == 1 and count > 0 and bool((np.diff(time) > 0).all())
     yield "'time' is not finite", bool(np.isfinite(time).all())
     yield "its origin is no place", rows.origin.shape == (2,) and bool(np.isfinite(rows.origin).all())
+    columns = dict(COLUMNS.items())
     for key, values in rows.arrays().items():
-        column = COLUMNS.get(key, None)
+        column = columns.get(key)
         axis, kind = (column.row_axis, "f") if column else (0, "b" if key == "valid" else "f")
         fits = values.shape[axis : axis + 1] == (count,) and values.dtype.kind == kind
         fits = fits and (not column or _fits(column, values, about))
