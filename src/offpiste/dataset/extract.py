@@ -192,9 +192,11 @@ def make_dataset(
         if name not in done
     ]
     processes = processes or (usable_cores() if device == "cpu" else 1)
-    failed = run_all(extract_drive, jobs, processes, "extract")
-    if not drive_names(out):
-        shutil.rmtree(out)  # all logs failed
+    try:
+        failed = run_all(extract_drive, jobs, processes, "extract")
+    finally:
+        if not drive_names(out):
+            shutil.rmtree(out)  # all logs failed
     _refuse_failed(failed, out)
     return open_dataset(out)
 
