@@ -1,5 +1,6 @@
 """What may be wrong with a dataset or a run: each ends in one line that says what, where and how, and exit code 1."""
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.checksums import sha256_of, write_checksums
+from offpiste.checksums import sha256_of, sha256_of_json, write_checksums
 from offpiste.cli import main
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
@@ -275,3 +276,27 @@ def test_a_broken_run(good: Path, tmp_path: Path, error_of: Callable[..., str], 
     run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
     broken_run(run, how)
     assert why in error_of("evaluate", run, "--dataset", good)
+
+
+@pytest.mark.parametrize(
+    ("entry", "key", "value", "why"),
+    [
+        ("loss", "weights", {"yaw": "text"}, "Expected `float`, got `str` - at `$.loss.weights.yaw`"),
+        ("loss", "weights", {"yaw": 1e308}, "loss.weights is impossible"),
+        ("loss", "scale", {"yaw": 1.0}, "loss.scale is impossible"),
+        ("vehicle", "mass", float("inf"), "vehicle.mass is impossible"),
+        ("vehicle", "codes", 1 << 31, "vehicle.codes is impossible"),
+        ("vehicle", "features", 1 << 40, "vehicle.features is impossible"),
+        ("vehicle", "control", ["wings"], "vehicle.control is impossible"),
+        ("vehicle", "wheelbase", [2.0], "Expected `float`, got `array` - at `$.vehicle.wheelbase`"),
+    ],
+)
+def test_a_run_that_states_the_impossible(
+    good: Path, tmp_path: Path, error_of: Callable[..., str], entry: str, key: str, value: Any, why: str
+) -> None:
+    run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
+    about = json.loads((run / "model.json").read_text())
+    about[entry][key] = value
+    about["sha256"] = sha256_of_json({name: content for name, content in about.items() if name != "sha256"})
+    (run / "model.json").write_text(json.dumps(about))
+    assert f"{run / 'model.json'}: cannot be used ({why}" in error_of("evaluate", run, "--dataset", good)

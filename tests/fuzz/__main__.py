@@ -32,7 +32,7 @@ def main() -> None:
     options = _parsed()
     data = Path(options.data) if options.data else None
     done = _read(options.out, options.seed) if options.out and not options.case else {}
-    numbers = options.case or [n for n in range(options.cases) if n not in done]
+    numbers = options.case or [n for n in range(options.first, options.first + options.cases) if n not in done]
     with tempfile.TemporaryDirectory(prefix="offpiste-fuzz-") as folder:
         work = Path(folder)
         corpus = make_corpus(work / "corpus", data)
@@ -56,7 +56,8 @@ def _parsed() -> argparse.Namespace:
     beside = Path(__file__).parents[3] / "shared" / "data"
     recorded = os.environ.get("OFFPISTE_DATA") or (str(beside) if beside.is_dir() else "")
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
-    parser.add_argument("--cases", type=int, default=2000, help="how many, from 0 on")
+    parser.add_argument("--cases", type=int, default=2000, help="how many")
+    parser.add_argument("--first", type=int, default=0, help="number of the first: several processes share the work")
     parser.add_argument("--seed", type=int, default=0, help="with the number of a case it decides on its input")
     parser.add_argument("--out", type=Path, help="JSON lines; cases that it holds are not run again")
     parser.add_argument("--case", type=int, nargs="+", help="run only these, and keep their files")

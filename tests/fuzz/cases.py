@@ -71,7 +71,7 @@ def run_case(number: int, seed: int, corpus: Sequence[Sound], folder: Path) -> C
     (folder / "out").mkdir()
     given = copy / sound.input if sound.input else copy
     outcome = run_isolated(partial(_run, command, given, folder), folder)
-    verdict, why = judge(outcome)
+    verdict, why = judge(outcome, command.split()[0])
     return Case(
         case=number,
         seed=seed,
@@ -140,8 +140,8 @@ def _mutated(sound: Sound, copy: Path, rng: Generator) -> str:
     return f"{name}: {how}"
 
 
-def judge(outcome: Outcome) -> tuple[str, str]:
-    """Verdict on a process, and the reason in one line."""
+def judge(outcome: Outcome, command: str = "") -> tuple[str, str]:
+    """Verdict on the process of a command, and the reason in one line."""
     # libpng writes to standard error by itself, before our message.
     lines = [line for line in outcome.err.splitlines() if line.strip() and not line.startswith("libpng ")]
     last = lines[-1][:300] if lines else ""
@@ -163,6 +163,10 @@ def judge(outcome: Outcome) -> tuple[str, str]:
     others = [line for line in lines if not line.startswith(("wrote ", "  missing: "))]
     if not others and "NOT usable for training" in outcome.out:
         return "refused", "NOT usable for training"
+    if not others and command == "check":  # says on standard output what is damaged, a line each
+        lines = [f"offpiste: {line}" for line in outcome.out.splitlines()]
+        wrong = next(filter(None, (_wrong([line]) for line in lines)), "") if lines else "no report"
+        return "wrong message" if wrong else "refused", f"{wrong}: {lines[0][:300]}" if lines else wrong
     return ("refused", last) if not (wrong := _wrong(lines)) else ("wrong message", f"{wrong}: {last}")
 
 

@@ -80,6 +80,19 @@ def test_verdicts(found: Outcome, verdict: str) -> None:
     assert judge(found)[0] == verdict
 
 
+@pytest.mark.parametrize(
+    ("report", "verdict"),
+    [
+        ("run: lacks a file; restore it\nrun/model.json: is damaged; restore it\n", "refused"),
+        ("run: lacks a file; restore it\nfailed\n", "wrong message"),
+        ("", "wrong message"),
+    ],
+)
+def test_verdicts_on_the_report_of_check(report: str, verdict: str) -> None:
+    assert judge(outcome(1, out=report), "check")[0] == verdict
+    assert judge(outcome(1, out=report), "train")[0] == "wrong message"
+
+
 def _allocate(size: int) -> None:
     np.ones(size, np.uint8)
 

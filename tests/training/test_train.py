@@ -215,7 +215,7 @@ def test_a_part_without_windows_is_named(tmp_path: Path) -> None:
     [
         ("model.safetensors", lambda path: path.write_bytes(path.read_bytes()[:200]), "is damaged"),
         ("model.json", lambda path: path.write_text("{"), "not a run"),
-        ("model.json", lambda path: save_json(path, {}), "lacks or misstates 'vehicle'"),
+        ("model.json", lambda path: save_json(path, {}), r"model.json: cannot be used \(Object missing required field"),
         ("model.json", lambda path: path.write_text(path.read_text().replace('"b"', '"lstm"')), "is damaged"),
         ("model.json", lambda path: save_json(path, {**load_json(path), "model": "lstm"}), "do not fit the model"),
         ("model.json", lambda path: save_json(path, {"schema": 1}), "schema 1, this offpiste reads 2"),

@@ -1,7 +1,9 @@
 """A trained model on disk: what it is, what it was trained on, and its weights."""
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -24,7 +26,7 @@ from offpiste.training.checkpoint import (
     save_json,
     save_tensors,
 )
-from offpiste.training.config import TrainConfig, Weights
+from offpiste.training.config import MOST_CODES, TrainConfig, Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
 
@@ -32,6 +34,30 @@ WEIGHTS = "model.safetensors"
 
 SCHEMA = 2
 """Version of a run: of what its files say, and of the physics that its weights belong to."""
+
+
+_MOST_FEATURES: Final = 1 << 16
+"""More terrain features than any backbone has."""
+_LARGEST: Final = 1e30
+"""Units and weights of the loss are less: float32 holds their product with an error."""
+
+
+class _Loss(msgspec.Struct):
+    weights: Weights
+    scale: dict[str, float]
+
+
+class _Stated(msgspec.Struct):
+    """Entries of model.json that are read (see `save_run`)."""
+
+    model: str
+    vehicle: Vehicle
+    seed: int
+    loss: _Loss
+    split: str
+    seen: tuple[tuple[str, float, float], ...]
+    pca: str | None = None
+    weights_sha256: str | None = None
 
 
 @dataclass(frozen=True)
@@ -91,21 +117,46 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
             how="train again",
         )
     try:
-        vehicle = msgspec.convert(about["vehicle"], type=Vehicle)
-        dynamics = build(about["model"], vehicle, seed=about["seed"]).to(device)
-        scale = torch.tensor([about["loss"]["scale"][name] for name in COMPONENTS])
-        weights = Weights(**about["loss"]["weights"])
-        seen = tuple((name, first, last) for name, first, last in about["seen"])
-        split, seed, digest = about["split"], about["seed"], about.get("weights_sha256")
-    except (KeyError, TypeError, ValueError, msgspec.ValidationError) as error:
-        raise RunError(f"lacks or misstates {error}", where=folder / "model.json", how="train again") from error
-    refuse_other_file(folder / WEIGHTS, digest)
+        stated = msgspec.convert(about, type=_Stated)
+        _refuse_impossible(stated)
+    except (ValueError, msgspec.ValidationError) as error:
+        raise RunError(f"cannot be used ({error})", where=folder / "model.json", how="train again") from error
+    dynamics = build(stated.model, stated.vehicle, seed=stated.seed).to(device)
+    scale = torch.tensor([stated.loss.scale[name] for name in COMPONENTS])
+    refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
     tensors = load_tensors(folder / WEIGHTS)[0]
     load_weights(dynamics, tensors, folder)
     for name, values in tensors.items():
         if not torch.isfinite(values).all():
             raise RunError(f"weights '{name}' are not finite", where=folder, how="train again, or restore the file")
-    return Run(folder, dynamics.eval(), about["model"], seed, weights, scale, split, seen, about.get("pca"))
+    loss = stated.loss.weights
+    return Run(folder, dynamics.eval(), stated.model, stated.seed, loss, scale, stated.split, stated.seen, stated.pca)
+
+
+def _refuse_impossible(stated: _Stated) -> None:
+    """Raise unless the numbers and names of a model.json are possible, which types alone cannot say.
+
+    Raises:
+        ValueError: which entry.
+    """
+    vehicle, scale, weights = stated.vehicle, stated.loss.scale, stated.loss.weights.in_order()
+    for what, good in (
+        ("vehicle.mass", 0 < vehicle.mass < math.inf),
+        ("vehicle.wheelbase", 0 < vehicle.wheelbase < math.inf),
+        ("vehicle.max_steer", 0 <= vehicle.max_steer < math.pi / 2),
+        ("vehicle.rear_axle", abs(vehicle.rear_axle) < math.inf),
+        ("vehicle.track", 0 <= vehicle.track < math.inf),
+        ("vehicle.control", {*vehicle.control} <= {*vehicle.control_columns}),
+        ("vehicle.actuators", {*vehicle.actuators} <= {*vehicle.actuator_columns}),
+        ("vehicle.features", 0 <= vehicle.features <= _MOST_FEATURES),
+        ("vehicle.pca", 0 <= vehicle.pca <= (vehicle.features or _MOST_FEATURES)),
+        ("vehicle.codes", 1 <= vehicle.codes <= MOST_CODES),
+        ("seed", 0 <= stated.seed < 1 << 63),
+        ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < _LARGEST for value in scale.values())),
+        ("loss.weights", all(0 <= value < _LARGEST for value in weights) and any(weights)),
+    ):
+        if not good:
+            raise ValueError(f"{what} is impossible")
 
 
 def save_run(
