@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from offpiste.errors import MissingExtra, extra, is_installed, require
+from offpiste.errors import MissingExtra, OffpisteError, extra, is_installed, require
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
 from offpiste.training.optimise import also_tensorboard
 
@@ -71,3 +71,13 @@ def test_every_extra_that_code_names_is_declared() -> None:
     named = set(re.findall(r"""\b(?:extra|require)\("([a-z]+)\"""", code))
     assert {"sim", "view", "vit", "tensorboard"} <= named
     assert named <= set(tomllib.loads(PYPROJECT.read_text())["project"]["optional-dependencies"])
+
+
+def test_a_message_is_one_printable_line_of_bounded_length_that_begins_with_where_and_ends_with_how() -> None:
+    error = OffpisteError("no topic '" + "\x1b[31m\n" + "a" * 100_000 + "'", where="drive.bag", how="fix its rig")
+    line = str(error)
+    assert line.isprintable()
+    assert len(line) < 620
+    assert line.startswith("drive.bag: no topic '")
+    assert line.endswith("; fix its rig")
+    assert str(OffpisteError("short", where="x", how="y")) == "x: short; y"

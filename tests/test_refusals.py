@@ -300,3 +300,32 @@ def test_a_run_that_states_the_impossible(
     about["sha256"] = sha256_of_json({name: content for name, content in about.items() if name != "sha256"})
     (run / "model.json").write_text(json.dumps(about))
     assert f"{run / 'model.json'}: cannot be used ({why}" in error_of("evaluate", run, "--dataset", good)
+
+
+@pytest.mark.parametrize(
+    ("key", "new", "why"),
+    [
+        ("time", lambda values: values[::-1], "'time' does not rise"),
+        ("time", lambda values: np.full_like(values, np.inf), "'time' is not finite"),
+        ("part", lambda values: np.full_like(values, 9), "'part' holds no parts"),
+        ("cells/index", lambda values: np.full_like(values, 10_000_000), "'cells/index' counts beyond the cells"),
+        ("cells/index", lambda values: np.full_like(values, -7), "'cells/index' counts beyond the cells"),
+    ],
+)
+def test_arrays_that_do_not_fit_together(
+    copied: Path, good: Path, error_of: Callable[..., str], key: str, new: Callable[..., Any], why: str
+) -> None:
+    change(copied, key, new)
+    assert f"drive 'circle-0' cannot be read ({why}" in error_of("evaluate", good.parent / "b", "--dataset", copied)
+
+
+@pytest.mark.parametrize("key", ["state", "part", "cells/valid", "cells/elevation"])
+def test_arrays_of_another_shape(copied: Path, good: Path, error_of: Callable[..., str], key: str) -> None:
+    drive = copied / "circle-0"
+    values = np.array(zarr.open_array(drive / key, mode="r")[...])
+    folder, name = (drive / key).parent, (drive / key).name
+    zarr.open_group(folder, mode="r+").create_array(name, data=values[..., :-1], overwrite=True)
+    write_checksums(drive, drive.rglob("zarr.json"))
+    line = error_of("evaluate", good.parent / "b", "--dataset", copied)
+    assert "drive 'circle-0' cannot be read (" in line
+    assert line.endswith("circle-0 and run `offpiste extract` again\n")

@@ -5,7 +5,8 @@ import pytest
 
 from factories import MemoryLog, small_rig
 from offpiste.errors import LogError, RigError
-from offpiste.logs.channel import Channel, convert, read_channel
+from offpiste.logs.channel import Channel, convert, read_channel, refuse_long
+from offpiste.logs.drive import common_span
 from offpiste.rig.channels import ChannelSource, Wrap
 
 
@@ -121,3 +122,24 @@ def test_orientations_that_are_no_rotation_are_dropped():
     found, notes = read_channel(log, rig, "orientation", rig.channels["orientation"])
     assert found.time.tolist() == [0, 2]
     assert "2 of 4" in notes[0]
+
+
+@pytest.mark.parametrize("fault", [1e10, -1e300, np.inf])
+def test_values_that_no_sensor_measures_are_dropped_and_noted(fault):
+    found, notes = read([0, 1, 2, 3], [0.1, fault, 0.3, 0.4])
+    assert found.values[:, 0].tolist() == [0.1, 0.3, 0.4]
+    assert len(notes) == 1
+
+
+def test_positions_farther_than_any_coordinate_are_dropped_and_northings_are_kept():
+    log = MemoryLog(odometry=(np.arange(3.0), {"x": np.array([9.9e6, 9.9e6, 2e7]), "y": np.zeros(3)}))
+    found, _ = read_channel(log, small_rig(), "position", ChannelSource(fields=("x", "y", "y"), topic="odometry"))
+    assert found.time.tolist() == [0.0, 1.0]
+
+
+def test_a_grid_of_time_is_no_longer_than_a_day():
+    refuse_long(1e9, 1e9 + 86_400, "log")
+    with pytest.raises(LogError, match=r"log: stamps span 25 hours; fix clock.unit"):
+        refuse_long(1e9, 1e9 + 90_000, "log")
+    with pytest.raises(LogError, match="stamps span 48 hours"):
+        common_span([channel([0.0, 2 * 86_400], [0.0, 1.0])], "log")

@@ -227,3 +227,13 @@ def test_a_gap_between_two_heights_is_no_cliff():
     known = np.isfinite(slope)
     assert known.sum() == 980
     np.testing.assert_allclose(slope[known], 0.1, atol=0.02)
+
+
+def test_a_speed_beyond_reason_does_not_decide_on_the_size_of_anything():
+    time = np.arange(0, 3, 0.02)
+    place = np.column_stack((4 * time, 0 * time, 0.1 * 4 * time))
+    speed = np.full(len(time), 4.0)
+    speed[100:] = 1e15  # a grid of the path would take 27 PiB
+    slope = driven_slope(place, speed, dt=0.02, length=2.0)
+    assert np.isfinite(slope).all()
+    np.testing.assert_allclose(slope[10:60], 0.1, atol=1e-3)

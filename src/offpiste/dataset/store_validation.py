@@ -111,8 +111,8 @@ def refuse_misshapen(path: Path, name: str, rows: Rows, part: Int[np.ndarray, " 
 def _claims(rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> Iterator[tuple[str, bool]]:
     """What may be wrong with arrays of a drive, and whether it is not."""
     time, count = rows.time, rows.time.size
+    yield "'time' is not finite", time.dtype.kind == "f" and bool(np.isfinite(time).all())
     yield "'time' does not rise", time.ndim == 1 and count > 0 and bool((np.diff(time) > 0).all())
-    yield "'time' is not finite", bool(np.isfinite(time).all())
     yield "its origin is no place", rows.origin.shape == (2,) and bool(np.isfinite(rows.origin).all())
     columns = dict(COLUMNS.items())
     for key, values in rows.arrays().items():
