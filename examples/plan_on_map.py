@@ -6,6 +6,7 @@ The vehicle starts as it was recorded at the first window of the test part; the 
 """
 
 import argparse
+import sys
 
 import numpy as np
 import torch
@@ -96,7 +97,10 @@ if __name__ == "__main__":
     parser.add_argument("--left", type=float, default=4.0, help="place of the goal [m]")
     parser.add_argument("--out", default="plan.png")
     given = parser.parse_args()
-    scene = Scene(given.run, given.dataset, (given.ahead, given.left))
+    try:
+        scene = Scene(given.run, given.dataset, (given.ahead, given.left))
+    except offpiste.OffpisteError as error:
+        sys.exit(f"plan_on_map.py: {error}")
     controls = plan(scene)
     draw(scene, controls, given.out)
     end = scene.predict(controls.expand(SAMPLES, -1, -1))[0, -1, :2]

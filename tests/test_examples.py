@@ -9,7 +9,10 @@ import cv2
 import pytest
 import torch
 
+from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import add_drive, create
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
@@ -50,6 +53,18 @@ def test_plan_on_map(folder: Path) -> None:
     away = float(said.split(" s ")[1].split(" m ")[0])
     assert away < 7, "10.8 m at the start"
     assert cv2.imread(str(out)) is not None
+
+
+def test_plan_without_a_map_ends_in_one_line(folder: Path) -> None:
+    path, split = folder / "blind.zarr", parse_split("blocks:0.4,0.2,0.4")
+    create(path, small_rig(), split)
+    add_drive(path, "one", circle_rows(4000), split, ())
+    command = [sys.executable, EXAMPLES / "plan_on_map.py", folder / "b", path, "--out", folder / "blind.png"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("plan_on_map.py: ")
+    assert "drive 'one' has no map" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_map_from_bag(tmp_path: Path) -> None:

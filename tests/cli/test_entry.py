@@ -117,6 +117,21 @@ def test_wrong_usage_is_exit_code_2() -> None:
     assert run("fly") == 2
 
 
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("trian", "did you mean 'train'? C"), ("fly", "Commands"), ("tr\nain", "did you mean 'train'? C")],
+)
+def test_a_word_that_is_no_command_is_one_line_with_what_may_be_meant(
+    capsys: pytest.CaptureFixture[str], word: str, meant: str
+) -> None:
+    assert run(word, "--out", "x") == 2
+    error = capsys.readouterr().err
+    assert error.startswith("offpiste: '")
+    assert f"is no command; {meant}" in error
+    assert "Commands: demo, simulate, inspect" in error
+    assert error.count("\n") == 1
+
+
 def test_a_pipe_that_is_closed_early_is_no_error():
     command = f"{sys.executable} -c 'from offpiste.cli import main; main()' train --help | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)

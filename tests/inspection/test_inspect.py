@@ -341,3 +341,12 @@ def test_the_draft_reads_the_log_and_is_found_right() -> None:
     assert drafted.channels["steer"].fields == ("command",)
     assert {"brake_pressure", "engine_rpm"} <= set(drafted.absent)
     assert parse_rig(draft_rig(_world(CLEAN)), where="draft").channels["linear_velocity"].frame == "world"
+
+
+def test_velocities_that_stay_zero_are_to_be_removed_from_the_rig() -> None:
+    log = CLEAN
+    for field in ("vx", "vy", "wz"):
+        log = log.change("odom", field, np.zeros_like)
+    remedies = {f.remedy for f in complaints(log) if f.what == "is zero while the vehicle moves"}
+    names = ("linear_velocity", "angular_velocity")
+    assert remedies == {f"remove [channels.{name}]: the pose is differentiated instead" for name in names}

@@ -46,6 +46,17 @@ def test_backward_stamps() -> None:
     assert evidence.startswith("1 of 1500; by 0.460 s at 39.9")
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_infinite_stamps() -> None:
+    def infinite(time: np.ndarray) -> np.ndarray:
+        time[1000:1002], time[1010] = np.inf, -np.inf
+        return time
+
+    severity, evidence = findings(CLEAN.restamp("steering", infinite), "steering")["stamps are not finite"]
+    assert severity == "warning"
+    assert evidence == "3 of 1500"
+
+
 def test_repeated_stamps() -> None:
     def repeat(time: np.ndarray) -> np.ndarray:
         time[1::50] = time[::50]

@@ -3,7 +3,8 @@
 import errno
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from typing import Final, Protocol
 
 import tyro
@@ -53,6 +54,13 @@ def commands_in_order() -> dict[str, Callable[..., Command]]:
     return dict(sorted(COMMANDS.items(), key=lambda named: order.get(named[0], len(order))))
 
 
+def _no_command(word: str, commands: Sequence[str]) -> OffpisteError:
+    """What is wrong with a first word that is no command."""
+    near = get_close_matches(word, commands, n=1)
+    meant = f"did you mean '{near[0]}'? " if near else ""
+    return OffpisteError(f"'{word}' is no command", how=f"{meant}Commands: {', '.join(commands)}")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
@@ -60,9 +68,13 @@ def main(arguments: list[str] | None = None) -> None:
     for name, value in OPENCV.items():
         os.environ.setdefault(name, value)
     arguments = [a for a in arguments if a != "--debug"]
+    commands = commands_in_order()
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
+        print(f"offpiste: {_no_command(arguments[0], tuple(commands))}", file=sys.stderr)  # noqa: T201
+        sys.exit(2)
     try:
         command = tyro.extras.subcommand_cli_from_dict(
-            commands_in_order(),
+            commands,
             prog="offpiste",
             description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
             args=arguments,

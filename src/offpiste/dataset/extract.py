@@ -184,6 +184,8 @@ def make_dataset(
         latency = (snapshots or SnapshotSettings()).latency
         create(out, rig, parts, extractor.names, extractor.identity, min_hindsight, latency)
     done = set(drive_names(out))
+    if strangers := sorted({name for name, _ in parts.drives} - {*names, *done}):
+        logger.warning(f"the split {split} names {_some(strangers)}: no log and no drive of {out} is called so")
     for name in (name for name in names if name in done):
         logger.info(f"{name}: already there")
     jobs = [
@@ -199,6 +201,11 @@ def make_dataset(
             shutil.rmtree(out)  # all logs failed
     _refuse_failed(failed, out)
     return open_dataset(out)
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of many names."""
+    return ", ".join(f"'{name}'" for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _useless(empty: Sequence[str]) -> str:

@@ -74,7 +74,8 @@ def with_visual_features(
             snapshots.update(moment, rows)
         report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
     under = passes.index
-    normal = np.where((under >= 0)[None, :, :, None], recorder.normal[:, under], np.float32(np.nan))
+    unknown = np.full((len(recorder.normal), 1, 3), np.nan, np.float32)
+    normal = np.concatenate((recorder.normal, unknown), axis=1)[:, under]  # -1 is the last
     cells = Cells(
         under,
         recorder.features,

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.dataset.map_snapshots import CellList, stack_cells
 from offpiste.dataset.store import StoredDrive
+from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_sampler import CellStack, MapStack, stack_maps
 
 
@@ -67,6 +68,8 @@ class WindowMaps:
             return self._stacked([self._load(*key) for key in different.tolist()]), number
         if self._whole is None:
             used = [n for n in np.unique(self._drive) if self._drives[n].load_map is not None]
+            if not used:
+                raise DatasetError(f"drive '{self._drives[0].name}' has no map", how="extract with --pca (see fit-pca)")
             loaders = [self._drives[n].load_map for n in used]
             self._whole = stack_maps([load() for load in loaders if load is not None], device=self._device)
             self._numbers[used] = np.arange(len(used))

@@ -37,7 +37,7 @@ def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set
     for topic, r in recorded.items():
         if topic in besides or len(r.time) < 200:
             continue
-        keep = np.append(True, np.diff(r.time) > 0) & np.isfinite(r.values).all(axis=1)
+        keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.values).all(axis=1) & np.isfinite(r.time)
         for field, values in zip(r.fields, r.values[keep].T, strict=True):
             wheel = _proportional(path, topic, field, r.time[keep], values)
             if wheel is not None:

@@ -149,8 +149,10 @@ def _span(topic: Recorded) -> tuple[float, float]:
 def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:
     findings = []
     total = len(topic.time)
-    step = np.diff(topic.time)
-    receives = topic.other is not None and clock.stamps == "header" and bool((np.diff(topic.other) > 0).mean() > 0.99)
+    arrives = topic.other if topic.other is not None and clock.stamps == "header" else np.zeros(0)
+    with np.errstate(invalid="ignore"):  # between stamps that are infinite
+        step, later = np.diff(topic.time), np.diff(arrives) > 0
+    receives = later.size > 0 and bool(later.mean() > 0.99)
     remedy = 'clock.stamps = "receive"' if receives else "nothing: those samples are dropped on reading"
     if seen.count < total:
         share = 1 - seen.count / total

@@ -178,7 +178,7 @@ def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
     for topic, r in recorded.items():
         if topic == source.topic or len(r.time) < 200:
             continue
-        keep = np.append(True, np.diff(r.time) > 0) & np.isfinite(r.time)
+        keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.time)
         for field, values in zip(r.fields, r.values[keep].T, strict=True):
             lags, windows = _copy_window_lags(steer.time, steer.values[:, 0], r.time[keep], values)
             if len(lags) < max(5, _MOST * windows) or np.percentile(lags, 10) < -0.15:

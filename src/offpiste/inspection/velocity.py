@@ -145,6 +145,9 @@ def _gain(name: str, gain: float, source: ChannelSource, unit: str, units: dict[
         remedy = f"channels.{name}.sign = {-source.sign}"
         findings.append(Finding("warning", name, "has the wrong sign", evidence, remedy, 1.0))
     size = abs(gain)
+    if size < 1e-9:
+        how = f"remove [channels.{name}]: the pose is differentiated instead"
+        return [Finding("warning", name, "is zero while the vehicle moves", evidence, how, 1.0)]
     if not 0.85 < size < 1.18:
         # A unit that is stated and should not be is as likely as one that should be and is not.
         named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}

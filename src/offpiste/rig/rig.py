@@ -3,7 +3,7 @@
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -49,6 +49,10 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (front_left - front_right + rear_left - rear_right) / 2
 
 
+_FARTHEST_WHEEL: Final = 100.0
+"""Wheels are nearer to the pose point [m]."""
+
+
 def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
     """Refuse impossible numbers.
 
@@ -60,6 +64,8 @@ def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
     """
     if not 0 < vehicle.mass < np.inf:
         raise RigError(f"vehicle.mass is {vehicle.mass} kg", how="give the mass in kg")
+    if not (np.abs(vehicle.wheel_positions) < _FARTHEST_WHEEL).all():
+        raise RigError("vehicle.wheel_positions hold a number that is no place", how="give metres from the pose point")
     if not 0 < vehicle.wheelbase < np.inf:
         raise RigError("the front wheels are not ahead of the rear wheels", how="fix vehicle.wheel_positions")
     if (steers or vehicle.max_steer != 0) and not 0 < vehicle.max_steer < np.pi / 2:

@@ -155,3 +155,15 @@ def test_damage_anywhere_ends_in_samples_or_one_line(
         assert message == "" or str(path) in message
         assert "\n" not in message
         assert len(message) < 600 + 2 * len(str(path))
+
+
+@pytest.mark.parametrize("count", ["-inf", '"text"', "null", "[]"])
+def test_a_folder_whose_metadata_count_nonsense_is_read_file_by_file(tmp_path: Path, count: str) -> None:
+    folder = ros2_folder(tmp_path / "drive", StoragePlugin.MCAP, twists(30))
+    head, key, tail = (folder / "metadata.yaml").read_text().partition("topics_with_message_count:")
+    assert "message_count: 30" in tail
+    (folder / "metadata.yaml").write_text(head + key + tail.replace("message_count: 30", f"message_count: {count}"))
+    log = BagLog(folder)
+    assert log.topics["/odom"].count == 30
+    assert speeds(log) == list(range(30))
+    assert any("files are read one by one" in note for note in log.warnings)

@@ -216,6 +216,9 @@ def _opened(kind: Callable[[Path], _Indexed], path: Path) -> _Indexed:
     with reported(path, "cannot be read"):
         reader = kind(path)
         reader.open()
+        if not all(type(connection.msgcount) is int for connection in reader.connections):
+            reader.close()
+            raise LogError("its counts of messages are no numbers", where=path, how=_repair(path))
         return reader
 
 
