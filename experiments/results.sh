@@ -1,0 +1,91 @@
+#!/usr/bin/env bash
+# All trainings and evaluations behind docs/results.md, one after the other: hours on two cores. Finished steps are
+# skipped and interrupted ones resume when the same command is given again; a step that fails does not keep the others.
+#
+#     experiments/results.sh OUT DATA    from the root of a checkout, with offpiste and the extra sim installed;
+#                                        OUT: folder of all results; DATA: folder of the recorded drives
+set -euo pipefail
+out=$(realpath -m "$1") data=$(realpath "$2")
+mkdir -p "$out/logs" "$out/done"
+failed=0
+export OMP_NUM_THREADS=1
+
+step() { # NAME COMMAND...: run once, with its output in OUT/logs/NAME.log
+    local name=$1
+    shift
+    if [ -e "$out/done/$name" ]; then return; fi
+    echo "$(date +%T) $name"
+    if "$@" > "$out/logs/$name.log" 2>&1; then
+        touch "$out/done/$name"
+    else
+        echo "failed: $(tail -n 1 "$out/logs/$name.log") ($out/logs/$name.log)"
+        failed=1
+    fi
+}
+train() { # DATASET RUN OPTION...: train, or resume
+    local dataset=$1 run=$2
+    shift 2
+    step "train-$(basename "$run")" offpiste train "$dataset" --out "$run" --resume "$@"
+}
+
+laptop_figures() {
+    step fig4 offpiste reproduce fig4 --size laptop --out "$out/laptop"
+    step fig3 offpiste reproduce fig3 --size laptop --out "$out/laptop"
+}
+
+real_drive() {
+    local drives=$data/tartandrive2/drives folder=$out/turnpike runs=() folds=() flat=()
+    local turnpike=$drives/2023-10-26-14-42-35_turnpike_afternoon_fall meadows=2023-11-02-16-00-43_down_meadows
+    mkdir -p "$folder"
+    echo "$meadows test" > "$folder/parts.txt"
+    step turnpike offpiste extract "$turnpike" --rig tartandrive2 --out "$folder/turnpike.zarr"
+    step flat offpiste extract "$turnpike" --rig tartandrive2 --flat --out "$folder/flat.zarr"
+    step meadows offpiste extract "$drives/$meadows" --rig tartandrive2 --split "drives:$folder/parts.txt" \
+        --out "$folder/meadows.zarr"
+    for model in b parametric; do
+        for seed in 0 1 2; do
+            train "$folder/turnpike.zarr" "$folder/$model-$seed" --model $model --seed $seed
+            train "$folder/turnpike.zarr" "$folder/cv-$model-$seed" --model $model --seed $seed --folds 5
+            train "$folder/flat.zarr" "$folder/flat-$model-$seed" --model $model --seed $seed
+            runs+=("$folder/$model-$seed") folds+=("$folder/cv-$model-$seed") flat+=("$folder/flat-$model-$seed")
+        done
+    done
+    step report offpiste evaluate "${runs[@]}" --dataset "$folder/turnpike.zarr" --out "$folder/report"
+    step report-folds offpiste evaluate "${folds[@]}" --dataset "$folder/turnpike.zarr" --out "$folder/report-folds"
+    step report-flat offpiste evaluate "${flat[@]}" --dataset "$folder/flat.zarr" --out "$folder/report-flat"
+    step report-meadows offpiste evaluate "${runs[@]}" --dataset "$folder/meadows.zarr" --out "$folder/report-meadows"
+    step limits python benchmarks/limits.py "$folder/turnpike.zarr"
+}
+
+true_ground() {
+    step gate python -m experiments.gate --out "$out/gate"
+    step placebo python -m experiments.gate --world uniform --features ground-kind --same-world --models df b \
+        --drives 6 2 4 --out "$out/placebo"
+    step uniform-worlds python -m experiments.gate --world uniform --features ground-kind --models df b parametric \
+        --drives 6 2 4 --out "$out/uniform-worlds"
+}
+
+controls() {
+    for name in oracle shift selection models uniform twins contrast appearance snapshots; do
+        step "control-$name" python -m experiments.control_experiments $name --reproduction "$out/laptop" --out "$out/controls"
+    done
+}
+
+closed_loop() {
+    local runs=("$out/laptop/runs/parametric-0" "$out/laptop/runs/b-0" "$out/laptop/runs/dc-0" "$out/controls/oracle/runs/df-0")
+    step parametric offpiste train "$out/laptop/dataset.zarr" --model parametric --bicycle-epochs 12 --resume \
+        --out "$out/laptop/runs/parametric-0"
+    step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
+        --courses 20 --test --out "$out/closed-loop"
+    step faults python -m experiments.closed_loop_table --runs "$out/laptop/runs/dc-0" --pca "$out/laptop/pca.safetensors" \
+        --faults --courses 1 --out "$out/faults"
+}
+
+laptop_figures
+real_drive
+true_ground
+controls
+closed_loop
+step half-contrast offpiste reproduce fig4 --size laptop --seconds 1080 150 450 --grip-contrast 0.5 --out "$out/half"
+step dart python -m experiments.surfaces "$data/dart" --out "$out/dart" --permutations 3
+exit $failed
