@@ -38,7 +38,7 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     report = folder / "report"
     assert run("evaluate", str(folder / "b"), "--dataset", str(folder / "dataset.zarr"), "--out", str(report)) == 0
     metrics = json.loads((report / "metrics.json").read_text())
-    assert metrics["schema"] == 1
+    assert metrics["schema"] == 2
     assert {row["model"] for row in metrics["results"]} == {"b", "ctrv", "kinematic"}
     assert {row["start"] for row in metrics["results"]} == {"causal", "smoothed"}
     assert (report / "report.html").stat().st_size > 10_000

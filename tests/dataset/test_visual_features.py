@@ -202,12 +202,12 @@ def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path)
         make_dataset(logs, rig, tmp_path / "d.zarr", processes=2)
     assert drive_names(tmp_path / "d.zarr") == ["one", "two"]
     # A killed run leaves half a drive; the next one clears it away and does only what is missing.
-    (tmp_path / "d.zarr" / ".one.x").mkdir()
+    (tmp_path / "d.zarr" / ".one.x.partial").mkdir()
     with logged() as said:
         again = make_dataset(logs[::2], rig, tmp_path / "d.zarr")
     assert said == ["one: already there", "two: already there"]
     assert len(again.drives) == 2
-    assert not (tmp_path / "d.zarr" / ".one.x").exists()
+    assert not (tmp_path / "d.zarr" / ".one.x.partial").exists()
 
 
 def test_a_pca_that_saw_the_test_part_is_warned_of(dataset: Dataset) -> None:

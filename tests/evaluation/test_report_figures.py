@@ -4,7 +4,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from offpiste.evaluation.box_plots import box_plot, styles
-from offpiste.evaluation.intervals import Statistics
+from offpiste.evaluation.intervals import Levels, Statistics
 from offpiste.evaluation.metrics import ResultRow
 from offpiste.evaluation.report_figures.distance_error import binned_plot, distribution_plot, growth_plot
 from offpiste.evaluation.report_figures.worst_windows import WorstWindow, worst_plot
@@ -49,7 +49,15 @@ def row(seconds: float, mean: float) -> ResultRow:
     one = Statistics(mean, mean, mean, mean, mean, (mean - 0.5, mean + 0.5))
     names = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps", "loss")
     about = {"model": "b", "variant": "", "seed": None, "fold": None, "start": "causal", "feature_set": None}
-    rest = {"lookup": None, "part": "test", "horizon_s": seconds, "n": 9, "n_failed": 0, "minus": {}}
+    rest = {
+        "lookup": None,
+        "part": "test",
+        "horizon_s": seconds,
+        "n": 9,
+        "n_failed": 0,
+        "minus": {},
+        "levels": Levels(3, 9),
+    }
     return ResultRow(**about, **rest, **dict.fromkeys(names, one))
 
 

@@ -114,7 +114,7 @@ def test_windows_are_spread_evenly_and_none_without_snapshots(dataset: Dataset, 
 
 def test_the_epoch_that_is_best_on_the_map_is_kept(validation: Windows, tmp_path: Path) -> None:
     line = torch.nn.Linear(1, 1)
-    scores, seen, lines = iter([3.0, 1.0, 2.0]), [], []
+    scores, seen, lines = iter([4.0, 3.0, 1.0, 2.0]), [], []
 
     def on_map() -> float:
         seen.append(line.weight.detach().clone())
@@ -122,7 +122,7 @@ def test_the_epoch_that_is_best_on_the_map_is_kept(validation: Windows, tmp_path
 
     stage = optimise.Stage("line", line, lambda batch: line(batch.state[:, 3:4])[:, 0].square(), 3, on_map=on_map)
     optimise.run_stage(stage, validation, validation, QUICK, tmp_path, lines.append)
-    assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], seen[1])
+    assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], seen[2])
     assert [(each["validation_loss"], each["validation_on"]) for each in lines] == [
         (3.0, "map"),
         (1.0, "map"),
