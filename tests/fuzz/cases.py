@@ -166,7 +166,8 @@ def judge(outcome: Outcome, command: str = "") -> tuple[str, str]:
     if not others and command == "check":  # says on standard output what is damaged, a line each
         lines = [f"offpiste: {line}" for line in outcome.out.splitlines()]
         wrong = next(filter(None, (_wrong([line]) for line in lines)), "") if lines else "no report"
-        return "wrong message" if wrong else "refused", f"{wrong}: {lines[0][:300]}" if lines else wrong
+        why = "; ".join(filter(None, (wrong, *lines[:1])))[:300]
+        return "wrong message" if wrong else "refused", why
     return ("refused", last) if not (wrong := _wrong(lines)) else ("wrong message", f"{wrong}: {last}")
 
 
