@@ -190,7 +190,7 @@ def test_absent_channels(good: Path, tmp_path: Path, error_of: Callable[..., str
     attributes = zarr.open_group(path, mode="r+").attrs
     attributes["rig"] = {**attributes["rig"], "channels": {
         name: source for name, source in attributes["rig"]["channels"].items() if name != "throttle"
-    }}  # fmt: skip
+    }, "absent": [*attributes["rig"].get("absent", ()), "throttle"]}  # fmt: skip
     write_checksums(path, [path / "zarr.json"])
     assert "throttle" in vehicle_of(dataset).control
     line = error_of("evaluate", good.parent / "b", "--dataset", path)

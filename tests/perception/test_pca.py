@@ -132,7 +132,7 @@ def test_features_of_another_length():
 
 
 def test_saved_and_read_again(tmp_path: Path):
-    pca = fitted()
+    pca = fitted(channels=BACKBONE.channels)
     save_pca(tmp_path / "pca.safetensors", pca)
     again = load_pca(tmp_path / "pca.safetensors", BACKBONE)
     for name in ("mean", "basis", "variance"):
@@ -145,7 +145,7 @@ def test_saved_and_read_again(tmp_path: Path):
 
 
 def test_another_backbone_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    save_pca(tmp_path / "pca.safetensors", fitted())
+    save_pca(tmp_path / "pca.safetensors", fitted(channels=BACKBONE.channels))
     monkeypatch.setattr(Filterbank, "settings", lambda _: {"kind": "other"})
     other = Filterbank()
     with pytest.raises(PerceptionError) as caught:

@@ -68,11 +68,11 @@ def main(arguments: list[str] | None = None) -> None:
     for name, value in OPENCV.items():
         os.environ.setdefault(name, value)
     arguments = [a for a in arguments if a != "--debug"]
-    commands = commands_in_order()
-    if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
-        print(f"offpiste: {_no_command(arguments[0], tuple(commands))}", file=sys.stderr)  # noqa: T201
-        sys.exit(2)
     try:
+        commands = commands_in_order()
+        if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
+            print(f"offpiste: {_no_command(arguments[0], tuple(commands))}", file=sys.stderr)  # noqa: T201
+            sys.exit(2)
         command = tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="offpiste",

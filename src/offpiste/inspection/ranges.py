@@ -78,5 +78,7 @@ def _remedy(name: str, source: ChannelSource, low: float, high: float, first: fl
         return f"channels.{name}.scale = {number(source.scale * high / largest)}"
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
     span = last - first
+    if not span > 0:
+        return f'absent = ["{name}"]'
     scale, offset = source.scale / span, (source.offset - source.sign * first / unit_factor(name, source.unit)) / span
     return f"channels.{name}.scale = {number(scale)}, channels.{name}.offset = {number(offset)}"
