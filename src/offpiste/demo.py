@@ -63,7 +63,7 @@ def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> Non
         f"For scale: '{REFERENCE}', a bicycle at constant speed, is off by {reference.distance().mean():.2f} m."
     )
     logger.info(
-        "More driving: `offpiste reproduce fig4 --size laptop` (two hours); measured results are in docs/results.md."
+        "More driving: `offpiste reproduce fig4 --size laptop` (hours); measured results are in docs/results.md."
     )
     logger.info(f"picture: {picture}")
     logger.info(f"report: {folder / 'report.html'}")

@@ -71,7 +71,7 @@ def run_case(number: int, seed: int, corpus: Sequence[Sound], folder: Path) -> C
     (folder / "out").mkdir()
     given = copy / sound.input if sound.input else copy
     outcome = run_isolated(partial(_run, command, given, folder), folder)
-    verdict, why = judge(outcome, command.split()[0])
+    verdict, why = verdict_of(outcome, command.split()[0])
     return Case(
         case=number,
         seed=seed,
@@ -140,7 +140,7 @@ def _mutated(sound: Sound, copy: Path, rng: Generator) -> str:
     return f"{name}: {how}"
 
 
-def judge(outcome: Outcome, command: str = "") -> tuple[str, str]:
+def verdict_of(outcome: Outcome, command: str = "") -> tuple[str, str]:
     """Verdict on the process of a command, and the reason in one line."""
     # libpng writes to standard error by itself, before our message.
     lines = [line for line in outcome.err.splitlines() if line.strip() and not line.startswith("libpng ")]

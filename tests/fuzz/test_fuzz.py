@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzz.cases import judge
+from tests.fuzz.cases import verdict_of
 from tests.fuzz.isolation import MEMORY, Outcome, run_isolated
 from tests.fuzz.mutations import BYTES, TEXT, mutate_values
 
@@ -77,7 +77,7 @@ def outcome(code: int, err: str = "", out: str = "", **changed: object) -> Outco
     ],
 )
 def test_verdicts(found: Outcome, verdict: str) -> None:
-    assert judge(found)[0] == verdict
+    assert verdict_of(found)[0] == verdict
 
 
 @pytest.mark.parametrize(
@@ -89,8 +89,8 @@ def test_verdicts(found: Outcome, verdict: str) -> None:
     ],
 )
 def test_verdicts_on_the_report_of_check(report: str, verdict: str) -> None:
-    assert judge(outcome(1, out=report), "check")[0] == verdict
-    assert judge(outcome(1, out=report), "train")[0] == "wrong message"
+    assert verdict_of(outcome(1, out=report), "check")[0] == verdict
+    assert verdict_of(outcome(1, out=report), "train")[0] == "wrong message"
 
 
 def _allocate(size: int) -> None:
@@ -109,4 +109,4 @@ def _allocate(size: int) -> None:
     ],
 )
 def test_a_process_of_its_own_ends_as_it_ends(tmp_path: Path, work, verdict: str) -> None:
-    assert judge(run_isolated(work, tmp_path))[0] == verdict
+    assert verdict_of(run_isolated(work, tmp_path))[0] == verdict

@@ -17,7 +17,7 @@ class Reproduce:
     figure: tyro.conf.Positional[Literal["fig3", "fig4"]]
     """fig3: error with features in hindsight; fig4: error by the distance that features were seen from."""
     size: Literal["smoke", "laptop", "paper"] = "smoke"
-    """Ten minutes, two hours, or as much as in the paper."""
+    """Ten minutes, hours, or as much as in the paper."""
     seconds: tuple[float, float, float] | None = None
     """Driving to train, validate and test on [s], instead of the size's."""
     seeds: int | None = None

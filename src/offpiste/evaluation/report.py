@@ -97,8 +97,8 @@ def _facts(metrics: Metrics) -> dict[str, str]:
     facts = {
         "dataset": metrics.dataset,
         "split": f"{metrics.split}; evaluated on the {metrics.part} part",
-        "windows": f"{windows.n} of 5 s from {windows.drives} drive(s), one every {windows.stride_s:g} s, "
-        f"in {windows.blocks} blocks of {windows.block_s:g} s on {windows.drives} drives",
+        "windows": f"{windows.n} of 5 s, one every {windows.stride_s:g} s, in {windows.blocks} blocks of "
+        f"{windows.block_s:g} s on {windows.drives} drive(s)",
         "driving": f"median {number(windows.median_distance_m, 1)} m in 5 s, "
         f"{number(windows.median_speed_mps, 1)} m/s at the start",
         "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path lies within 5 m of training's",

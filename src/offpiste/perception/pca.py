@@ -219,7 +219,7 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
     tensors = {"mean": pca.mean, "basis": pca.basis.copy(), "variance": pca.variance.copy()}
     about = json.loads(json.dumps(about))
     header = {PCA_HEADER: json.dumps({**about, "sha256": sha256_of_arrays(tensors, about)})}
-    write_bytes(path, save(tensors, metadata=header))  # its own writing hides that a disk is full
+    write_bytes(path, save(tensors, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
 def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponents:

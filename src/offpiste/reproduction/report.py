@@ -86,7 +86,7 @@ def _metrics(
         dataset=str(dataset.path),
         split=dataset.split.text,
         part=PART,
-        seeds={model.label: list(model.seeds(settings.size)) for model in results.models},
+        seeds={model.label: list(range(settings.size.seeds)) for model in results.models},
         windows={
             " ".join(filter(None, reading)): len(results.over_seeds(results.baseline, reading).row)
             for reading in results.readings

@@ -163,7 +163,7 @@ def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readin
     runs = {
         (model, reading): [
             RunErrors(seed, None, pool([load_errors(errors_path(settings.runs / model.folder(seed), reading))]))
-            for seed in model.seeds(settings.size)
+            for seed in range(settings.size.seeds)
         ]
         for model in models
         for reading in readings

@@ -174,7 +174,7 @@ def model_stages(
     others: list[Step] = []
     evaluations: list[Step] = []
     for model in models:
-        for seed in model.seeds(settings.size):
+        for seed in range(settings.size.seeds):
             folder = settings.runs / model.folder(seed)
             name = f"{model.label}, seed {seed}"
             training = Step(

@@ -76,7 +76,7 @@ SIZES = {
         train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
     ),
 }
-"""Sizes by name: `smoke` takes minutes, `laptop` two hours; `paper` has some 2M windows to train and 250k to test."""
+"""Sizes by name: `smoke` takes minutes, `laptop` hours; `paper` has some 2M windows to train and 250k to test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
@@ -192,10 +192,6 @@ class FigureModel:
     def config(self, size: Size, seed: int, device: str) -> TrainConfig:
         """Settings of its training."""
         return replace(size.train, model=self.model, codes=self.codes, pca=self.pca, seed=seed, device=device)
-
-    def seeds(self, size: Size) -> range:
-        """Seeds of its runs."""
-        return range(size.seeds)
 
 
 def standard_model(model: str, stored: int) -> FigureModel:

@@ -24,7 +24,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
     kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     # One entry: safetensors writes several in an order that differs from process to process.
     header = {"about": json.dumps({**about, "sha256": _digest(kept, about)})}
-    write_bytes(path, save(kept, metadata=header))  # its own writing hides that a disk is full
+    write_bytes(path, save(kept, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
