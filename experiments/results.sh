@@ -25,7 +25,7 @@ step() { # NAME COMMAND...: run once, with its output in OUT/logs/NAME.log
 train() { # DATASET RUN OPTION...: train, or resume
     local dataset=$1 run=$2
     shift 2
-    step "train-$(basename "$run")" offpiste train "$dataset" --out "$run" --resume "$@"
+    step "train-$(basename "$dataset" .zarr)-$(basename "$run")" offpiste train "$dataset" --out "$run" --resume "$@"
 }
 
 laptop_figures() {
@@ -55,6 +55,19 @@ real_drive() {
     step report-flat offpiste evaluate "${flat[@]}" --dataset "$folder/flat.zarr" --out "$folder/report-flat"
     step report-meadows offpiste evaluate "${runs[@]}" --dataset "$folder/meadows.zarr" --out "$folder/report-meadows"
     step limits python benchmarks/limits.py "$folder/turnpike.zarr"
+    step constants python -m experiments.constants "$folder"/parametric-? --dataset "$folder"/{turnpike,meadows}.zarr
+}
+
+visual_features() {
+    local drives=$out/probe/drives
+    step probe python -m experiments.probe --out "$out/probe" --flaw-worlds halter-ranch --flaw-seconds 60 --directions 2
+    step pca offpiste fit-pca "$drives"/*-61.mcap --rig proving_ground --backbone filterbank --out "$out/pca.safetensors"
+    step eight offpiste extract "$drives"/*.mcap --rig proving_ground --pca "$out/pca.safetensors" --out "$out/eight.zarr"
+    step view-eight offpiste view "$out/eight.zarr" --out "$out/view-eight"
+    step view-halter offpiste view "$drives/halter-ranch-62.mcap" --rig proving_ground --pca "$out/pca.safetensors" \
+        --out "$out/view-halter"
+    step fusion python -m experiments.fusion "$drives"/*-62.mcap --pca "$out/pca.safetensors" --seconds 40
+    step sensor-faults python -m experiments.sensor_faults "$drives"/*-62.mcap
 }
 
 true_ground() {
@@ -72,9 +85,11 @@ controls() {
 }
 
 closed_loop() {
-    local runs=("$out/laptop/runs/parametric-0" "$out/laptop/runs/b-0" "$out/laptop/runs/dc-0" "$out/controls/oracle/runs/df-0")
-    step parametric offpiste train "$out/laptop/dataset.zarr" --model parametric --bicycle-epochs 12 --resume \
-        --out "$out/laptop/runs/parametric-0"
+    local runs=("$out"/laptop/runs/{parametric,b,dc}-{0,1,2} "$out"/controls/oracle/runs/df-{0,1,2})
+    for seed in 0 1 2; do
+        train "$out/laptop/dataset.zarr" "$out/laptop/runs/parametric-$seed" --model parametric --bicycle-epochs 12 --seed $seed
+    done
+    step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
     step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
         --courses 20 --test --out "$out/closed-loop"
     step faults python -m experiments.closed_loop_table --runs "$out/laptop/runs/dc-0" --pca "$out/laptop/pca.safetensors" \
@@ -87,5 +102,6 @@ true_ground
 controls
 closed_loop
 step half-contrast offpiste reproduce fig4 --size laptop --seconds 1080 150 450 --grip-contrast 0.5 --out "$out/half"
+visual_features
 step dart python -m experiments.surfaces "$data/dart" --out "$out/dart" --permutations 3
 exit $failed

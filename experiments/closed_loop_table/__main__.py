@@ -26,7 +26,7 @@ class ClosedLoop:
     """Drive seeded courses with every given run: a result per course and planner, then table.md. Resumes."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")]
-    """Run folders: parametric, b, dc, and a `df` trained on ground-truth features (the ceiling)."""
+    """Run folders, one or more seeds each: parametric, b, dc, and a `df` on ground-truth features (the ceiling)."""
     pca: Path | None = None
     """PCA of runs with visual features."""
     courses: int = 20
@@ -40,7 +40,7 @@ class ClosedLoop:
     speed: float = 7.0
     """Target speed along the courses [m/s]."""
     latencies: tuple[float, ...] = (0.0, 0.3)
-    """Latencies of dc and the ceiling, beside 0.1 [s]."""
+    """Latencies of the first dc and the first ceiling, beside 0.1 [s]."""
     keep_logs: bool = False
     """Keep the log of every drive: 150 MB each."""
     faults: bool = False

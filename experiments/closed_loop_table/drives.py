@@ -47,28 +47,34 @@ class Entry:
     latency: float = 0.1
 
     @property
-    def name(self) -> str:
-        """What a row and a folder are called."""
+    def row(self) -> str:
+        """What its row is called, which the runs of all seeds share."""
         return f"{self.planner.name}-{round(1000 * self.latency)}ms"
+
+    @property
+    def name(self) -> str:
+        """What its folder is called."""
+        return f"{self.row}-{self.planner.seed}"
 
 
 def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)) -> list[Entry]:
-    """All at 0.1 s; those that know the ground ahead at other latencies too, each once.
+    """All at 0.1 s; of those that know the ground ahead, the first run at other latencies too, each once.
 
     Raises:
-        OffpisteError: two planners have one name, and so one folder.
+        OffpisteError: two planners have one name and one seed, and so one folder.
     """
-    named: dict[str, Planner] = {}
+    named: dict[tuple[str, int], Planner] = {}
     for planner in planners:
-        if (first := named.setdefault(planner.name, planner)) is not planner:
+        if (first := named.setdefault((planner.name, planner.seed), planner)) is not planner:
             raise OffpisteError(
-                f"both are '{planner.name}', and would drive into one folder",
+                f"both are '{planner.name}' of seed {planner.seed}, and would drive into one folder",
                 where=f"{first.folder} and {planner.folder}",
-                how="give one run of a kind, and the other in a command of its own with another --out",
+                how="give one run of a model and seed, and the other in a command of its own with another --out",
             )
     others = dict.fromkeys(round(latency, 6) for latency in latencies)
     others.pop(Entry.latency, None)
-    wide = [Entry(p, latency) for p in planners if p.name in ("dc", "ceiling") for latency in others]
+    firsts = {p.name: p for p in reversed(planners) if p.name in ("dc", "ceiling")}
+    wide = [Entry(p, latency) for p in planners if firsts.get(p.name) is p for latency in others]
     return [*(Entry(p) for p in planners), *wide]
 
 
@@ -108,7 +114,7 @@ def drive_all(
     if failed:
         raise failed[0]
     results = [(row, _finished_result(row, world, out, settings)) for world in worlds for row in rows]
-    return [{**result, "row": row.name} for row, result in results if result is not None]
+    return [{**result, "row": row.row, "run_seed": row.planner.seed} for row, result in results if result is not None]
 
 
 def _drive_rows(

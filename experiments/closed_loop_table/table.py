@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from offpiste.evaluation.intervals import MIN_UNITS, resampling
 from offpiste.files import write_text
@@ -30,7 +30,7 @@ COUNTED: Final = {
     "stuck": "stuck",
     "left_world": "left the world",
 }
-BOTH_FINISH: Final = "driven cost where both finish (courses)"
+BOTH_FINISH: Final = "driven cost where both finish (pairs)"
 ORDER: Final = ("parametric", "b", "dc", "ceiling")
 """Each knows more than those before."""
 
@@ -39,13 +39,16 @@ RESAMPLES: Final = 10_000
 Drive = dict[str, Any] | None
 """What result.json holds, and its row; None: not driven."""
 
-Drives = Mapping[str, Sequence[Drive]]
-"""Of every row, course after course."""
+Runs = Sequence[Sequence[Drive]]
+"""Of the runs of some seeds, course after course."""
+
+Drives = Mapping[str, Mapping[int, Sequence[Drive]]]
+"""Of every row, by the seed of the run that drove, course after course."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a measure between two planners on the same courses: mean, and the 95 % interval bootstrapped over courses."""
+    """Of a measure between two planners: mean, 95 % interval over courses and seeds, and number of pairs."""
 
     mean: float
     low: float
@@ -53,16 +56,24 @@ class Difference:
     n: int
 
 
-def paired(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"], seed: int = 0) -> Difference | None:
-    """First minus second over the courses where both are known; None with too few of these."""
-    both = np.isfinite(first) & np.isfinite(second)
-    difference = (first - second)[both]
-    if len(difference) < MIN_UNITS:
+def paired(first: Float[np.ndarray, "S n"], second: Float[np.ndarray, "S n"], seed: int = 0) -> Difference | None:
+    """First minus second where both are known; None on too few courses.
+
+    Args:
+        first, second: of each run, in the same order of seeds, and course.
+    """
+    difference = first - second
+    difference = difference[:, np.isfinite(difference).any(axis=0)]
+    if difference.shape[1] < MIN_UNITS:
         return None
     # Each course has a world of its own, and is one block.
-    course = np.arange(len(difference))
+    course = np.arange(difference.shape[1])
     drawn = resampling(course, course, seed, resamples=RESAMPLES)
-    return Difference(float(difference.mean()), *drawn.interval(drawn.means(difference)), len(difference))
+    seeds, known = drawn.seed_draws(len(difference)), np.isfinite(difference)
+    sums = ((seeds @ np.nan_to_num(difference)) * drawn.draws).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        means = sums / ((seeds @ known) * drawn.draws).sum(axis=1)
+    return Difference(float(difference[known].mean()), *drawn.interval(means), int(known.sum()))
 
 
 def table(results: Sequence[dict[str, Any]], limit: float) -> str:
@@ -73,51 +84,61 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
     """
     rows = list(dict.fromkeys(r["row"] for r in results))
     courses = list(dict.fromkeys((r["world"], r["seed"]) for r in results))
-    by = {(r["row"], r["world"], r["seed"]): r for r in results}
-    drives = {row: [by.get((row, *course)) for course in courses] for row in rows}
+    seeds = {row: list(dict.fromkeys(r["run_seed"] for r in results if r["row"] == row)) for row in rows}
+    by = {(r["row"], r["run_seed"], r["world"], r["seed"]): r for r in results}
+    drives = {row: {s: [by.get((row, s, *course)) for course in courses] for s in seeds[row]} for row in rows}
     return "\n".join([*_means(drives, limit), "", *_differences(drives, limit)]) + "\n"
 
 
 def _means(drives: Drives, limit: float) -> list[str]:
     """A line for every planner."""
     lines = [
-        f"{len(next(iter(drives.values())))} courses, means. A drive that does not finish counts with {limit:g} s, and"
-        " in its driven cost as standing on its course until then; errors are of what was driven. Driven cost: the"
-        " terms of path and speed of what planners minimise (squared errors, over time), of what was driven; geometric"
-        " means, so that each course counts alike.",
+        f"{_courses(drives)} courses; means over them and the runs of all seeds. A drive that does not finish counts"
+        f" with {limit:g} s, and in its driven cost as standing on its course until then; errors are of what was"
+        " driven. Driven cost: the terms of path and speed of what planners minimise (squared errors, over time), of what"
+        " was driven; geometric means, so that each course counts alike.",
         "",
-        _line(["planner", *MEASURES.values(), *COUNTED.values()]),
-        _rule(1 + len(MEASURES) + len(COUNTED)),
+        _line(["planner", "runs", *MEASURES.values(), "drives", *COUNTED.values()]),
+        _rule(3 + len(MEASURES) + len(COUNTED)),
     ]
-    for row, driven in drives.items():
-        means = [_mean(_values(driven, key, limit), key) for key in MEASURES]
-        lines.append(_line([row, *means, *(f"{sum(bool(r and r[key]) for r in driven)}" for key in COUNTED)]))
+    for row, runs in drives.items():
+        means = [_mean(_values(list(runs.values()), key, limit), key) for key in MEASURES]
+        driven = [drive for courses in runs.values() for drive in courses if drive]
+        counts = [str(sum(bool(drive[key]) for drive in driven)) for key in COUNTED]
+        lines.append(_line([row, str(len(runs)), *means, str(len(driven)), *counts]))
     return lines
+
+
+def _courses(drives: Drives) -> int:
+    return len(next(iter(next(iter(drives.values())).values())))
 
 
 def _differences(drives: Drives, limit: float) -> list[str]:
     """A line for every two planners that are compared."""
     lines = [
-        "Paired differences on the same courses, with 95 % intervals bootstrapped over courses. The last column leaves"
-        " out courses that not both finish, and so shows how they drive, not how often they stop.",
+        "Paired differences on the same courses between runs of the same seeds, with 95 % intervals bootstrapped over"
+        " courses and seeds. The last column leaves out drives that not both finish, and so shows how they drive, not"
+        " how often they stop.",
         "",
         _line(["difference", *MEASURES.values(), BOTH_FINISH]),
         _rule(2 + len(MEASURES)),
     ]
     for row in drives:
         for other in (o for o in drives if o != row and _compared(row, o)):
-            found = {key: _paired(drives[row], drives[other], key, limit) for key in MEASURES}
-            both = [
-                pair for pair in zip(drives[row], drives[other], strict=True) if all(r and r["finished"] for r in pair)
-            ]
-            cost = _paired([pair[0] for pair in both], [pair[1] for pair in both], "driven_cost", limit)
-            cells = [_interval(d, key) for key, d in found.items()]
-            lines.append(_line([f"{row} − {other}", *cells, f"{_interval(cost, 'driven_cost')} ({len(both)})"]))
+            seeds = [seed for seed in drives[row] if seed in drives[other]]
+            if seeds:
+                mine, its = ([drives[name][seed] for seed in seeds] for name in (row, other))
+                lines.append(_line([f"{row} − {other}", *_compare(mine, its, limit)]))
     return lines
 
 
-def _paired(first: Sequence[Drive], second: Sequence[Drive], key: str, limit: float) -> Difference | None:
-    return paired(_values(first, key, limit), _values(second, key, limit))
+def _compare(mine: Runs, its: Runs, limit: float) -> list[str]:
+    """Cells of a line: a difference for each measure, and that of the costs where both finish."""
+    found = {key: paired(_values(mine, key, limit), _values(its, key, limit)) for key in MEASURES}
+    finish = _finished(mine) & _finished(its)
+    costs = [np.where(finish, _values(runs, "driven_cost", limit), np.nan) for runs in (mine, its)]
+    cells = [_interval(difference, key) for key, difference in found.items()]
+    return [*cells, f"{_interval(paired(costs[0], costs[1]), 'driven_cost')} ({finish.sum()})"]
 
 
 def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> str:
@@ -138,8 +159,12 @@ def _compared(row: str, other: str) -> bool:
     return latency == at and (ORDER.index(base) < ORDER.index(name) if known else base == "b")
 
 
-def _values(driven: Sequence[Drive], key: str, limit: float) -> Float[np.ndarray, " n"]:
-    return np.array([_value(drive, key, limit) for drive in driven])
+def _values(runs: Runs, key: str, limit: float) -> Float[np.ndarray, "S n"]:
+    return np.array([[_value(drive, key, limit) for drive in courses] for courses in runs])
+
+
+def _finished(runs: Runs) -> Bool[np.ndarray, "S n"]:
+    return np.array([[bool(drive and drive["finished"]) for drive in courses] for courses in runs])
 
 
 def _value(result: Drive, key: str, limit: float) -> float:
@@ -153,7 +178,7 @@ def _value(result: Drive, key: str, limit: float) -> float:
     return float(np.log(value)) if key in RELATIVE else float(value)
 
 
-def _mean(values: Float[np.ndarray, " n"], key: str) -> str:
+def _mean(values: Float[np.ndarray, "S n"], key: str) -> str:
     if not np.isfinite(values).any():
         return "–"
     mean = np.nanmean(values)

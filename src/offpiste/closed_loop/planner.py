@@ -23,6 +23,7 @@ class Planner:
         folder: folder of the run.
         extractor: backbone and PCA; None where the model reads no visual features.
         weights: hash of the file of weights, since a run may be trained again in its folder.
+        seed: of the training.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Planner:
     dynamics: Dynamics
     extractor: FeatureExtractor | None = None
     weights: str = ""
+    seed: int = 0
 
     @property
     def knows_ground(self) -> bool:
@@ -57,10 +59,10 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
         )
     weights = hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
     if run.dynamics.encoder is None:
-        return Planner(run.model, folder, run.dynamics, weights=weights)
+        return Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed)
     identity = run.pca or _pca_of_dataset(folder)
     if identity is None:
-        return Planner("ceiling", folder, run.dynamics, weights=weights)
+        return Planner("ceiling", folder, run.dynamics, weights=weights, seed=run.seed)
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
     extractor = load_feature_extractor(pca)
@@ -70,7 +72,7 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
             where=folder,
             how="give the file that its dataset was extracted with",
         )
-    return Planner(run.model, folder, run.dynamics, extractor, weights)
+    return Planner(run.model, folder, run.dynamics, extractor, weights, run.seed)
 
 
 def _pca_of_dataset(folder: Path) -> str | None:

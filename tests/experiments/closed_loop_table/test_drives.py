@@ -46,7 +46,7 @@ def driven(monkeypatch):
 
 def test_every_planner_drives_every_course_once(driven, tmp_path):
     rows, worlds = entries([B, DC], (0.3,)), places(1, 2)
-    (tmp_path / "b-100ms" / "mojave-1").mkdir(parents=True)  # interrupted
+    (tmp_path / "b-100ms-0" / "mojave-1").mkdir(parents=True)  # interrupted
     found = drive_all(rows, worlds, tmp_path)
     courses = [("mojave", 1), ("halter-ranch", 2)]
     planned = [("b", 0.1), ("dc", 0.1), ("dc", 0.3)]
@@ -86,7 +86,7 @@ def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
 def test_older_drives_count_without_settings_that_they_do_not_record(driven, tmp_path):
     given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path}
     drive_all(**given)
-    path = tmp_path / "b-100ms" / "mojave-1" / "result.json"
+    path = tmp_path / "b-100ms-0" / "mojave-1" / "result.json"
     older = {k: v for k, v in json.loads(path.read_text()).items() if k not in NEWER}
     del older["runtime"]["slow"], older["runtime"]["timeouts"]["plan"], older["course"]["traction"]
     path.write_text(json.dumps(older))
@@ -99,24 +99,34 @@ def test_older_drives_count_without_settings_that_they_do_not_record(driven, tmp
     [("", "cannot be read"), ('{"world": "moj', "cannot be read"), ("[]", "not the result"), ("{}", "lacks 'world'")],
 )
 def test_a_broken_result_is_named(driven, tmp_path, content, what):
-    path = tmp_path / "b-100ms" / "mojave-1" / "result.json"
+    path = tmp_path / "b-100ms-0" / "mojave-1" / "result.json"
     path.parent.mkdir(parents=True)
     path.write_text(content)
     with pytest.raises(OffpisteError, match=rf"mojave-1/result\.json: .*{what}.*; remove it"):
         drive_all([Entry(B)], places(1, 1), tmp_path)
 
 
-def test_two_runs_of_one_kind_are_refused():
-    other = Planner("dc", Path("/runs/dc-1"), parametric())
-    with pytest.raises(OffpisteError, match=r"/runs/dc and /runs/dc-1: both are 'dc'.*another --out"):
+def test_two_runs_of_one_model_and_seed_are_refused():
+    other = Planner("dc", Path("/runs/again"), parametric())
+    with pytest.raises(OffpisteError, match=r"/runs/dc and /runs/again: both are 'dc' of seed 0.*another --out"):
         entries([B, DC, other])
-    with pytest.raises(OffpisteError, match="both are 'b'"):
+    with pytest.raises(OffpisteError, match="both are 'b' of seed 0"):
         entries([B, replace(B)])
+
+
+def test_runs_of_other_seeds_share_a_row_and_drive_at_the_usual_latency():
+    rows = entries([B, DC, replace(DC, seed=1)], (0.3,))
+    assert [(row.row, row.name) for row in rows] == [
+        ("b-100ms", "b-100ms-0"),
+        ("dc-100ms", "dc-100ms-0"),
+        ("dc-100ms", "dc-100ms-1"),
+        ("dc-300ms", "dc-300ms-0"),
+    ]
 
 
 def test_a_latency_given_twice_is_driven_once():
     rows = entries([B, DC], (0.1, 0.3, 0.3, 0.1 + 1e-9))
-    assert [row.name for row in rows] == ["b-100ms", "dc-100ms", "dc-300ms"]
+    assert [row.row for row in rows] == ["b-100ms", "dc-100ms", "dc-300ms"]
 
 
 @pytest.mark.parametrize("latency", [0.03, -0.1, 1.02, float("nan")])

@@ -9,7 +9,7 @@ from experiments.closed_loop_table.table import COUNTED, paired, table
 def test_intervals_of_a_known_difference():
     rng = np.random.default_rng(0)
     shared = rng.normal(30, 10, 200)
-    found = paired(shared + rng.normal(-1.0, 1.0, 200), shared, 1)
+    found = paired((shared + rng.normal(-1.0, 1.0, 200))[None], shared[None], 1)
     # 1.96 sigma / sqrt(n), whatever courses have in common.
     assert found.mean == pytest.approx(-1.0, abs=0.2)
     assert found.high - found.low == pytest.approx(2 * 1.96 / np.sqrt(200), rel=0.2)
@@ -17,14 +17,25 @@ def test_intervals_of_a_known_difference():
 
 
 def test_only_courses_that_both_drove_count():
-    first, second = np.array([1.0, 2.0, np.nan, 4.0]), np.array([0.0, 0.0, 0.0, 0.0])
+    first, second = np.array([[1.0, 2.0, np.nan, 4.0]]), np.zeros((1, 4))
     assert paired(first, second).mean == pytest.approx(7 / 3)
-    assert paired(first[1:], second[1:]) is None
+    assert paired(first[:, 1:], second[:, 1:]) is None
 
 
-def result(row, seed, time, finished=True):
+def test_every_pair_counts_once_and_seeds_that_differ_widen_the_interval():
+    first, second = np.array([[1.0, 2.0, 3.0, 4.0], [5.0, np.nan, np.nan, np.nan]]), np.zeros((2, 4))
+    assert paired(first, second).mean == pytest.approx(3)
+    assert paired(first, second).n == 5
+    rng = np.random.default_rng(0)
+    courses = rng.normal(0.0, 1.0, (3, 50))
+    alike, apart = paired(courses, 0 * courses), paired(courses + np.array([[-2.0], [0.0], [2.0]]), 0 * courses)
+    assert apart.high - apart.low > 3 * (alike.high - alike.low)
+
+
+def result(row, seed, time, finished=True, run_seed=0):
     return {
         "row": row,
+        "run_seed": run_seed,
         "world": "mojave",
         "seed": seed,
         "driven_cost": 10 * time,
@@ -42,7 +53,7 @@ def test_costs_are_compared_course_by_course_in_percent():
     rows = [result("b-100ms", seed, 10.0 ** (seed + 1)) for seed in range(3)]
     rows += [result("dc-100ms", seed, 0.5 * 10.0 ** (seed + 1)) for seed in range(3)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 1000 |" in text, "the geometric mean of 100, 1000 and 10,000"
+    assert "| b-100ms | 1 | 1000 |" in text, "the geometric mean of 100, 1000 and 10,000"
     assert "| dc-100ms − b-100ms | -50 % [-50, -50] |" in text
 
 
@@ -51,8 +62,8 @@ def test_the_table_counts_what_did_not_finish_with_the_limit():
     rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
     rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 0 | 0 | 0 | 0 |" in text
-    assert "| dc-100ms | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
+    assert "| b-100ms | 1 | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 4 | 0 | 0 | 0 | 0 |" in text
+    assert "| dc-100ms | 1 | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
     lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
     assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
     assert "| -33 % [-33, -33] |" in lines[0]
@@ -80,3 +91,15 @@ def test_the_header_says_what_counts_for_a_drive_that_does_not_finish():
     assert "counts with 40 s, and in its driven cost as standing on its course until then" in head
     assert "errors are of what was driven" in head
     assert "the terms of path and speed of what planners minimise" in head
+
+
+def test_runs_are_compared_with_those_of_the_same_seed():
+    rows = [result("b-100ms", seed, 20.0, run_seed=run) for run in (0, 1) for seed in range(3)]
+    rows += [result("dc-100ms", seed, 10.0, run_seed=1, finished=seed > 0) for seed in range(3)]
+    rows += [result("ceiling-100ms", seed, 10.0, run_seed=7) for seed in range(3)]
+    text = table(rows, limit=40.0)
+    assert "| b-100ms | 2 | 200 | 20.00 | 0.50 | 1.00 | 2.00 | – | 6 | 6 |" in text
+    assert "| dc-100ms | 1 | 100 | 20.00 | 0.50 | 1.00 | 2.00 | – | 3 | 2 |" in text
+    (line,) = (line for line in text.splitlines() if "−" in line and line.startswith("|"))
+    assert line.startswith("| dc-100ms − b-100ms | -50 % [-50, -50] |")
+    assert line.endswith("| – (2) |")
