@@ -95,8 +95,8 @@ def _means(drives: Drives, limit: float) -> list[str]:
     lines = [
         f"{_courses(drives)} courses; means over them and the runs of all seeds. A drive that does not finish counts"
         f" with {limit:g} s, and in its driven cost as standing on its course until then; errors are of what was"
-        " driven. Driven cost: the terms of path and speed of what planners minimise (squared errors, over time), of what"
-        " was driven; geometric means, so that each course counts alike.",
+        " driven. Driven cost: the terms of path and speed of what planners minimise (squared errors, over time), of"
+        " what was driven; geometric means, so that each course counts alike.",
         "",
         _line(["planner", "runs", *MEASURES.values(), "drives", *COUNTED.values()]),
         _rule(3 + len(MEASURES) + len(COUNTED)),
