@@ -2,8 +2,11 @@
 # All trainings and evaluations behind docs/results.md, one after the other: hours on two cores. Finished steps are
 # skipped and interrupted ones resume when the same command is given again; a step that fails does not keep the others.
 #
-#     experiments/results.sh OUT DATA    from the root of a checkout, with offpiste and the extra sim installed;
-#                                        OUT: folder of all results; DATA: folder of the recorded drives
+#     experiments/results.sh OUT DATA [GROUP...]    from the root of a checkout, with offpiste and the extra sim installed;
+#                                                   OUT: folder of all results; DATA: folder of the recorded drives;
+#                                                   GROUP: of steps, all by default. Most keep one core busy, so two
+#                                                   commands with other groups go side by side; `controls` needs
+#                                                   `laptop_figures` first, and `closed_loop` both.
 set -euo pipefail
 out=$(realpath -m "$1") data=$(realpath "$2")
 mkdir -p "$out/logs" "$out/done"
@@ -96,12 +99,18 @@ closed_loop() {
         --faults --courses 1 --out "$out/faults"
 }
 
-laptop_figures
-real_drive
-true_ground
-controls
-closed_loop
-step half-contrast offpiste reproduce fig4 --size laptop --seconds 1080 150 450 --grip-contrast 0.5 --out "$out/half"
-visual_features
-step dart python -m experiments.surfaces "$data/dart" --out "$out/dart" --permutations 3
+half_contrast() {
+    step half-contrast offpiste reproduce fig4 --size laptop --seconds 1080 150 450 --grip-contrast 0.5 --out "$out/half"
+}
+
+real_floors() {
+    step dart python -m experiments.surfaces "$data/dart" --out "$out/dart" --permutations 3
+}
+
+groups=(laptop_figures real_drive true_ground controls closed_loop half_contrast visual_features real_floors)
+for group in "${@:3}"; do
+    [[ " ${groups[*]} " == *" $group "* ]] || { echo "no group '$group'; there are: ${groups[*]}" >&2; exit 2; }
+done
+if [ $# -gt 2 ]; then groups=("${@:3}"); fi
+for group in "${groups[@]}"; do "$group"; done
 exit $failed
