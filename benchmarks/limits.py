@@ -18,7 +18,7 @@ from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Kinematic
 from offpiste.state import RecordedTerrain
-from offpiste.training.run import vehicle_of
+from offpiste.training.build import vehicle_of
 from offpiste.training.train import predict
 
 

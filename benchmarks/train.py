@@ -29,9 +29,9 @@ from offpiste.dynamics import Hybrid, Kinematic, rollout
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.state import ModelState, RecordedTerrain, Trajectory
+from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
-from offpiste.training.run import build, vehicle_of
 from offpiste.training.terrain_sources import encoded
 from offpiste.training.train import loss_scale, standardise
 

@@ -87,5 +87,6 @@ from .state import Trajectory as Trajectory
 from .training.config import TrainConfig as TrainConfig
 from .training.run import Run as Run
 from .training.run import load_run as load_run
+from .training.run import pretrained as pretrained
 from .training.terrain_sources import encoded as encoded
 from .training.train import train as train

@@ -15,6 +15,7 @@ from offpiste.errors import OffpisteError
 from offpiste.perception.pca import PCA_HEADER, load_pca
 from offpiste.progress import track
 from offpiste.training.checkpoint import load_json, load_tensors
+from offpiste.training.pretrained import run_folder
 from offpiste.training.run import load_run
 
 logger = logging.getLogger(__name__)
@@ -39,11 +40,11 @@ def check_paths(paths: Sequence[Path]) -> list[str]:
     Raises:
         OffpisteError: a path is none of these, and holds none.
     """
-    pieces = {path: list(pieces_of(path)) for path in paths}
+    pieces = {path: list(pieces_of(path)) for path in map(run_folder, paths)}
     for path, found in pieces.items():
         if not found:
             raise OffpisteError("is no run, dataset or PCA, and holds none", where=path, how="name one of these")
-    damaged: dict[Path, list[str]] = {path: [] for path in paths}
+    damaged: dict[Path, list[str]] = {path: [] for path in pieces}
     work = [(path, piece) for path, found in pieces.items() for piece in found]
     for path, piece in track(work, "check"):
         damaged[path] += _damage(piece)

@@ -13,10 +13,10 @@ from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
+from offpiste.training.build import build
 from offpiste.training.checkpoint import save_json, save_tensors
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
-from offpiste.training.run import build
 
 BACKBONE = open_backbone("filterbank")
 

@@ -14,7 +14,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.errors import DatasetError, RunError
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
-from offpiste.training.run import build, vehicle_of
+from offpiste.training.build import build, vehicle_of
 from offpiste.training.terrain_sources import encoded, on_map
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")

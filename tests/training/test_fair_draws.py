@@ -15,10 +15,10 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.inputs import unknown_normals
 from offpiste.training import optimise
+from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE
 from offpiste.training.prediction import predict
-from offpiste.training.run import build, vehicle_of
 
 CONFIG = TrainConfig(batch=16, stride=20, seed=5)
 

@@ -17,12 +17,12 @@ from offpiste.dynamics import Dynamics
 from offpiste.state import Trajectory
 from offpiste.training import map_loss as module
 from offpiste.training import optimise
+from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.prediction import roll_out
-from offpiste.training.run import build, vehicle_of
 from offpiste.training.train import train
 
 ROWS = tuple(range(20, 600, 40))

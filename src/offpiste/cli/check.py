@@ -15,7 +15,7 @@ class Check:
     """Read runs, datasets and PCA files whole and compare their checksums; exit 1 if a file is damaged."""
 
     paths: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="PATH...")]
-    """Runs, datasets, PCA files, or folders that hold some."""
+    """Runs (or `pretrained:NAME`), datasets, PCA files, or folders that hold some."""
 
     def run(self) -> int:
         """Look for them, compare, say what is damaged."""

@@ -16,7 +16,7 @@ class Drive:
     """Drive a course on the proving ground with a trained model, in simulated time (needs the extra `sim`)."""
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """A folder that `train` wrote; one trained on ground-truth features is given the ground's true properties."""
+    """A folder that `train` wrote, or `pretrained:NAME`; runs on ground-truth features are given the true ground."""
     world: str = "mojave"
     """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
     seed: int = 0
@@ -26,7 +26,7 @@ class Drive:
     out: Path = Path("closed-loop")
     """Folder of drive.mcap, result.json and drive.png."""
     pca: Path | None = None
-    """For runs with visual features: the file that their dataset was extracted with."""
+    """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""
     speed: float = 7.0
     """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
     latency: float = PERCEPTION_LATENCY

@@ -11,6 +11,7 @@ from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.training.checkpoint import load_json
+from offpiste.training.pretrained import PREFIX
 from offpiste.training.run import WEIGHTS, load_run
 
 
@@ -43,7 +44,8 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
     """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:
-        pca: the file that the run's dataset was extracted with.
+        folder: of the run, or `pretrained:NAME`.
+        pca: the file that the run's dataset was extracted with; models that ship have theirs beside them.
 
     Raises:
         RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with.
@@ -57,12 +59,15 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
             where=folder,
             how="give a run trained on commands of both",
         )
+    ships, folder = str(folder).startswith(PREFIX), run.folder
     weights = hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
     if run.dynamics.encoder is None:
         return Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed)
     identity = run.pca or _pca_of_dataset(folder)
     if identity is None:
         return Planner("ceiling", folder, run.dynamics, weights=weights, seed=run.seed)
+    if pca is None and ships:
+        pca = folder.parent / "pca.safetensors"
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
     extractor = load_feature_extractor(pca)

@@ -15,6 +15,7 @@ from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
 from offpiste.progress import track
 from offpiste.training.prediction import Lookup
+from offpiste.training.pretrained import run_folder
 from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
 from offpiste.training.train import fold_folders
 
@@ -41,7 +42,7 @@ def evaluate_runs(
     runs: list[Run] = []
     models: list[EvaluatedModel] = []
     for folder in folders:
-        folds = fold_folders(folder)
+        folds = fold_folders(run_folder(folder))
         for number, member in enumerate(folds or [folder]):
             run = load_run(member, device=device)
             split = parse_split(run.split) if folds else None

@@ -12,8 +12,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.evaluation.metrics import label
+from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import Lookup
-from offpiste.training.run import vehicle_of
 
 Reading = tuple[Lookup | None, str | None]
 """Terrain lookup of a model, and the feature set that it reads at recorded places."""

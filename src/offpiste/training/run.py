@@ -15,9 +15,10 @@ from offpiste.checksums import sha256_of
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import MODELS, Dynamics, Vehicle
+from offpiste.dynamics import Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.state import Trajectory
+from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import (
     load_json,
     load_tensors,
@@ -29,6 +30,7 @@ from offpiste.training.checkpoint import (
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
+from offpiste.training.pretrained import PREFIX, run_folder
 
 WEIGHTS = "model.safetensors"
 
@@ -100,10 +102,13 @@ class Run:
 def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     """Read a finished run.
 
+    Args:
+        folder: that `offpiste train` wrote, or `pretrained:NAME`.
+
     Raises:
         RunError: no run there, not finished, damaged, or of another version.
     """
-    folder = Path(folder)
+    folder = run_folder(folder)
     check_device(device)
     if not folder.is_dir():
         raise RunError("no such folder", where=folder, how="give the folder that `offpiste train` wrote")
@@ -131,6 +136,15 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
             raise RunError(f"weights '{name}' are not finite", where=folder, how="train again, or restore the file")
     loss = stated.loss.weights
     return Run(folder, dynamics.eval(), stated.model, stated.seed, loss, scale, stated.split, stated.seen, stated.pca)
+
+
+def pretrained(name: str, *, device: str = "cpu") -> Run:
+    """A model that ships with offpiste, by its name: `pretrained("proving-ground/dc")`.
+
+    Raises:
+        RunError: no model of that name ships.
+    """
+    return load_run(f"{PREFIX}{name}", device=device)
 
 
 def _refuse_impossible(stated: _Stated) -> None:
@@ -253,46 +267,3 @@ def refuse_unfit(run: Run, dataset: Dataset) -> None:
                 where=run.folder,
                 how="evaluate it on a dataset whose rig has the same channels",
             )
-
-
-def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
-    """The vehicle of a dataset, as models know it.
-
-    Args:
-        config: says how much of the features is read, and how long a code is.
-    """
-    rig, config = dataset.rig, config or TrainConfig()
-    return Vehicle(
-        mass=rig.vehicle.mass,
-        wheelbase=rig.vehicle.wheelbase,
-        max_steer=rig.vehicle.max_steer,
-        control=rig.present_controls,
-        actuators=rig.present_actuators,
-        rear_axle=rig.vehicle.rear_axle,
-        features=len(dataset.features),
-        pca=config.pca,
-        codes=config.codes,
-        track=rig.vehicle.track,
-    )
-
-
-def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
-    """An untrained model with initial weights that follow from the seed.
-
-    Raises:
-        RunError: no model of that name, or none with so many features or so long a code.
-    """
-    make = MODELS[model]
-    if vehicle.codes < 1:
-        raise RunError(f"a code of length {vehicle.codes}", how="give --codes 1 or more")
-    if vehicle.features and not 0 <= vehicle.pca <= vehicle.features:
-        raise RunError(
-            f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}", how="give a smaller --pca"
-        )
-    dynamics = make(vehicle, seed=seed)
-    if dynamics.encoder is not None and not vehicle.features:
-        raise RunError(
-            f"model '{model}' reads terrain features and the dataset has none",
-            how="extract with --pca (see fit-pca), or train b",
-        )
-    return dynamics

@@ -22,6 +22,7 @@ from offpiste.dynamics.models import initial_actuators, reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.files import remove_partials
 from offpiste.state import Trajectory
+from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
@@ -29,7 +30,7 @@ from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import predict
-from offpiste.training.run import build, check_device, save_run, vehicle_of
+from offpiste.training.run import check_device, save_run
 from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.training.run import vehicle_of
+from offpiste.training.build import vehicle_of
 from offpiste.training.terrain_sources import encoded, map_terrain, on_map
 
 

@@ -1,0 +1,48 @@
+"""Models that ship: each loads under its name, and drives with the PCA beside it."""
+
+from pathlib import Path
+
+import pytest
+
+import offpiste
+from offpiste.closed_loop.planner import load_planner
+from offpiste.errors import RunError
+from offpiste.file_check import check_paths
+from offpiste.training.pretrained import PREFIX, pretrained_names, run_folder
+
+NAMES = pretrained_names()
+SHIPPED_BYTES = 1_000_000
+
+
+def test_the_models_of_the_proving_ground_ship():
+    assert {"proving-ground/parametric", "proving-ground/b", "proving-ground/dc"} <= {*NAMES}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_is_the_model_that_its_name_says(name):
+    run = offpiste.pretrained(name)
+    assert run.model == {"oracle": "df"}.get(Path(name).name, Path(name).name)
+    assert not Path(run.split.removeprefix("drives:")).is_absolute(), "no path of the machine it was trained on"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_drives_without_further_files(name):
+    planner = load_planner(Path(f"{PREFIX}{name}"))
+    assert planner.dynamics.vehicle.control == ("throttle", "brake", "steer")
+    assert (planner.extractor is not None) == (Path(name).name == "dc")
+
+
+def test_all_are_undamaged_and_small():
+    assert check_paths([Path(f"{PREFIX}{name}") for name in NAMES]) == []
+    folder = run_folder(f"{PREFIX}{NAMES[0]}").parent
+    assert sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) < SHIPPED_BYTES
+
+
+@pytest.mark.parametrize("name", ["proving-ground/none", "", "../training", "proving-ground"])
+def test_an_unknown_name_lists_those_there_are(name):
+    with pytest.raises(RunError, match=r"no model '.*' ships; there are: .*proving-ground/dc"):
+        offpiste.pretrained(name)
+
+
+def test_a_path_stays_one():
+    assert run_folder("runs/dc") == run_folder(Path("runs/dc")) == Path("runs/dc")
