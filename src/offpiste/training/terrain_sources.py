@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
@@ -58,12 +59,17 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     ahead = batch.ground.ahead
     if dynamics.holds_codes:
         ahead = ahead[:, :1].expand_as(ahead)
-    past = replace(batch.history.terrain, latent=codes[batch.ground.past])
+    past = replace(batch.history.terrain, latent=codes_of_cells(codes, batch.ground.past))
     return replace(
         batch,
         history=replace(batch.history, terrain=past),
-        terrain=replace(batch.terrain, latent=codes[ahead]),
+        terrain=replace(batch.terrain, latent=codes_of_cells(codes, ahead)),
     )
+
+
+def codes_of_cells(codes: Float[Tensor, "M n"], cells: Int[Tensor, "*S"]) -> Float[Tensor, "*S n"]:
+    """`codes[cells]`, whose gradient is the same in every process: indexing's adds up in the order threads come."""
+    return functional.embedding(cells, codes)
 
 
 def on_map(
