@@ -1,0 +1,236 @@
+"""Train, evaluate and write the models that ship with offpiste, each with its card.
+
+    python -m experiments.pretrained_models --reproduction results/ --controls controls/
+
+finishes `offpiste reproduce fig4 --size laptop` in `--reproduction` and the control experiment `oracle` in `--controls`
+where they are not, takes of each model the run with the least validation loss, and replaces the folder `--out`.
+"""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool
+
+from experiments.command import run
+from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, runs_of, same_windows
+from experiments.control_experiments.models import trained_seeds
+from experiments.control_experiments.oracle import oracle_control
+from experiments.control_experiments.reproduced import Reproduced, open_reproduction
+from offpiste.conventions import DT
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
+from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
+from offpiste.logs.ground_truth import GROUND_KINDS, read_truth
+from offpiste.reproduction.reproduce import reproduce
+from offpiste.reproduction.settings import ReproductionSettings, sized
+from offpiste.reproduction.steps import claim_folder
+from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.run import WEIGHTS, Run, load_run
+
+FAMILY: Final = "proving-ground"
+BASELINE: Final = "b"
+SPEEDS: Final = (1.5, 3.0, 5.0, 7.0, np.inf)
+"""Bounds of the groups by speed [m/s]."""
+FEWEST: Final = 30
+"""Groups of fewer windows are left out."""
+
+ABOUT: Final = {
+    "parametric": "Actuator lags and a dynamic bicycle with fitted constants; it does not see the ground.",
+    "b": "`parametric` with its forces corrected by a recurrent network that does not see the ground: the baseline.",
+    "dc": "`b` that reads visual terrain features under each wheel, trained on features from random viewing distances.",
+    "oracle": "`df` on the simulator's own friction, stiffness and resistances: what knowing the ground could bring.",
+}
+NOT_FOR: Final = (
+    "A real vehicle. All data are simulated: one vehicle of 1150 kg, its camera and LiDAR without errors.",
+    "Other mountings, image sizes or backbones than those of the rig `proving_ground`, where a model sees the ground.",
+    "Starts below 1.5 m/s, reversing, or speeds above 8 m/s, which training hardly holds.",
+    "A safety function of any kind. Rollovers and collisions are not among what it predicts.",
+)
+
+
+@dataclass(frozen=True)
+class PretrainedModels:
+    """Train, evaluate and write the models that ship; what is finished is used again."""
+
+    reproduction: Path = Path("results")
+    """Folder of `offpiste reproduce fig4 --size laptop`."""
+    controls: Path = Path("controls")
+    """Folder of the control experiments."""
+    out: Path = Path("src/offpiste/pretrained_models") / FAMILY
+    """Folder that is replaced."""
+
+    def run(self) -> str:
+        """Make what is missing, choose, evaluate, write."""
+        reproduce(ReproductionSettings("fig4", sized("laptop"), self.reproduction))
+        of = open_reproduction(self.reproduction)
+        claim_folder(self.controls, {"reproduction": str(self.reproduction.resolve())})
+        oracle_control(of, self.controls, of.size.seeds)
+        models = list(candidates(of, self.controls))
+        groups = list(groups_of(of))
+        shutil.rmtree(self.out, ignore_errors=True)
+        blind = next(model for model in models if model.name == BASELINE)
+        for model in models:
+            _copy(model.best.folder, self.out / model.name)
+            write_card(self.out / model.name, card_of(model, None if model is blind else blind, groups, of.dataset))
+        shutil.copy(of.pca, self.out / "pca.safetensors")
+        return f"written: {self.out}"
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Runs of a model, of which the best ships.
+
+    Attributes:
+        name: under which it ships.
+        runs, errors: by seed; errors on the map, on the same windows for all models.
+    """
+
+    name: str
+    runs: Sequence[Run]
+    errors: Sequence[Errors]
+
+    @property
+    def chosen(self) -> int:
+        """Which run has the least validation loss."""
+        return int(np.argmin([validation_loss(each.folder) for each in self.runs]))
+
+    @property
+    def best(self) -> Run:
+        """The run that ships."""
+        return self.runs[self.chosen]
+
+
+def candidates(of: Reproduced, controls: Path) -> Iterator[Candidates]:
+    """All models that ship, evaluated on the reproduction's test windows."""
+    windows, size = Windows(of.dataset, "test"), of.size
+    index = evaluation_index(windows, MAP, size.stride)
+    config = of.member("parametric").config(size, 0, "cpu")
+    parametric = trained_seeds(of.dataset, config, of.folder / "runs", size.seeds)
+    truth = Windows(open_dataset(controls / "oracle" / "dataset.zarr"), "test")
+    there = same_windows(windows, index, truth)
+    oracle = [load_run(path.parent) for path in sorted((controls / "oracle" / "runs").glob("df-*/model.json"))]
+    for name, runs, mine, places, kept in (
+        ("parametric", parametric, windows, index, controls / "evaluated"),
+        (BASELINE, of.runs(BASELINE), windows, index, controls / "evaluated"),
+        ("dc", of.runs("dc"), windows, index, controls / "evaluated"),
+        ("oracle", oracle, truth, there, controls / "evaluated" / "oracle"),
+    ):
+        yield Candidates(name, runs, [errors_of(each, mine, places, MAP, scale=of.scale, kept=kept) for each in runs])
+
+
+def validation_loss(folder: Path) -> float:
+    """Least validation loss of a run's last stage.
+
+    Raises:
+        RunError: the run has no record of it.
+    """
+    path = folder / "metrics.jsonl"
+    try:
+        lines = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+        return min(float(line["validation_loss"]) for line in lines if line["stage"] == lines[-1]["stage"])
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise RunError(f"has no validation loss ({error!r})", where=path, how="train again") from error
+
+
+def groups_of(of: Reproduced) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
+    """Names of groups of the evaluated windows, and which windows are in each: all, by speed, by kind of ground."""
+    windows = Windows(of.dataset, "test")
+    index = evaluation_index(windows, MAP, of.size.stride)
+    drive, row = windows.drive[index], windows.row_in_drive(index)
+    speed, kind = np.zeros(len(index)), np.zeros(len(index), np.int64)
+    for number in np.unique(drive):
+        mine = drive == number
+        stored = of.dataset.drives[number]
+        speed[mine] = np.asarray(stored.rows.state_causal)[row[mine], 3]
+        truth = read_truth(of.folder / "logs" / f"{stored.name}.mcap")
+        times = np.asarray(stored.rows.time)[row[mine]]
+        nearest = np.abs(truth.time[:, None] - times[None]).argmin(axis=0)
+        kind[mine] = [np.bincount(wheels).argmax() for wheels in truth.kind[nearest]]
+    yield "all", np.ones(len(index), bool)
+    for low, high in pairwise(SPEEDS):
+        text = f"at {low:g} to {high:g} m/s" if np.isfinite(high) else f"above {low:g} m/s"
+        yield text, (speed >= low) & (speed < high)
+    for number, name in enumerate(GROUND_KINDS):
+        yield f"on {name.replace('_', ' ')}", kind == number
+
+
+def card_of(
+    model: Candidates,
+    blind: Candidates | None,
+    groups: Sequence[tuple[str, Bool[np.ndarray, " n"]]],
+    dataset: Dataset,
+) -> ModelCard:
+    """The card of the run that ships.
+
+    Args:
+        blind: the baseline that it is compared with.
+        groups: names, and which windows are in each.
+    """
+    base = None if blind is None else [blind.errors[blind.chosen]]
+    mine = [model.errors[model.chosen]]
+    figures = [figures_of(name, mine, base, chosen) for name, chosen in groups if chosen.sum() >= FEWEST]
+    seconds = [DT * sum(int((drive.part == part).sum()) for drive in dataset.drives) for part in range(len(PARTS))]
+    counts = [sum(bool((drive.part == part).any()) for drive in dataset.drives) for part in range(len(PARTS))]
+    kind = "simulated driving, every drive in a world of its own"
+    return ModelCard(
+        name=f"{FAMILY}/{model.name}",
+        about=ABOUT[model.name],
+        trained_on=f"{seconds[0] / 60:.0f} minutes of {kind} ({counts[0]} worlds); epochs were chosen on"
+        f" {seconds[1] / 60:.0f} minutes in {counts[1]} other worlds",
+        evaluated_on=f"{seconds[2] / 60:.0f} minutes of {kind} ({counts[2]} worlds), none of them trained or chosen on",
+        seed=model.best.seed,
+        seeds=tuple(each.seed for each in model.runs),
+        commit=_commit(),
+        date=datetime.now(UTC).date().isoformat(),
+        figures=tuple(figures),
+        over_seeds=figures_of("all", model.errors, None if blind is None else blind.errors, groups[0][1]),
+        not_for=NOT_FOR,
+    )
+
+
+def figures_of(
+    name: str, mine: Sequence[Errors], base: Sequence[Errors] | None, chosen: Bool[np.ndarray, " n"]
+) -> GroupFigures:
+    """Figures of some of the windows, over all given runs.
+
+    Args:
+        base: of the baseline, with as many seeds.
+    """
+    index = np.flatnonzero(chosen)
+    errors = runs_of([each.take(index) for each in mine])
+    drawn = Sampling().on(errors)
+    error = summary(errors.distance(), drawn)
+    gain = None
+    if base is not None:
+        gain = relative(errors.distance(), runs_of([each.take(index) for each in base]).distance(), drawn)
+    levels = drawn.levels(len(errors.runs))
+    return GroupFigures(name, len(index), levels, PairedDifference(error.mean, error.ci95), gain)
+
+
+def _copy(run_folder: Path, to: Path) -> None:
+    """Copy weights and description, without what tells of the machine that trained them."""
+    to.mkdir(parents=True)
+    shutil.copy(run_folder / WEIGHTS, to / WEIGHTS)
+    about = {key: value for key, value in load_json(run_folder / "model.json").items() if key != "sha256"}
+    save_json(to / "model.json", {**about, "dataset": "", "split": "drives:parts.txt"})
+
+
+def _commit() -> str:
+    command = ["git", "describe", "--always", "--dirty"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+if __name__ == "__main__":
+    run(PretrainedModels)

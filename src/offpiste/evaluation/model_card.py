@@ -1,0 +1,117 @@
+"""Cards of trained models: what a model was trained on, how well it predicts, and what it must not be used for."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from offpiste.errors import RunError
+from offpiste.evaluation.intervals import Levels, PairedDifference
+from offpiste.files import write_text
+from offpiste.report.text_table import TextTable, interval, number
+
+CARD, PAGE = "card.json", "card.md"
+"""Files in the run's folder: for programs, and for people."""
+
+
+class GroupFigures(msgspec.Struct, frozen=True):
+    """Mean distance error after 5 s on a group of windows, on the map at predicted places.
+
+    Attributes:
+        group: in words: "all", "5 to 7 m/s", "gravel".
+        windows: number of them.
+        levels: what the intervals are drawn from.
+        error_m: mean and 95 % interval [m].
+        against_b: relative to the `b` that ships beside it on the same windows: -0.1 is 10 % below.
+    """
+
+    group: str
+    windows: int
+    levels: Levels
+    error_m: PairedDifference
+    against_b: PairedDifference | None = None
+
+
+class ModelCard(msgspec.Struct, frozen=True):
+    """Card of a trained model.
+
+    Attributes:
+        name: under which it ships.
+        about: what it is, in a sentence.
+        trained_on, evaluated_on: data, in words.
+        seed: of this run; the one of the least validation loss among `seeds`.
+        commit, date: of the code that trained it, and when the card was written.
+        figures: of this run, by group.
+        over_seeds: of the runs of all seeds, on all windows.
+        not_for: what it must not be used for.
+    """
+
+    name: str
+    about: str
+    trained_on: str
+    evaluated_on: str
+    seed: int
+    seeds: tuple[int, ...]
+    commit: str
+    date: str
+    figures: tuple[GroupFigures, ...]
+    over_seeds: GroupFigures
+    not_for: tuple[str, ...]
+    licence: str = "Apache-2.0"
+
+
+def load_card(folder: Path) -> ModelCard:
+    """The card in a run's folder.
+
+    Raises:
+        RunError: there is none, or it is damaged.
+    """
+    path = folder / CARD
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=ModelCard)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise RunError(f"has no card that can be read ({error})", where=path, how="install offpiste again") from error
+
+
+def write_card(folder: Path, card: ModelCard) -> None:
+    """Write card.json and card.md into a run's folder."""
+    write_text(folder / CARD, msgspec.json.format(msgspec.json.encode(card), indent=1).decode() + "\n")
+    write_text(folder / PAGE, card_page(card))
+
+
+def card_page(card: ModelCard) -> str:
+    """The card as Markdown."""
+    facts = {
+        "Trained on": card.trained_on,
+        "Evaluated on": card.evaluated_on,
+        "This run": f"seed {card.seed}, of the least validation loss among seeds {', '.join(map(str, card.seeds))}",
+        "Code": f"commit {card.commit}",
+        "Written": card.date,
+        "Licence": card.licence,
+    }
+    lines = [f"# {card.name}", "", card.about, "", *(f"- **{name}**: {text}" for name, text in facts.items()), ""]
+    lines += ["## How well it predicts", "", figures_table(card).markdown()]
+    lines += ["## What it must not be used for", "", *(f"- {use}" for use in card.not_for), ""]
+    return "\n".join(lines)
+
+
+def figures_table(card: ModelCard) -> TextTable:
+    """Figures by group, a line each; that of all seeds first."""
+    rows = [("all, over all seeds", card.over_seeds), *((figures.group, figures) for figures in card.figures)]
+    lines = tuple((name, *_cells(figures)) for name, figures in rows)
+    about = (
+        "Mean distance error after 5 s, from the causal start, on the map as the vehicle had it, at predicted places; "
+        "95 % intervals. Speed and kind of ground are those at a window's start."
+    )
+    names = ("windows that start", "number", "intervals over", "error [m]", "against `b`")
+    return TextTable("Errors by group", names, lines, about)
+
+
+def _cells(figures: GroupFigures) -> Sequence[str]:
+    error, gain = figures.error_m, figures.against_b
+    against = ""
+    if gain is not None:
+        low, high = (100 * bound for bound in gain.ci95)
+        against = f"{100 * gain.mean:+.0f} % {interval((low, high), 0)}"
+    text = f"{number(error.mean)} {interval(error.ci95)}"
+    return (str(figures.windows), figures.levels.text(), text, against)

@@ -1,0 +1,52 @@
+"""Cards of models: written, read, damaged, and as a page."""
+
+import msgspec
+import pytest
+
+from offpiste.errors import RunError
+from offpiste.evaluation.intervals import Levels, PairedDifference
+from offpiste.evaluation.model_card import CARD, PAGE, GroupFigures, ModelCard, card_page, load_card, write_card
+
+ALL = GroupFigures(
+    "all", 640, Levels(12, 60), PairedDifference(3.04, (2.5, 3.5)), PairedDifference(-0.24, (-0.3, -0.2))
+)
+CARD_OF_ONE = ModelCard(
+    name="here/dc",
+    about="A model.",
+    trained_on="some driving",
+    evaluated_on="other driving",
+    seed=2,
+    seeds=(0, 1, 2),
+    commit="abc",
+    date="2026-11-22",
+    figures=(ALL, msgspec.structs.replace(ALL, group="on gravel", windows=40, against_b=None)),
+    over_seeds=msgspec.structs.replace(ALL, levels=Levels(12, 60, 3)),
+    not_for=("A real vehicle.",),
+)
+
+
+def test_a_card_is_read_as_it_was_written(tmp_path):
+    write_card(tmp_path, CARD_OF_ONE)
+    assert load_card(tmp_path) == CARD_OF_ONE
+    assert (tmp_path / PAGE).read_text("utf-8") == card_page(CARD_OF_ONE)
+
+
+def test_the_page_says_all():
+    page = card_page(CARD_OF_ONE)
+    assert page.startswith("# here/dc\n")
+    for text in ("seed 2, of the least validation loss among seeds 0, 1, 2", "A real vehicle.", "Apache-2.0"):
+        assert text in page
+    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    (gravel,) = (row for row in rows if "on gravel" in row)
+    assert "| 40 |" in gravel
+    assert "-24" not in gravel
+    assert sum("-24 % [-30, -20]" in row for row in rows) == 2
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{}", b'{"name": 3}', b"\xff"])
+def test_no_card_is_one_line(tmp_path, content):
+    if content is not None:
+        (tmp_path / CARD).write_bytes(content)
+    with pytest.raises(RunError, match="has no card that can be read") as error:
+        load_card(tmp_path)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,45 @@
+"""Choice and figures of models that ship."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.pretrained_models import figures_of, validation_loss
+from offpiste.errors import RunError
+from offpiste.evaluation.errors import Errors
+
+
+def errors(distance):
+    """Windows of four drives whose distance errors after 5 s are given."""
+    n = len(distance)
+    values = np.zeros((n, 5, 5))
+    values[:, -1, 0] = distance
+    return Errors(np.repeat(np.arange(4), n // 4), np.tile(np.arange(n // 4) * 1000, 4), values, np.ones(n))
+
+
+def test_figures_are_of_the_windows_in_the_group_alone():
+    base, mine = errors(np.full(40, 2.0)), errors(np.where(np.arange(40) % 2, 1.0, 3.0))
+    odd = np.arange(40) % 2 == 1
+    found = figures_of("odd", [mine], [base], odd)
+    assert (found.group, found.windows, found.levels.drives) == ("odd", 20, 4)
+    assert found.error_m.mean == pytest.approx(1.0)
+    assert found.against_b.mean == pytest.approx(-0.5)
+    assert figures_of("even", [mine], None, ~odd).error_m.mean == pytest.approx(3.0)
+    assert figures_of("even", [mine], None, ~odd).against_b is None
+    assert figures_of("all", [mine, base], [base, base], np.ones(40, bool)).levels.seeds == 2
+
+
+def test_the_validation_loss_is_that_of_the_last_stage(tmp_path):
+    lines = [("bicycle", 0.5), ("model", 3.0), ("model", 2.0), ("model", 2.5)]
+    text = "".join(json.dumps({"stage": stage, "validation_loss": loss}) + "\n" for stage, loss in lines)
+    (tmp_path / "metrics.jsonl").write_text(text)
+    assert validation_loss(tmp_path) == 2.0
+
+
+@pytest.mark.parametrize("content", [None, "", "no json", "{}", "[]"])
+def test_a_run_without_a_record_is_one_line(tmp_path, content):
+    if content is not None:
+        (tmp_path / "metrics.jsonl").write_text(content)
+    with pytest.raises(RunError, match="has no validation loss"):
+        validation_loss(tmp_path)
