@@ -29,6 +29,8 @@ PLANNER = Planner("parametric", Path("nowhere"), parametric())
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
     out = tmp_path_factory.mktemp("closed-loop") / "drive"
+    out.mkdir()
+    (out / ".drive.png.left.partial").write_bytes(b"of a drive that was killed")
     return drive_course(PLANNER, SETTINGS, out), out
 
 
@@ -48,6 +50,7 @@ def test_what_is_written_can_be_read(driven):
     result = json.loads((out / "result.json").read_text())
     assert (result["planner"], result["fault_start"], result["sensors"]) == ("parametric", 10.0, "light")
     assert set(NEEDED) <= set(result), "what resuming needs of a result"
+    assert sorted(file.name for file in out.iterdir()) == ["drive.mcap", "drive.png", "result.json"]
     assert (out / "drive.png").stat().st_size > 10_000
     drive = read_drive(out / "drive.mcap", load_rig("proving_ground"))
     recorded = drive.channels["throttle"]

@@ -16,7 +16,7 @@ from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
 from offpiste.errors import OffpisteError
-from offpiste.files import write_text, write_whole
+from offpiste.files import remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
@@ -112,6 +112,7 @@ def drive_course(
         seed=settings.world.seed,
     )
     out.mkdir(parents=True, exist_ok=True)
+    remove_partials(out)
     driving = drive_planned(
         runtime, world, parameters, chosen.start, suite, rig, out / "drive.mcap",
         seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene,
