@@ -74,7 +74,7 @@ def test_functions_fit_on_a_screen():
     assert not long, long
 
 
-@pytest.mark.parametrize("file", [*SOURCES, *sorted(ROOT.glob("docs/*.md")), ROOT / "README.md"], ids=str)
+@pytest.mark.parametrize("file", [*SOURCES, *sorted(ROOT.glob("docs/**/*.md")), ROOT / "README.md"], ids=str)
 def test_the_words_are_those_of_the_field(file):
     text = file.read_text("utf-8")
     if file.suffix == ".py":

@@ -59,7 +59,9 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         elif not in_code:
             if (found := BLOCK.match(line)) and previous.strip() and not starts_like(previous, found.group(0)):
                 lines.append("")
-            line = LINK.sub(lambda link: link.group(1) + in_site(link.group(2), folder, here) + (link.group(3) or "") + ")", line)
+            line = LINK.sub(
+                lambda link: link.group(1) + in_site(link.group(2), folder, here) + (link.group(3) or "") + ")", line
+            )
         lines.append(line)
         previous = line
     return "\n".join(lines) + "\n"

@@ -1,0 +1,56 @@
+"""Every message that docs/troubleshooting.md quotes is one that the source can print."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
+QUOTED = [message for line in re.findall(r"^#### (.*)$", PAGE, re.MULTILINE) for message in line.split("`")[1::2]]
+
+
+def text_of(node: ast.expr) -> str:
+    """A string of the source, with `…` for what is filled in; "" for other expressions."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+    return ""
+
+
+def strings_of_the_source() -> set[str]:
+    """All strings but docstrings."""
+    found = set()
+    for file in (ROOT / "src" / "offpiste").rglob("*.py"):
+        tree = ast.parse(file.read_text("utf-8"))
+        stated = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        found |= {text_of(node) for node in ast.walk(tree) if isinstance(node, ast.expr) and id(node) not in stated}
+    return found
+
+
+STRINGS = strings_of_the_source()
+
+
+def occurs(message: str) -> bool:
+    """Whether a message, or a line that contains it, is a string of the source; `…` stands for anything filled in."""
+    pattern = re.compile(r"(?:.*…)?" + re.escape(message).replace("…", "…+") + r"(?:$|…|[;,: ].*)", re.DOTALL)
+    return any(pattern.fullmatch(text) for text in STRINGS)
+
+
+@pytest.mark.parametrize("message", QUOTED)
+def test_a_quoted_message_occurs_in_the_source(message: str) -> None:
+    assert occurs(message), "the source says something else by now: change the page"
+
+
+def test_a_message_that_is_not_there_is_noticed():
+    assert len(QUOTED) > 60
+    assert len(set(QUOTED)) == len(QUOTED)
+    assert not occurs("no such vehicle")
+    assert not occurs("hardly mov")
+
+
+def test_every_message_is_explained():
+    parts = re.split(r"^#### .*$", PAGE, flags=re.MULTILINE)[1:]
+    assert all(len(part.split("\n## ")[0].split()) >= 8 for part in parts)
