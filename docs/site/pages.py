@@ -29,10 +29,13 @@ LINK = re.compile(r"(\]\()(?!\w+:|#|/)([^)#\s]+)(#[^)\s]*)?\)")
 FENCE = re.compile(r"^\s*```")
 BLOCK = re.compile(r"^(?:[-*] |\d+\. |\|)")
 COMMAND_HELP = "<!-- help -->"
+LOOK = "src/offpiste/report/look.css"
+"""Colours and type of reports, which the site shares."""
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add the pages that are made from files outside of docs/."""
+    """Add the pages that are made from files outside of docs/, and the look of reports."""
+    files.append(File.generated(config, "site/look.css", abs_src_path=str(ROOT / LOOK)))
     for source, page in PAGES.items():
         if (ROOT / source).is_file():
             files.append(File.generated(config, page, content=(ROOT / source).read_text("utf-8")))
