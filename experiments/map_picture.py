@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.visualization.images import colours
+from offpiste.report.feature_colours import colours
 
 _SUN = np.array([-0.5, 0.45, 0.74])
 """Direction to the light: the upper left, as on maps."""
@@ -26,7 +26,7 @@ def map_picture(
     Args:
         around: x, y of the picture's centre, marked in red [m].
         reach: half the side of the picture [m].
-        limits: limits of the colours (`visualization.images.colour_limits`); this map's own by default.
+        limits: limits of the colours (`report.feature_colours.colour_limits`); this map's own by default.
         pixels: side of a cell [px].
     """
     ny, nx = layers.elevation.shape

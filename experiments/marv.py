@@ -32,9 +32,10 @@ from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.motion_compensation import transformed
 from offpiste.perception.pca import Moments, fit
 from offpiste.perception.projection import CameraView, project
+from offpiste.report.feature_colours import colour_limits, colours
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource
-from offpiste.visualization.images import beside, colour_limits, colours, overlay, sheet, write_png
+from offpiste.visualization.images import beside, overlay, sheet, write_png
 
 logger = logging.getLogger("experiments")
 

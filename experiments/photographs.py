@@ -19,7 +19,8 @@ from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit
 from offpiste.progress import track
-from offpiste.visualization.images import beside, colour_limits, colours, sheet, write_png
+from offpiste.report.feature_colours import colour_limits, colours
+from offpiste.visualization.images import beside, sheet, write_png
 
 logger = logging.getLogger("experiments")
 

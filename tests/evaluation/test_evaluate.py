@@ -20,10 +20,12 @@ from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import Levels, Sampling
 from offpiste.evaluation.metrics import Headline, ResultRow, pooled_rows, read_metrics, run_rows
-from offpiste.evaluation.report import draw_figures, headline_text, report_page, write_report
+from offpiste.evaluation.report import draw_figures, report_page, write_report
 from offpiste.evaluation.report_figures import REPORT_FIGURES, ReportFigure
-from offpiste.evaluation.report_figures.worst_windows import predict_worst, worst_windows
+from offpiste.evaluation.report_figures.windows import predict_typical, predict_worst
+from offpiste.evaluation.report_headlines import headline_text
 from offpiste.evaluation.report_tables import terminal_table
+from offpiste.evaluation.window_paths import typical_windows, worst_windows
 from offpiste.report.page import render
 from offpiste.rig.rig import parse_rig
 from offpiste.state import ModelState
@@ -173,7 +175,9 @@ def test_worst_windows_do_not_overlap_and_show_every_run(evaluation: Evaluation)
     assert evaluation.shown.reading_label == "slow · map"
     assert [w.error for w in worst] == sorted((w.error for w in worst), reverse=True)
     for i, one in enumerate(worst):
-        assert {label: len(paths) for label, paths in one.predicted.items()} == {"slow": 2, "kinematic": 1}
+        runs = {label: len(paths) for label, paths in one.predicted.items()}
+        assert runs == {"slow": 2, "parametric": 1, "ctrv": 1, "kinematic": 1}
+        assert list(runs)[-1] == "slow", "the model that was named first lies on top"
         assert all(abs(one.time - o.time) > 5.2 for o in worst[i + 1 :] if o.drive == one.drive)
         ends = [np.linalg.norm(path[-1] - one.recorded[-1]) for path in one.predicted["slow"]]
         assert np.mean(ends) == pytest.approx(one.error, abs=1e-3)
@@ -183,7 +187,25 @@ def test_worst_windows_do_not_overlap_and_show_every_run(evaluation: Evaluation)
 def test_at_most_as_many_worst_windows_as_wanted(evaluation: Evaluation) -> None:
     errors = next(iter(evaluation.errors.values()))
     assert len(worst_windows(errors, count=2).row) == 2
-    assert worst_windows(errors).distance()[0] == errors.distance().max()
+    assert worst_windows(errors, count=10).distance()[0] == errors.distance().max()
+
+
+def test_typical_windows_lie_at_the_quartiles_and_show_where_the_drive_went(evaluation: Evaluation) -> None:
+    errors = evaluation.errors[evaluation.shown]
+    chosen, shares = typical_windows(errors, (0.25, 0.5), each=2)
+    assert shares == [0.25, 0.25, 0.5, 0.5]
+    ranks = np.searchsorted(np.sort(errors.distance()), chosen.distance()) / len(errors.row)
+    np.testing.assert_allclose(ranks, shares, atol=0.15)
+    typical = predict_typical(evaluation)
+    assert [window.note for window in typical[::2]] == ["lower quartile", "median", "upper quartile"]
+    for window in typical:
+        assert window.ground is None, "the dataset has no features"
+        recorded = window.recorded[::50] - window.centre
+        assert np.abs(recorded).max() < window.half
+        away = np.linalg.norm(window.driven[:, None] - window.recorded[None, ::50], axis=2)
+        assert np.nanmin(away, axis=0).max() < 0.6, "the drive went where it was recorded"
+    failed = replace(errors, values=np.full_like(errors.values, np.inf))
+    assert len(typical_windows(failed, (0.5,), each=2)[0].row) == 0
 
 
 class Page(HTMLParser):
@@ -212,14 +234,18 @@ def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_pa
         "metrics.json",
         "report.html",
         "speed.png",
+        "typical.png",
         "worst.png",
     ]
     text = (tmp_path / "report" / "report.html").read_text("utf-8")
     page = Page(text)
-    assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", re.sub(r"base64,[^\"]*", "", text))
-    assert not {"script", "link", "iframe", "object"} & {tag for tag, _ in page.tags}
+    without = re.sub(r'(id="plotly">|base64,)[^"<]*', "", text)
+    assert not re.search(r"https?://|[^:]//[a-z]+\.|@import|url\(", without)
+    assert not {"link", "iframe", "object"} & {tag for tag, _ in page.tags}
+    assert not any("src" in attributes for tag, attributes in page.tags if tag == "script")
+    assert text.count('<script type="application/json">') == 6, "every figure has charts"
     sources = [attributes["src"] for _, attributes in page.tags if "src" in attributes]
-    assert len(sources) == 5
+    assert len(sources) == 6
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert all(attributes.get("alt") for tag, attributes in page.tags if tag == "img")
     assert "x &lt; y" in text
@@ -231,7 +257,7 @@ def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_pa
 def test_figures_stand_in_their_sections_and_one_with_nothing_to_draw_is_left_out(
     evaluation: Evaluation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert len(REPORT_FIGURES) == 5
+    assert len(REPORT_FIGURES) == 6
     added = {"none": ReportFigure("Nothing", "", lambda evaluation: None)}
     added["one"] = ReportFigure("Distribution", "a caption", lambda evaluation: Figure())
     added["two"] = ReportFigure("Something else", "another", lambda evaluation: Figure())

@@ -30,4 +30,4 @@ def test_the_report_has_the_figure_of_an_extension(tmp_path: Path) -> None:
     assert "by the yaw rate at the start; every bin holds as many windows.</figcaption>" in page
     headings = [part.partition("</h2>")[0] for part in page.split("<h2>")[1:]]
     assert headings[-3:] == ["Worst windows", "Error by yaw rate", "How to read this"]
-    assert page.count("data:image/png;base64,") == 6
+    assert page.count("data:image/png;base64,") == page.count('<figure class="charts">') == 7

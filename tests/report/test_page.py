@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from offpiste.report.page import Page, Picture, Section, render, table_section, write_page
+from offpiste.report.chart import Chart
+from offpiste.report.page import Card, Page, Picture, Section, render, table_section, write_page
 from offpiste.report.text_table import Cell, TextTable
 
 TABLE = TextTable(
@@ -51,4 +52,38 @@ def test_a_page_needs_no_other_file(tmp_path: Path) -> None:
     assert (tmp_path / "box.png").read_bytes() == b"\x89PNG"
     text = (tmp_path / "report.html").read_text("utf-8")
     assert "data:image/png;base64,iVBORw==" in text
-    assert not any(word in text for word in ("<script", "<link", "http"))
+    assert not any(word in text for word in ("<script", "<link", "http", "url(", "@import"))
+
+
+CHARTS = Page(
+    "charts",
+    ["first"],
+    {},
+    [Section("a", pictures=[Picture("a", b"\x89PNG", "a", [Chart(100, [{"name": "</script>"}])]), PICTURE])],
+    [Card("<b>", "1.2 m", "error", "3 % below", "better", "mean", "#0072b2")],
+)
+
+
+def test_a_page_with_charts_holds_them_and_what_draws_them_once() -> None:
+    text = render(CHARTS)
+    assert text.count('<figure class="charts">') == 1
+    assert text.count("data:image/png;base64,") == 2, "a browser without scripts shows all pictures"
+    assert text.count('id="plotly"') == 1
+    assert text.count("</script>") == text.count("<script") == 3
+    assert not any(word in text for word in ("<link", "http:", "https:", 'src="/', "@import"))
+
+
+def test_cards_stand_below_the_headline_and_are_escaped() -> None:
+    text = render(CHARTS)
+    assert text.index("first</p>") < text.index("&lt;b&gt;") < text.index("1.2 m")
+    assert '<p class="better">3 % below</p>' in text
+    assert "--colour: #0072b2" in text
+
+
+def test_pages_find_their_way_from_three_sections_on() -> None:
+    sections = [Section(name) for name in "abc"]
+    assert "<nav>" not in render(Page("t", [], {}, sections[:2]))
+    text = render(Page("t", [], {}, sections))
+    for number in (1, 2, 3):
+        assert f'<a href="#part-{number}">' in text
+        assert f'<section id="part-{number}">' in text

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from offpiste.perception.patch_grid import PatchGrid
-from offpiste.visualization.images import beside, colour_limits, colours, sheet, write_png
+from offpiste.report.feature_colours import colour_limits, colours
+from offpiste.visualization.images import beside, sheet, write_png
 
 
 def test_percentiles_span_the_colours():

@@ -39,70 +39,7 @@ def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     return result
 
 
-def legend_beside(axes: Axes, ends: Mapping[str, float] | None = None) -> None:
-    """Add a legend to the right, where it hides nothing; in the order of the curves' ends where they are given."""
-    handles, labels = axes.get_legend_handles_labels()
-    height = ends or {}
-    order = sorted(range(len(labels)), key=lambda i: -height.get(labels[i], np.inf))
-    axes.legend(
-        [handles[i] for i in order],
-        [labels[i] for i in order],
-        frameon=False,
-        fontsize=8,
-        loc="upper left",
-        bbox_to_anchor=(1.0, 1.0),
-    )
-
-
 MEDIAN, MEAN = "#1a7f37", "#d95f02"
-
-
-def box_plot(
-    errors: Mapping[str, Float[np.ndarray, " n"]], *, quantity: str = "Distance error after 5 s [m]", title: str = ""
-) -> Figure:
-    """Box plot of errors by model, in the paper's form (Fig. 3 and 4).
-
-    Boxes reach from the lower to the upper quartile, whiskers to the last value within 1.5 IQR of them; the whiskers'
-    ends are given by the values with arrows. Green: median; orange: mean. Failed predictions are counted below; they
-    are in the quartiles, and a model that has any has no mean.
-
-    Args:
-        errors: by label; infinite where a prediction failed.
-    """
-    figure, axes = single(1.3 + 1.25 * max(len(errors), 3), 4.4, title)
-    boxes = [box_statistics(label, values) for label, values in errors.items()]
-    drawn = axes.bxp(
-        boxes,
-        showfliers=False,
-        showmeans=True,
-        meanline=True,
-        patch_artist=True,
-        widths=0.5,
-        # The median lies on the mean, thinner, so that both are seen where they are equal.
-        medianprops={"color": MEDIAN, "linewidth": 1.6, "zorder": 4},
-        meanprops={"color": MEAN, "linewidth": 3.6, "linestyle": "-", "zorder": 3},
-    )
-    for patch, label in zip(drawn["boxes"], errors, strict=True):
-        patch.set(facecolor=colour_of(label), alpha=0.35, edgecolor="none")
-    top = max((box["whishi"] for box in boxes if np.isfinite(box["whishi"])), default=0.0) or 1.0
-    for place, box in enumerate(boxes, start=1):
-        if np.isnan(box["whishi"]):
-            continue
-        low, high = box["whislo"], box["whishi"]
-        # Where the whiskers' ends are close together, the lower number makes room.
-        for end, height in ((low, min(low + 0.05 * top, high - 0.02 * top)), (high, high + 0.05 * top)):
-            axes.annotate(
-                f"{end:.2f}",
-                xy=(place + 0.13, end),
-                xytext=(place + 0.3, height),
-                fontsize=8,
-                arrowprops={"arrowstyle": "-|>", "linewidth": 0.7, "color": "black"},
-            )
-    axes.set(xlim=(0.5, len(boxes) + 0.7), ylim=(-0.03 * top, 1.12 * top), ylabel=quantity)
-    axes.plot([], [], color=MEDIAN, linewidth=1.6, label="median")
-    axes.plot([], [], color=MEAN, linewidth=3.6, label="mean")
-    axes.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    return figure
 
 
 def box_statistics(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from offpiste.evaluation.errors import HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.metrics import Headline, Metrics, pooled_rows, run_rows, write_metrics
+from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, write_metrics
 from offpiste.evaluation.report_figures import REPORT_FIGURES
+from offpiste.evaluation.report_headlines import headline_texts, result_cards
 from offpiste.evaluation.report_tables import (
     component_table,
     difference_table,
@@ -17,9 +19,10 @@ from offpiste.evaluation.report_tables import (
     run_table,
 )
 from offpiste.evaluation.result_rows import REFERENCE
+from offpiste.report.chart import Drawing
 from offpiste.report.figure import png
 from offpiste.report.page import Page, Picture, Section, write_page
-from offpiste.report.text_table import TextTable, interval, number
+from offpiste.report.text_table import TextTable, number
 
 Pictures = dict[str, list[Picture]]
 """Pictures by the heading of their section."""
@@ -35,11 +38,17 @@ def draw_figures(evaluation: Evaluation) -> Pictures:
     """All registered figures for which there is something to draw."""
     pictures: Pictures = {}
     for name, registered in REPORT_FIGURES.items():
-        figure = registered.draw(evaluation)
-        if figure is not None:
-            picture = Picture(name, png(figure), registered.caption)
+        drawn = registered.draw(evaluation)
+        if drawn is not None:
+            picture = _picture(name, drawn, registered.caption)
             pictures.setdefault(registered.section, []).append(picture)
     return pictures
+
+
+def _picture(name: str, drawn: Figure | Drawing, caption: str) -> Picture:
+    if isinstance(drawn, Figure):
+        return Picture(name, png(drawn), caption)
+    return Picture(name, png(drawn.figure()), caption, drawn.charts())
 
 
 def report_page(metrics: Metrics, pictures: Pictures) -> Page:
@@ -48,9 +57,10 @@ def report_page(metrics: Metrics, pictures: Pictures) -> Page:
     notes = Section("How to read this", notes=_notes(metrics))
     return Page(
         f"{models} on {metrics.dataset.rstrip('/').rpartition('/')[2]}",
-        [headline_text(headline) for headline in _deciding(metrics.headlines)],
+        headline_texts(metrics),
         _facts(metrics),
         [*_sections(metrics, pictures), notes],
+        result_cards(metrics),
     )
 
 
@@ -64,31 +74,11 @@ def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
         "Paired differences after 5 s": [difference_table(rows)],
         "Each run after 5 s": [run_table(runs)] if runs else [],
         "Distribution": [distribution_table(rows)],
+        "Typical windows": [],
         "Worst windows": [],
     }
     sections = [Section(name, tables.get(name, []), pictures.get(name, [])) for name in {**tables, **pictures}]
     return [section for section in sections if section.tables or section.pictures]
-
-
-def headline_text(headline: Headline) -> str:
-    """A sentence with the main number."""
-    readings = [f"{headline.start} start"]
-    readings += [f"{headline.lookup} lookup"] if headline.lookup else []
-    readings += [f"mean of {headline.runs} runs"] if headline.runs > 1 else []
-    text = f"{headline.model}: {number(headline.distance_error_m)} m mean distance error after 5 s"
-    if np.isfinite(headline.relative):
-        sign, side = (-1, "below") if headline.relative <= 0 else (1, "above")
-        low, high = sorted(100 * sign * bound for bound in headline.ci95)
-        bounds = f" {interval((low, high), 0)}" if np.isfinite(low) else ""
-        text += f", {100 * abs(headline.relative):.0f} %{bounds} {side} {headline.other}"
-    return f"{text} ({', '.join(readings)})"
-
-
-def _deciding(headlines: Sequence[Headline]) -> list[Headline]:
-    """One headline per model: from the first start, with the terrain lookup that decides."""
-    first = [headline for headline in headlines if headline.start == headlines[0].start]
-    on_map = {headline.model for headline in first if headline.lookup == "map"}
-    return [headline for headline in first if headline.lookup == "map" or headline.model not in on_map]
 
 
 def _facts(metrics: Metrics) -> dict[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from offpiste.files import write_bytes, write_text
+from offpiste.report.chart import Chart, charts_json, plotly_base64
 from offpiste.report.text_table import TextTable
 
 
@@ -20,16 +21,46 @@ class Picture:
         name: of its file beside the page, without the ending.
         png: content of that file.
         caption: text below the picture.
+        charts: what a browser that runs scripts shows in its place.
     """
 
     name: str
     png: bytes
     caption: str
+    charts: Sequence[Chart] = ()
 
     @property
     def base64(self) -> str:
         """The file as text, which the page holds."""
         return base64.b64encode(self.png).decode("ascii")
+
+    @property
+    def json(self) -> str:
+        """The charts as text, which the page holds."""
+        return charts_json(self.charts)
+
+
+@dataclass(frozen=True)
+class Card:
+    """A main result in a box of its own.
+
+    Attributes:
+        name: what the result is of.
+        value: the result with its unit, in large letters.
+        about: what the value is.
+        comparison: the value beside another's.
+        tone: of the comparison: "better", "worse" or neither.
+        note: what else has to be known.
+        colour: of what the result is of, as in figures.
+    """
+
+    name: str
+    value: str
+    about: str
+    comparison: str = ""
+    tone: str = ""
+    note: str = ""
+    colour: str = "var(--op-accent)"
 
 
 @dataclass(frozen=True)
@@ -51,12 +82,19 @@ class Page:
         headlines: main results, the first one in large letters.
         facts: what the results stand on, by name.
         sections: parts of the page in reading order.
+        cards: results side by side below the headlines.
     """
 
     title: str
     headlines: Sequence[str]
     facts: Mapping[str, str]
     sections: Sequence[Section] = field(default=())
+    cards: Sequence[Card] = ()
+
+    @property
+    def interactive(self) -> bool:
+        """Whether the page has charts."""
+        return any(picture.charts for section in self.sections for picture in section.pictures)
 
 
 def table_section(table: TextTable, *pictures: Picture) -> Section:
@@ -66,7 +104,7 @@ def table_section(table: TextTable, *pictures: Picture) -> Section:
 
 def render(page: Page) -> str:
     """The page as HTML."""
-    return _template().render(page=page)
+    return _template().render(page=page, plotly=plotly_base64)
 
 
 def write_page(page: Page, folder: Path) -> list[Path]:

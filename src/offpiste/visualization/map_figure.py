@@ -12,8 +12,8 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.report.feature_colours import colours
 from offpiste.report.figure import INK
-from offpiste.visualization.images import colours
 
 UNKNOWN, FILLED, OBSERVED, FEATURED = range(4)
 """Knowledge of a cell: none; filled from a cell nearby; hit by a LiDAR; seen by a camera."""
@@ -146,7 +146,7 @@ def draw_map(ground: Ground, wheels: Float[np.ndarray, "N 4 2"], limits: Limits 
 
     Args:
         wheels: places of the wheels [m].
-        limits: what is drawn darkest and brightest of the features (`images.colour_limits`); None where
+        limits: what is drawn darkest and brightest of the features (`feature_colours.colour_limits`); None where
             there are none.
     """
     tall = ground.known.shape[0] / max(ground.known.shape[1], 1)

@@ -17,7 +17,7 @@ from offpiste.errors import extra
 from offpiste.mapping.replay import Moment
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.projection import CameraView
-from offpiste.visualization.images import colours
+from offpiste.report.feature_colours import colours
 from offpiste.visualization.map_figure import STEEP, TALL
 from offpiste.visualization.mesh import Tile, cell_centres, grid_triangles, tiles
 

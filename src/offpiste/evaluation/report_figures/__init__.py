@@ -12,9 +12,10 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.result_rows import Case
 from offpiste.registry import Registry
+from offpiste.report.chart import Drawing
 
-Draw = Callable[[Evaluation], Figure | None]
-"""From an evaluation to a figure; None where there is nothing to draw."""
+Draw = Callable[[Evaluation], Figure | Drawing | None]
+"""From an evaluation to a figure, or to what is also drawn in a browser; None where there is nothing to draw."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +70,14 @@ def deciding_errors(evaluation: Evaluation) -> dict[str, Float[np.ndarray, " n"]
 
     Curves of several lookups of one model would lie on each other.
     """
+    return {case.reading_label: evaluation.errors[case].distance() for case in deciding_cases(evaluation)}
+
+
+def deciding_cases(evaluation: Evaluation) -> list[Case]:
+    """Cases of the first start with the terrain lookup that decides: the map where there is one."""
     cases = _ordered_cases(evaluation)
     mapped = {case.label for case in cases if case.lookup == "map"}
-    return {
-        case.reading_label: evaluation.errors[case].distance()
-        for case in cases
-        if case.lookup != "recorded" or case.label not in mapped
-    }
+    return [case for case in cases if case.lookup != "recorded" or case.label not in mapped]
 
 
 def _ordered_cases(evaluation: Evaluation) -> list[Case]:
