@@ -131,5 +131,5 @@ def command_help() -> str:
     for name in commands_in_order():
         command = [sys.executable, "-m", "offpiste", name, "--help"]
         text = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
-        parts += [f"## {name}", "", "```text", text.rstrip(), "```", ""]
+        parts += [f"## {name}", "", "```console", text.rstrip(), "```", ""]
     return "\n".join(parts)
