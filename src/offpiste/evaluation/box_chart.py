@@ -73,7 +73,7 @@ class BoxChart:
         drawn = [(name, box) for name, box in zip(names, boxes, strict=True) if np.isfinite(box["whishi"])]
         traces.append(_means([name for name, _ in drawn], [box for _, box in drawn]))
         x = {"title": {"text": self.quantity}, "range": (0, 1.02 * self._top(boxes))}
-        y = {"categoryorder": "array", "categoryarray": names[::-1], "range": (-0.6, len(names) - 0.4)}
+        y: dict[str, Any] = {"categoryorder": "array", "categoryarray": names[::-1], "range": (-0.6, len(names) - 0.4)}
         y |= {"showgrid": False}
         means = [_number("mean", {"yref": "paper", "y": 1, "yanchor": "bottom"})]
         means += [
@@ -92,7 +92,7 @@ class BoxChart:
 def _write_numbers(axes: Axes, boxes: Sequence[Mapping[str, Any]]) -> None:
     """Medians and means in two columns to the right of the boxes."""
     for column, (name, key, colour) in enumerate((("median", "med", MEDIAN), ("mean", "mean", MEAN))):
-        style = {"color": colour, "fontsize": 9, "ha": "right"}
+        style: dict[str, Any] = {"color": colour, "fontsize": 9, "ha": "right"}
         right = 1.07 + 0.09 * column
         axes.text(right, 1.01, name, transform=axes.transAxes, va="bottom", **style)
         for place, box in enumerate(boxes, start=1):

@@ -88,7 +88,8 @@ def _apart(
     errors: Errors, order: Int[np.ndarray, " n"], count: int, taken: Int[np.ndarray, " m"] | None = None
 ) -> Int[np.ndarray, " k"]:
     """The first `count` windows in this order that share no row with each other, nor with those taken."""
-    used, chosen = list(taken if taken is not None else ()), []
+    used: list[int] = [] if taken is None else taken.tolist()
+    chosen: list[int] = []
     for i in order:
         if len(chosen) == count:
             break
