@@ -89,9 +89,8 @@ controls() {
 
 closed_loop() {
     local runs=("$out"/laptop/runs/{parametric,b,dc}-{0,1,2} "$out"/controls/oracle/runs/df-{0,1,2})
-    for seed in 0 1 2; do
-        train "$out/laptop/dataset.zarr" "$out/laptop/runs/parametric-$seed" --model parametric --bicycle-epochs 12 --seed $seed
-    done
+    step pretrained python -m experiments.pretrained_models --reproduction "$out/laptop" --controls "$out/controls" \
+        --out "$out/pretrained"
     step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
     step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
         --courses 20 --test --out "$out/closed-loop"

@@ -9,20 +9,27 @@ from offpiste.cli.entry import COMMANDS
 @COMMANDS.register("demo")
 @dataclass(frozen=True)
 class Demo:
-    """Run the whole path on simulated drives, from `simulate` to `evaluate` and `drive` (needs the extra `sim`)."""
+    """Show shipped models at work in a new world, in a minute or two; or train some (needs the extra `sim`)."""
 
     out: Path = Path("demo")
     """Folder for everything that it makes."""
-    seconds: float = 60.0
-    """Length of each of seven drives [s]."""
-    epochs: int = 12
-    """Passes over the training windows."""
     seed: int = 0
-    """Seed of the worlds, the drives and the training."""
+    """Seed of the world; with --train of the worlds, the drives and the training."""
+    train: bool = False
+    """Instead walk the whole path: simulate, inspect, fit-pca, extract, train, evaluate, drive; ten minutes."""
+    seconds: float = 60.0
+    """For --train: length of each of seven drives [s]."""
+    epochs: int = 12
+    """For --train: passes over the training windows."""
 
     def run(self) -> int:
-        """Simulate, inspect, fit the PCA, extract, train, evaluate, drive."""
-        from offpiste.demo import DemoSettings, run_demo
+        """Drive, predict, compare; or simulate, train, evaluate, drive."""
+        if self.train:
+            from offpiste.demo.whole_path import DemoSettings, run_demo
 
-        run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed))
+            run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed))
+        else:
+            from offpiste.demo.first_minute import FirstMinuteSettings, run_first_minute
+
+            run_first_minute(self.out, FirstMinuteSettings(self.seed))
         return 0

@@ -16,8 +16,10 @@ from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
 from offpiste.errors import OffpisteError
+from offpiste.evaluation.errors import Progress
 from offpiste.files import remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
+from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.prediction import KnownGround
@@ -82,11 +84,13 @@ def drive_course(
     *,
     world: World | None = None,
     scene: Scene | None = None,
+    track: Progress = track,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
 
     Args:
         world, scene: made from `settings.world`; None to make them here.
+        track: shows progress over the steps.
 
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
@@ -115,7 +119,7 @@ def drive_course(
     remove_partials(out)
     driving = drive_planned(
         runtime, world, parameters, chosen.start, suite, rig, out / "drive.mcap",
-        seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene,
+        seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene, track=track,
     )  # fmt: skip
     trace = trace_of(driving, chosen.course)
     result = _result(planner, settings, chosen, runtime, driving, trace)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from offpiste.closed_loop.faults import Fault
 from offpiste.conventions import ACTUATORS, DT
+from offpiste.evaluation.errors import Progress
 from offpiste.geometry import yaw_rate_from_body_rates
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
@@ -96,6 +97,7 @@ def drive_planned(
     seed: int,
     fault: Fault | None = None,
     scene: Scene | None = None,
+    track: Progress = track,
 ) -> Driving:
     """Let the run time drive, and log every message and every change of mode.
 
@@ -103,6 +105,7 @@ def drive_planned(
         fault: applied to what the run time receives; the log has what the sensors sent.
         seed: seed of noise and light.
         scene: built from the world; None to build it here.
+        track: shows progress over the steps.
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
     sensing, lidars = Sensing(world, suite, light, scene=scene), lidars_of(suite, rig)

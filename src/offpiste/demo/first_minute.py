@@ -1,0 +1,180 @@
+"""The first minute: models that ship, at work in a world that they have never seen.
+
+A vehicle with a camera and a LiDAR is driven through it for some seconds. At every half second, `b`, which does not
+see the ground, and `dc`, which does, predict the next 5 s on the map as the vehicle had it, and what happened decides.
+Then each of them drives the same course.
+"""
+
+import io
+import json
+import logging
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import redirect_stderr
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from offpiste.closed_loop.courses import CourseSettings
+from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
+from offpiste.closed_loop.planner import load_planner
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.map_snapshots import SnapshotSettings
+from offpiste.dataset.splits import write_drives
+from offpiste.dataset.store import drive_names, open_dataset
+from offpiste.demo.comparison import closing_words, comparison_table, predict
+from offpiste.demo.picture import demo_picture
+from offpiste.logs import read_drive
+from offpiste.parallel import Report, run_all, usable_cores
+from offpiste.report.figure import write_png
+from offpiste.reproduction.data import simulate_once
+from offpiste.reproduction.steps import claim_folder
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
+from offpiste.training.pretrained import PREFIX, run_folder
+
+logger = logging.getLogger(__name__)
+
+Item = TypeVar("Item")
+
+FAMILY: Final = "proving-ground"
+MODELS: Final = ("b", "dc")
+DRIVE: Final = "drive"
+RIG: Final = "proving_ground"
+
+FIRST_WORLD: Final = 5000
+"""Seed of the demo's first world; no training, test or course of the project uses seeds from here on."""
+
+
+@dataclass(frozen=True)
+class FirstMinuteSettings:
+    """Settings of the first minute.
+
+    Attributes:
+        seed: the world is that of seed 5000 + `seed`.
+        world: preset.
+        seconds: length of the drive that is predicted [s].
+        snapshot_seconds: between moments that predictions start from [s].
+        course_seconds: longest drive along the course [s].
+        course_speed: target speed there [m/s].
+        course_length: longest course [m].
+        size, resolution: extent and cell size of the world [m].
+    """
+
+    seed: int = 0
+    world: str = "mojave"
+    seconds: float = 20.0
+    snapshot_seconds: float = 0.5
+    course_seconds: float = 20.0
+    course_speed: float = 7.0
+    course_length: float = 90.0
+    size: float = 180.0
+    resolution: float = 0.25
+
+    @property
+    def place(self) -> WorldSettings:
+        """The world that is driven."""
+        return WorldSettings(self.world, FIRST_WORLD + self.seed, size=self.size, resolution=self.resolution)
+
+
+def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int = 0) -> None:
+    """Drive, predict, compare and draw in `out`; finished steps of the same settings are used again.
+
+    Args:
+        processes: drives at a time; 0: one per core.
+
+    Raises:
+        OffpisteError: a step failed, or `out` holds a demo with other settings.
+    """
+    claim_folder(out, {"demo": asdict(settings)})
+    place = settings.place
+    logger.info(
+        f"1/3  In a world that no model has seen ({place.preset}, seed {place.seed}): a drive with camera and LiDAR,"
+        " and one course\n     driven twice, with a model that sees the ground (dc) and with one that does not (b)."
+    )
+    work = partial(do_part, out=out, settings=settings)
+    failed = run_all(work, (DRIVE, *reversed(MODELS)), processes or usable_cores(), "drive")
+    if failed:
+        raise failed[0]
+    logger.info(f"2/3  Both models predict 5 s ahead from every {settings.snapshot_seconds:g} s of the first drive.")
+    dataset = open_dataset(out / "dataset.zarr")
+    predictions = predict(dataset, {model: run_folder(shipped(model)) for model in MODELS})
+    logger.info("3/3  What came of it.\n")
+    title = f"offpiste demo, seed {settings.seed}: {place.preset}, a world that no model has seen"
+    rig = load_rig(RIG)
+    courses = {model: read_drive(out / model / "drive.mcap", rig) for model in MODELS}
+    figure = demo_picture(make_world(place), dataset, predictions, _log(out), courses, title)
+    write_png(out / "demo.png", figure)
+    logger.info(comparison_table(predictions, _results(out)).text())
+    for line in (*closing_words(predictions), "", *_files(out), "", *_commands()):
+        logger.info(line)
+
+
+def do_part(part: str, report: Report, *, out: Path, settings: FirstMinuteSettings) -> str:
+    """Record and extract the drive, or drive the course with a model, unless that is done."""
+    with redirect_stderr(io.StringIO()):  # bars of their own would run into each other
+        return _drive(out, settings) if part == DRIVE else _course(part, report, out, settings)
+
+
+def _drive(out: Path, settings: FirstMinuteSettings) -> str:
+    """Record the drive, and extract it as a dataset whose test part is all of it."""
+    log = _log(out)
+    log.parent.mkdir(exist_ok=True)
+    summary = simulate_once(DriveSettings(settings.place, settings.seconds, settings.seed, sensors="light"), log)
+    if not (out / "dataset.zarr").exists() or not drive_names(out / "dataset.zarr"):
+        split = write_drives(out / "parts.txt", [(log.stem, "test")])
+        snapshots = SnapshotSettings(settings.snapshot_seconds)
+        pca = run_folder(shipped("dc")).parent / "pca.safetensors"
+        make_dataset([log], load_rig(RIG), out / "dataset.zarr", split=split, pca=pca, snapshots=snapshots, processes=1)
+    return f"     {summary}"
+
+
+def _course(model: str, report: Report, out: Path, settings: FirstMinuteSettings) -> str:
+    folder = out / model
+    if (folder / "result.json").exists():
+        return f"     {model}: {described(_results(out)[model])}"
+    shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+    course = CourseSettings(speed=settings.course_speed, length=settings.course_length)
+    drive = CourseDriveSettings(settings.place, settings.course_seconds, course=course)
+    driven = drive_course(load_planner(Path(shipped(model))), drive, folder, track=partial(_reported, report=report))
+    return f"     {model}: {described(driven.result)}"
+
+
+def _reported(items: Iterable[Item], description: str, *, report: Report) -> Iterator[Item]:
+    """The same items, with the share that is done reported."""
+    listed: Sequence[Item] = list(items)
+    for number, item in enumerate(listed):
+        report(number / len(listed))
+        yield item
+
+
+def shipped(model: str) -> str:
+    """Name of a model that ships, as the command line takes it."""
+    return f"{PREFIX}{FAMILY}/{model}"
+
+
+def _log(out: Path) -> Path:
+    return out / "logs" / f"{DRIVE}.mcap"
+
+
+def _results(out: Path) -> dict[str, dict[str, Any]]:
+    there = [model for model in MODELS if (out / model / "result.json").exists()]
+    return {model: json.loads((out / model / "result.json").read_text("utf-8")) for model in there}
+
+
+def _files(out: Path) -> Iterator[str]:
+    yield f"picture: {out / 'demo.png'}"
+    yield f"logs (ROS 2): {_log(out)}, {', '.join(str(out / model / 'drive.mcap') for model in MODELS)}"
+
+
+def _commands() -> Iterator[str]:
+    yield "Next:"
+    for command, what in (
+        (f"offpiste drive {shipped('dc')} --world dunes --seed 7", "another course, with a shipped model"),
+        ("offpiste inspect YOUR_LOG", "is a log of your own vehicle fit for this?"),
+        ("offpiste demo --train --out trained", "the whole path: drive, extract, train, evaluate"),
+    ):
+        yield f"  {command:<66} {what}"

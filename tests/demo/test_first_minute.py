@@ -1,0 +1,107 @@
+"""The first minute: whole and again, its words, and a drive that ends too early."""
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from offpiste.demo.comparison import Predictions, closing_words, comparison_table
+from offpiste.demo.first_minute import FIRST_WORLD, MODELS, FirstMinuteSettings, run_first_minute, shipped
+from offpiste.errors import OffpisteError
+from offpiste.evaluation.model_card import load_card
+from offpiste.training.pretrained import run_folder
+
+SMALL = FirstMinuteSettings(
+    seconds=8.0,
+    snapshot_seconds=1.0,
+    course_seconds=1.0,
+    course_speed=5.0,
+    course_length=60.0,
+    size=120.0,
+    resolution=0.5,
+)
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("demo")
+    run_first_minute(out, SMALL, processes=1)
+    return out
+
+
+def test_it_leaves_a_picture_the_logs_and_the_results(shown: Path) -> None:
+    assert cv2.imread(str(shown / "demo.png")).shape[1] > 1000
+    assert (shown / "logs" / "drive.mcap").stat().st_size > 100_000
+    for model in MODELS:
+        result = json.loads((shown / model / "result.json").read_text("utf-8"))
+        assert result["planner"] == model
+        assert (result["world"], result["seed"]) == ("mojave", FIRST_WORLD)
+
+
+def test_again_nothing_is_driven_anew_and_it_says_the_same(shown: Path, caplog: pytest.LogCaptureFixture) -> None:
+    before = {file: file.stat().st_mtime_ns for file in shown.rglob("*.mcap")}
+    with caplog.at_level(logging.INFO, "offpiste"):
+        run_first_minute(shown, SMALL, processes=1)
+    assert {file: file.stat().st_mtime_ns for file in shown.rglob("*.mcap")} == before
+    text = "\n".join(caplog.messages)
+    for said in (
+        "predicted place after 5 s, off by [m]",
+        "Here, from ",
+        "Usual is ",
+        str(shown / "demo.png"),
+        "Next:",
+    ):
+        assert said in text
+
+
+def test_another_demo_in_its_folder_is_refused(shown: Path) -> None:
+    with pytest.raises(OffpisteError, match="other settings"):
+        run_first_minute(shown, replace(SMALL, seed=1))
+
+
+def test_a_drive_without_a_moment_to_predict_from_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(OffpisteError, match="too early to predict 5 s; take another world with --seed"):
+        run_first_minute(tmp_path, replace(SMALL, seconds=3.0), processes=1)
+
+
+def predictions(b: float, dc: float) -> Predictions:
+    """Of one moment, off by so much after 5 s [m]."""
+    recorded = np.zeros((1, 250, 2))
+    paths = {"b": recorded + np.array([b, 0.0]), "dc": recorded + np.array([0.0, dc])}
+    return Predictions(np.array([0]), recorded, paths, {"dc": run_folder(shipped("dc"))})
+
+
+def test_the_words_say_who_was_nearer_here_and_what_is_usual() -> None:
+    here, usual = closing_words(predictions(4.0, 3.0))
+    assert "dc's predictions end 25 % nearer to where" in here
+    assert "3.00 m off after 5 s instead of 4.00 m" in here
+    gain = load_card(run_folder(shipped("dc"))).over_seeds.against_b
+    assert usual.startswith(f"Usual is {-100 * gain.mean:.0f} % [{-100 * gain.ci95[1]:.0f}, {-100 * gain.ci95[0]:.0f}]")
+    assert "50 % farther from where" in next(iter(closing_words(predictions(2.0, 3.0))))
+
+
+def test_the_table_has_both_models_side_by_side() -> None:
+    result = {
+        "time_s": 20.0,
+        "mean_path_error_m": 0.5,
+        "worst_path_error_m": 1.0,
+        "mean_speed_error_mps": 2.0,
+        "rollover": False,
+        "collision": False,
+        "stuck": False,
+        "finished": False,
+        "progress_m": 40.0,
+        "course_m": 90.0,
+    }
+    text = comparison_table(predictions(4.0, 3.0), {"b": result, "dc": result | {"stuck": True}}).text()
+    lines = {
+        line.split("│")[1].strip(): [c.strip() for c in line.split("│")[2:4]]
+        for line in text.splitlines()
+        if "│" in line
+    }
+    assert lines["predicted place after 5 s, off by [m]"] == ["4.00", "3.00"]
+    assert lines["end of the drive"] == ["after 40 of 90 m", "stuck"]
