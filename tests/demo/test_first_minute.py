@@ -36,6 +36,9 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_leaves_a_picture_the_logs_and_the_results(shown: Path) -> None:
     assert cv2.imread(str(shown / "demo.png")).shape[1] > 1000
     assert (shown / "logs" / "drive.mcap").stat().st_size > 100_000
+    outcome = json.loads((shown / "demo.json").read_text("utf-8"))
+    assert outcome["moments"] >= 1
+    assert all(0 < outcome["error_m"][model] < 30 for model in MODELS)
     for model in MODELS:
         result = json.loads((shown / model / "result.json").read_text("utf-8"))
         assert result["planner"] == model

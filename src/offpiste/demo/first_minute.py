@@ -25,6 +25,7 @@ from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.demo.comparison import closing_words, comparison_table, predict
 from offpiste.demo.picture import demo_picture
+from offpiste.files import write_text
 from offpiste.logs import read_drive
 from offpiste.parallel import Report, run_all, usable_cores
 from offpiste.report.figure import write_png
@@ -108,7 +109,10 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     courses = {model: read_drive(out / model / "drive.mcap", rig) for model in MODELS}
     figure = demo_picture(make_world(place), dataset, predictions, _log(out), courses, title)
     write_png(out / "demo.png", figure)
-    logger.info(comparison_table(predictions, _results(out)).text())
+    results = _results(out)
+    outcome = {"moments": len(predictions.row), "error_m": {m: float(predictions.errors(m).mean()) for m in MODELS}}
+    write_text(out / "demo.json", json.dumps({**outcome, "courses": results}, indent=1, allow_nan=False) + "\n")
+    logger.info(comparison_table(predictions, results).text())
     for line in (*closing_words(predictions), "", *_files(out), "", *_commands()):
         logger.info(line)
 

@@ -1,0 +1,82 @@
+"""Time, memory and outcome of `offpiste demo`, cold and warm and over seeds: `python benchmarks/demo.py --out demos`.
+
+Cold runs have an empty cache of compiled kernels. Memory is the proportional set size of all its processes together,
+sampled twice a second. Seeds that are there already are not run again.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+KEY = "Pss:"
+
+
+def main() -> None:
+    """Run, and print a table and what it says."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("demos"))
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--cold", type=int, default=3, help="runs with an empty cache, of seed 0")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    colds = [_cold(given.out / f"cold-{number}") for number in range(given.cold)]
+    warms = [run(given.out / f"seed-{seed}", seed) for seed in range(given.seeds)]
+    for name, runs in (("cold", colds), ("warm", warms)):
+        if runs:
+            times, most = [r["seconds"] for r in runs], max(r["gib"] for r in runs)
+            listed = ", ".join(f"{seconds:.0f}" for seconds in times)
+            print(f"{name}: median {statistics.median(times):.0f} s ({listed}), {most:.2f} GiB")
+    print("| seed | b off by [m] | dc off by [m] | driven cost of b | of dc | finished |\n|---|---|---|---|---|---|")
+    outcomes = [json.loads((given.out / f"seed-{seed}" / "demo.json").read_text()) for seed in range(given.seeds)]
+    for seed, outcome in enumerate(outcomes):
+        errors, courses = outcome["error_m"], outcome["courses"]
+        ends = " and ".join(model for model in courses if courses[model]["finished"]) or "none"
+        costs = " | ".join(f"{courses[model]['driven_cost']:.0f}" for model in ("b", "dc"))
+        print(f"| {seed} | {errors['b']:.2f} | {errors['dc']:.2f} | {costs} | {ends} |")
+    nearer = sum(outcome["error_m"]["dc"] < outcome["error_m"]["b"] for outcome in outcomes)
+    cheaper = sum(o["courses"]["dc"]["driven_cost"] < o["courses"]["b"]["driven_cost"] for o in outcomes)
+    print(f"dc predicts nearer in {nearer} of {len(outcomes)}, and drives the course at less cost in {cheaper}")
+
+
+def _cold(out: Path) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as cache:
+        return run(out, 0, NUMBA_CACHE_DIR=cache)
+
+
+def run(out: Path, seed: int, **environment: str) -> dict[str, float]:
+    """Run a demo once; what it took."""
+    path = out.with_suffix(".json")
+    if not path.exists():
+        command = [sys.executable, "-m", "offpiste", "demo", "--seed", str(seed), "--out", str(out)]
+        began, most = time.perf_counter(), 0.0
+        with Path(f"{out}.log").open("w") as log:
+            process = subprocess.Popen(command, env=os.environ | environment, stdout=log, stderr=log)
+            while process.poll() is None:
+                most = max(most, _memory(process.pid))
+                time.sleep(0.5)
+        if process.returncode:
+            sys.exit(f"{' '.join(command)} ended with {process.returncode}: {out}.log")
+        path.write_text(json.dumps({"seconds": time.perf_counter() - began, "gib": most}))
+    return json.loads(path.read_text())
+
+
+def _memory(pid: int) -> float:
+    """Proportional set size of a process and all below it [GiB]."""
+    total = 0.0
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+        total = sum(float(line.split()[1]) for line in lines if line.startswith(KEY)) / 2**20
+        below = [child for file in Path(f"/proc/{pid}/task").glob("*/children") for child in file.read_text().split()]
+    except (OSError, ProcessLookupError):
+        return total  # it has just ended
+    return total + sum(_memory(int(child)) for child in below)
+
+
+if __name__ == "__main__":
+    main()
