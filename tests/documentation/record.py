@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from documentation.pages import difference, run_page
+from documentation.pages import run_page
 
 
 def record(page: Path) -> None:
@@ -20,7 +20,7 @@ def record(page: Path) -> None:
         work.mkdir()
         os.chdir(work)
         for step, printed in run_page(page, Path(folder)):
-            if step.shown is not None and "…" not in step.shown and difference(step.shown, printed):
+            if step.shown is not None and "…" not in step.shown and step.shown != printed:
                 text = text.replace(f"```text\n{step.shown}```", f"```text\n{printed}```")
         for picture in work.glob("*.png"):
             if f"({picture.name})" in text:

@@ -91,7 +91,7 @@ def test_the_command_writes_pictures_a_table_and_a_page_that_needs_nothing_else(
     assert "0.21" in said  # the paper's at 40 m
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 4
-    assert not re.search(r'(?:src|href)="(?!data:)', page)
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert "a &lt;note&gt;" in page
     assert "$" not in re.sub(r"base64,[^\"]*", "", page)
 
