@@ -14,8 +14,6 @@ import tempfile
 import time
 from pathlib import Path
 
-KEY = "Pss:"
-
 
 def main() -> None:
     """Run, and print a table and what it says."""
@@ -71,7 +69,7 @@ def _memory(pid: int) -> float:
     total = 0.0
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-        total = sum(float(line.split()[1]) for line in lines if line.startswith(KEY)) / 2**20
+        total = sum(float(line.split()[1]) for line in lines if line.startswith("Pss:")) / 2**20
         below = [child for file in Path(f"/proc/{pid}/task").glob("*/children") for child in file.read_text().split()]
     except (OSError, ProcessLookupError):
         return total  # it has just ended

@@ -2,10 +2,12 @@
 
 import contextlib
 import io
+import logging
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,18 +53,32 @@ def run_page(page: Path, folder: Path) -> list[tuple[Step, str]]:
     environment = {**os.environ, "PATH": path, "COLUMNS": "120", "NO_COLOR": "1"}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT / "src"), os.environ.get("PYTHONPATH"))))
     namespace, done = {"__name__": "__main__"}, []
-    for step in steps_of(page.read_text("utf-8")):
-        if step.language == "sh":
-            shell = ["bash", "-ec", step.code]
-            ran = subprocess.run(shell, env=environment, stdout=-1, stderr=subprocess.STDOUT, text=True, check=False)
-            assert ran.returncode == 0, f"{page.name}:{step.line}: {ran.stdout}"
-            done.append((step, ran.stdout))
-        else:
-            printed = io.StringIO()
-            with contextlib.redirect_stdout(printed):
-                exec(compile("\n" * step.line + step.code, str(page), "exec"), namespace)
-            done.append((step, printed.getvalue()))
+    with silent_library():
+        for step in steps_of(page.read_text("utf-8")):
+            if step.language == "sh":
+                shell = ["bash", "-ec", step.code]
+                ran = subprocess.run(
+                    shell, env=environment, stdout=-1, stderr=subprocess.STDOUT, text=True, check=False
+                )
+                assert ran.returncode == 0, f"{page.name}:{step.line}: {ran.stdout}"
+                done.append((step, ran.stdout))
+            else:
+                printed = io.StringIO()
+                with contextlib.redirect_stdout(printed):
+                    exec(compile("\n" * step.line + step.code, str(page), "exec"), namespace)
+                done.append((step, printed.getvalue()))
     return done
+
+
+@contextlib.contextmanager
+def silent_library() -> Iterator[None]:
+    """offpiste as it is in a new process: it logs nothing, whatever ran in this one before."""
+    logger = logging.getLogger("offpiste")
+    handlers, logger.handlers = logger.handlers, []
+    try:
+        yield
+    finally:
+        logger.handlers = handlers
 
 
 def difference(shown: str, printed: str) -> str:

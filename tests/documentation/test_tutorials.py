@@ -1,6 +1,5 @@
 """Tutorials do what they say: every block of code runs, in order, and prints what the page shows."""
 
-import logging
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,6 @@ def test_a_tutorial_runs_as_it_stands(page: Path, tmp_path: Path, monkeypatch: p
     folder.mkdir()
     monkeypatch.chdir(folder)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.setattr(logging.getLogger("offpiste"), "handlers", [])  # as the library is in a new process: silent
     ran = run_page(page, tmp_path)
     assert len(ran) >= 4
     assert sum(step.shown is not None for step, _ in ran) >= 3

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -17,6 +17,9 @@ from offpiste.report.text_table import TextTable, interval, number
 from offpiste.training.prediction import in_parts, roll_out
 from offpiste.training.run import load_run
 
+WHAT: Final = {"b": "b, does not see the ground", "dc": "dc, sees it"}
+"""What the models are called in tables and pictures."""
+
 
 @dataclass(frozen=True)
 class Predictions:
@@ -24,8 +27,8 @@ class Predictions:
 
     Attributes:
         row: of the drive at each moment.
-        recorded: where the vehicle went in the next 5 s, relative to its place at the start [m].
-        paths: where each model saw it go.
+        recorded: where the vehicle went in the next 5 s: x, y from its place at the start, in the world's axes [m].
+        paths: where each model saw it go, likewise [m].
         folders: of the models.
     """
 
@@ -74,8 +77,7 @@ def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str
     ):
         rows.append((text, *(number(float(results[m][key]), digits) for m in models)))
     rows.append(("end of the drive", *(_ending(results[m]) for m in models)))
-    what = {"b": "b, does not see the ground", "dc": "dc, sees it"}
-    return TextTable("This drive", ("", *(what.get(m, m) for m in models)), tuple(rows))
+    return TextTable("This drive", ("", *(WHAT[model] for model in models)), tuple(rows))
 
 
 def closing_words(predictions: Predictions) -> Iterator[str]:
@@ -93,7 +95,7 @@ def closing_words(predictions: Predictions) -> Iterator[str]:
         yield (
             f"Usual is {-100 * figures.against_b.mean:.0f} % {interval((low, high), 0)}:"
             f" {figures.windows} windows in {figures.levels.drives} worlds that no model had seen,"
-            " three trainings each. A single drive may say otherwise."
+            f" {figures.levels.seeds} trainings each. A single drive may say otherwise."
         )
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from offpiste.conventions import DT
 from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.demo.comparison import Predictions
+from offpiste.demo.comparison import WHAT, Predictions
 from offpiste.evaluation.errors import in_start_frame
 from offpiste.logs.drive import Drive
 from offpiste.logs.log import open_log
@@ -23,7 +23,6 @@ from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
 
 COLOURS: Final = {"b": "#0072b2", "dc": "#d55e00"}
-WHAT: Final = {"b": "b, does not see the ground", "dc": "dc, sees it"}
 MOMENTS: Final = 3
 """Number of predictions that are drawn, evenly spread over the drive."""
 MARGIN: Final = 12.0
