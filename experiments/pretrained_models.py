@@ -52,6 +52,8 @@ ABOUT: Final = {
     "dc": "`b` that reads visual terrain features under each wheel, trained on features from random viewing distances.",
     "oracle": "`df` on the simulator's own friction, stiffness and resistances: what knowing the ground could bring.",
 }
+LOOKUP: Final = {"oracle": "the whole map of the true ground, which no vehicle has"}
+"""On which map a model's ground is read; on the vehicle's, where there is no entry."""
 NOT_FOR: Final = (
     "A real vehicle. All data are simulated: one vehicle of 1150 kg, its camera and LiDAR without errors.",
     "Other mountings, image sizes or backbones than those of the rig `proving_ground`, where a model sees the ground.",
@@ -190,6 +192,7 @@ def card_of(
         trained_on=f"{seconds[0] / 60:.0f} minutes of {kind} ({counts[0]} worlds); epochs were chosen on"
         f" {seconds[1] / 60:.0f} minutes in {counts[1]} other worlds",
         evaluated_on=f"{seconds[2] / 60:.0f} minutes of {kind} ({counts[2]} worlds), none of them trained or chosen on",
+        lookup=LOOKUP.get(model.name, "the map as the vehicle had it"),
         seed=model.best.seed,
         seeds=tuple(each.seed for each in model.runs),
         commit=_commit(),
@@ -223,8 +226,9 @@ def _copy(run_folder: Path, to: Path) -> None:
     """Copy weights and description, without what tells of the machine that trained them."""
     to.mkdir(parents=True)
     shutil.copy(run_folder / WEIGHTS, to / WEIGHTS)
-    about = {key: value for key, value in load_json(run_folder / "model.json").items() if key != "sha256"}
-    save_json(to / "model.json", {**about, "dataset": "", "split": "drives:parts.txt"})
+    about = load_json(run_folder / "model.json")
+    features = list(open_dataset(about["dataset"]).features)
+    save_json(to / "model.json", {**about, "dataset": "", "split": "drives:parts.txt", "features": features})
 
 
 def _commit() -> str:

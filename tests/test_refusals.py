@@ -1,6 +1,7 @@
 """What may be wrong with a dataset or a run: each ends in one line that says what, where and how, and exit code 1."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -206,6 +207,14 @@ def test_another_pca(copied: Path, good: Path, error_of: Callable[..., str], tmp
     write_checksums(copied, [copied / "zarr.json"])
     line = error_of("evaluate", run, "--dataset", copied)
     assert "reads features of the PCA one; the dataset's are of other" in line
+
+
+def test_features_of_other_names(copied: Path, good: Path, error_of: Callable[..., str]) -> None:
+    attributes = zarr.open_group(copied, mode="r+").attrs
+    attributes["features"] = ["other", *attributes["features"][1:]]
+    write_checksums(copied, [copied / "zarr.json"])
+    line = error_of("evaluate", good.parent / "cf", "--dataset", copied)
+    assert re.search("reads the terrain features (.*), (.*) …; the dataset has other, \\2 …", line)
 
 
 @pytest.mark.parametrize(

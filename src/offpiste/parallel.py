@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing.context import BaseContext
 from queue import Empty
 from typing import Any, TypeVar
 
@@ -82,7 +83,7 @@ def _one_by_one(work: Work[Job], jobs: Sequence[Job], description: str) -> Itera
 def _side_by_side(
     work: Work[Job], jobs: Sequence[Job], processes: int, description: str
 ) -> Iterator[str | OffpisteError]:
-    with _pool(processes) as (pool, queue), jobs_bar(len(jobs), description) as update:
+    with _pool(processes, work) as (pool, queue), jobs_bar(len(jobs), description) as update:
         numbers = {pool.submit(_reporting, work, job, number, queue): number for number, job in enumerate(jobs)}
         waiting: set[Future[str | OffpisteError]] = set(numbers)
         while waiting:
@@ -95,8 +96,8 @@ def _side_by_side(
 
 
 @contextmanager
-def _pool(processes: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
-    context = multiprocessing.get_context("spawn")
+def _pool(processes: int, work: Work[Job]) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
+    context = _context(work)
     with context.Manager() as manager:
         pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=(processes,))
         try:
@@ -107,6 +108,21 @@ def _pool(processes: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
                 child.terminate()
             raise
         pool.shutdown()
+
+
+def _context(work: Work[Job]) -> BaseContext:
+    """Workers that begin with the modules of their work, imported once for all of them where the system can fork."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([_module_of(work)])  # of no effect once the server runs
+    return context
+
+
+def _module_of(work: Work[Job]) -> str:
+    while isinstance(work, partial):
+        work = work.func
+    return work.__module__
 
 
 def _start_worker(processes: int) -> None:

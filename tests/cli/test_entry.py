@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import offpiste
 from offpiste.cli import main
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
@@ -110,6 +111,11 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
     assert message in error
     assert error.startswith("offpiste: ")
     assert error.count("\n") == 1
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"offpiste {offpiste.__version__}\n"
 
 
 def test_wrong_usage_is_exit_code_2() -> None:

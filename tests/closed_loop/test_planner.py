@@ -36,9 +36,9 @@ def pca_file(path, seed):
     return pca.identity
 
 
-def run_folder(folder, model, features, dataset_pca, **more):
+def run_folder(folder, model, names, dataset_pca, **more):
     """Folder of an untrained run, with more entries of model.json, and the part of its dataset that is read."""
-    vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(features))
+    vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(names))
     save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
     about = {
         "model": model,
@@ -52,7 +52,7 @@ def run_folder(folder, model, features, dataset_pca, **more):
     }
     save_json(folder / "model.json", about)
     (folder / "dataset.zarr").mkdir()
-    attributes = {"attributes": {"features": list(features), "pca": dataset_pca}}
+    attributes = {"attributes": {"features": list(names), "pca": dataset_pca}}
     (folder / "dataset.zarr" / "zarr.json").write_text(json.dumps(attributes))
     return folder
 
@@ -86,6 +86,14 @@ def test_a_ceiling_is_recognised_by_its_features(tmp_path):
     assert (ceiling.name, ceiling.knows_ground) == ("ceiling", True)
     with pytest.raises(RunError, match="no camera gives"):
         load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel"), None))
+
+
+def test_a_run_that_names_its_features_needs_no_dataset(tmp_path):
+    run = run_folder(tmp_path / "df", "df", GROUND_PROPERTIES, "of another dataset", features=GROUND_PROPERTIES)
+    (run / "dataset.zarr" / "zarr.json").unlink()
+    assert load_planner(run).knows_ground
+    with pytest.raises(RunError, match="no camera gives: mud, gravel"):
+        load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel"), "x", features=("mud", "gravel")))
 
 
 def test_models_without_features_need_nothing(tmp_path):

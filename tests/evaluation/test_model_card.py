@@ -15,6 +15,7 @@ CARD_OF_ONE = ModelCard(
     about="A model.",
     trained_on="some driving",
     evaluated_on="other driving",
+    lookup="the map",
     seed=2,
     seeds=(0, 1, 2),
     commit="abc",

@@ -15,7 +15,7 @@ SHIPPED_BYTES = 1_000_000
 
 
 def test_the_models_of_the_proving_ground_ship():
-    assert {"proving-ground/parametric", "proving-ground/b", "proving-ground/dc"} <= {*NAMES}
+    assert {f"proving-ground/{model}" for model in ("parametric", "b", "dc", "oracle")} <= {*NAMES}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -16,7 +16,8 @@ class Drive:
     """Drive a course on the proving ground with a trained model, in simulated time (needs the extra `sim`)."""
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """A folder that `train` wrote, or `pretrained:NAME`; runs on ground-truth features are given the true ground."""
+    """A folder that `train` wrote, or `pretrained:NAME`, e.g. pretrained:proving-ground/dc;
+    runs on ground-truth features are given the true ground."""
     world: str = "mojave"
     """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
     seed: int = 0

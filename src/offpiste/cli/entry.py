@@ -9,6 +9,7 @@ from typing import Final, Protocol
 
 import tyro
 
+from offpiste._version import __version__
 from offpiste.errors import OffpisteError
 from offpiste.progress import log_to_terminal
 from offpiste.registry import Registry
@@ -68,6 +69,9 @@ def main(arguments: list[str] | None = None) -> None:
     for name, value in OPENCV.items():
         os.environ.setdefault(name, value)
     arguments = [a for a in arguments if a != "--debug"]
+    if arguments[:1] == ["--version"]:
+        print(f"offpiste {__version__}")  # noqa: T201
+        sys.exit(0)
     try:
         commands = commands_in_order()
         if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
@@ -76,7 +80,8 @@ def main(arguments: list[str] | None = None) -> None:
         command = tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="offpiste",
-            description="Learns how an off-road vehicle will move on the ground ahead. --debug shows tracebacks.",
+            description="Learns how an off-road vehicle will move on the ground ahead."
+            " --version prints which offpiste this is; --debug shows tracebacks.",
             args=arguments,
             config=(tyro.conf.FlagCreatePairsOff,),
         )

@@ -18,7 +18,7 @@ class Extract:
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
     """Logs of one vehicle."""
     rig: str
-    """Name of a preset, or a rig file."""
+    """Name of a preset, or a rig file; an unknown name lists those there are."""
     out: Path
     """The dataset, e.g. dataset.zarr; drives already in it are kept."""
     split: str = "blocks:0.7,0.1,0.2"

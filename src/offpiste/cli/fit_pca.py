@@ -18,7 +18,7 @@ class FitPca:
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
     """Logs with cameras and LiDARs."""
     rig: str
-    """Name of a preset, or a rig file."""
+    """Name of a preset, or a rig file; an unknown name lists those there are."""
     out: Path = Path("pca.safetensors")
     """The file to write."""
     split: str = "blocks:0.7,0.1,0.2"

@@ -18,7 +18,7 @@ class Inspect:
     log: tyro.conf.Positional[str]
     """A file or folder in any format that offpiste reads."""
     rig: str | None = None
-    """Name of a preset, or a rig file; without one, only what the log shows by itself is checked."""
+    """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
     write_rig: Path | None = None
     """Write a first rig for this log to a new file."""
     json: bool = False

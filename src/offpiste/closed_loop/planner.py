@@ -63,8 +63,9 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
     weights = hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
     if run.dynamics.encoder is None:
         return Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed)
-    identity = run.pca or _pca_of_dataset(folder)
+    identity, features = (run.pca, run.features) if run.features else _of_dataset(folder)
     if identity is None:
+        _refuse_unknown(features, folder)
         return Planner("ceiling", folder, run.dynamics, weights=weights, seed=run.seed)
     if pca is None and ships:
         pca = folder.parent / "pca.safetensors"
@@ -80,26 +81,28 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
     return Planner(run.model, folder, run.dynamics, extractor, weights, run.seed)
 
 
-def _pca_of_dataset(folder: Path) -> str | None:
-    """Identity of the PCA of a run's dataset; None where its features are the ground's true properties.
-
-    Only older runs, and those without a PCA, do not name it themselves.
-    """
+def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:
+    """Identity of the PCA and names of the features of a run's dataset, for runs too old to name them."""
     about: dict[str, Any] = load_json(folder / "model.json")
+    if about.get("pca") is not None:
+        return str(about["pca"]), ()
     dataset = Path(about.get("dataset", ""))
     try:
         attributes = json.loads((dataset / "zarr.json").read_text("utf-8"))["attributes"]
-        names, identity = tuple(attributes["features"]), attributes["pca"]
+        return attributes["pca"], tuple(attributes["features"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(
             f"its dataset {dataset} is needed to tell which features it reads, and cannot be read",
             where=folder,
             how="put the dataset back where it was",
         ) from error
-    if identity is None and names != GROUND_PROPERTIES:
+
+
+def _refuse_unknown(features: tuple[str, ...], folder: Path) -> None:
+    """Raise unless features without a PCA are the ground's true properties."""
+    if features != GROUND_PROPERTIES:
         raise RunError(
-            f"reads features that no camera gives: {', '.join(names[:4])} …",
+            f"reads features that no camera gives: {', '.join(features[:4])} …",
             where=folder,
             how="give a run trained on visual features, on ground-truth ones, or on none",
         )
-    return identity

@@ -71,7 +71,8 @@ def _courses(axes: Axes, world: World, courses: Mapping[str, Drive]) -> None:
     axes.plot(*paths["dc"][0], marker="o", color="white", markeredgecolor="black", linestyle="", label="start")
     every = np.concatenate(list(paths.values()))
     (left, bottom), (right, top) = every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
-    axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.set_xlim(left, right, auto=True)  # not fixed:
+    axes.set_ylim(bottom, top, auto=True)
     axes.set_aspect("equal", adjustable="datalim")  # more of the world instead of white beside it
     axes.set_title("The same course, driven with both", fontsize=10, loc="left")
     axes.legend(loc="best", fontsize=8)

@@ -39,6 +39,7 @@ class ModelCard(msgspec.Struct, frozen=True):
         name: under which it ships.
         about: what it is, in a sentence.
         trained_on, evaluated_on: data, in words.
+        lookup: on which map the ground is read at predicted places.
         seed: of this run; the one of the least validation loss among `seeds`.
         commit, date: of the code that trained it, and when the card was written.
         figures: of this run, by group.
@@ -50,6 +51,7 @@ class ModelCard(msgspec.Struct, frozen=True):
     about: str
     trained_on: str
     evaluated_on: str
+    lookup: str
     seed: int
     seeds: tuple[int, ...]
     commit: str
@@ -90,7 +92,7 @@ def card_page(card: ModelCard) -> str:
         "Licence": card.licence,
     }
     lines = [f"# {card.name}", "", card.about, "", *(f"- **{name}**: {text}" for name, text in facts.items()), ""]
-    lines += ["## How well it predicts", "", figures_table(card).markdown()]
+    lines += [figures_table(card).markdown()]
     lines += ["## What it must not be used for", "", *(f"- {use}" for use in card.not_for), ""]
     return "\n".join(lines)
 
@@ -100,11 +102,11 @@ def figures_table(card: ModelCard) -> TextTable:
     rows = [("all, over all seeds", card.over_seeds), *((figures.group, figures) for figures in card.figures)]
     lines = tuple((name, *_cells(figures)) for name, figures in rows)
     about = (
-        "Mean distance error after 5 s, from the causal start, on the map as the vehicle had it, at predicted places; "
+        f"Mean distance error after 5 s, from the causal start, on {card.lookup}, at predicted places; "
         "95 % intervals. Speed and kind of ground are those at a window's start."
     )
     names = ("windows that start", "number", "intervals over", "error [m]", "against `b`")
-    return TextTable("Errors by group", names, lines, about)
+    return TextTable("How well it predicts", names, lines, about)
 
 
 def _cells(figures: GroupFigures) -> Sequence[str]:

@@ -3,7 +3,6 @@
 Others hold one: cameras of logs, rectifiers, the simulator's cameras. The mounting is not part of it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -26,6 +25,8 @@ Brown, "Decentering distortion of lenses", 1966 (plumb_bob); Claus and Fitzgibbo
 """
 
 _ALIASES: Final = {"": PLUMB_BOB, "radtan": PLUMB_BOB, "fisheye": FISHEYE, "kannala_brandt4": FISHEYE}
+_BLOCK: Final = 2048
+"""Points of one call: OpenCV computes derivatives too, 240 bytes a point, which so stay in the cache."""
 _ITERATIONS: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
@@ -78,12 +79,14 @@ class CameraModel:
 
     def project(self, points_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         """Places (x, y) of points in the image [px]; points must lie in front (z > 0)."""
-        if self.distortion_model == FISHEYE:
-            return _fisheye(points_camera, self.matrix, self.distortion)
-        points = np.ascontiguousarray(points_camera, dtype=np.float64)
-        still = np.zeros(3)
-        pixels, _ = cv2.projectPoints(points, still, still, self.matrix, np.array(self.distortion, dtype=np.float64))
-        return pixels.reshape(-1, 2)
+        points = np.ascontiguousarray(points_camera, dtype=np.float64)[:, None]
+        project = cv2.fisheye.projectPoints if self.distortion_model == FISHEYE else cv2.projectPoints
+        still, distortion = np.zeros(3), np.array(self.distortion, dtype=np.float64)
+        pixels = np.empty((len(points), 2))
+        for first in range(0, len(points), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            pixels[block] = project(points[block], still, still, self.matrix, distortion)[0].reshape(-1, 2)
+        return pixels
 
     def unproject(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Directions (x / z, y / z) of places in the image; NaN where a pinhole sees nothing."""
@@ -109,15 +112,6 @@ class CameraModel:
             self.unproject(np.column_stack((columns, np.zeros_like(columns)))),
             self.unproject(np.column_stack((columns, np.full_like(columns, self.height - 1)))),
         )
-
-
-def _fisheye(
-    points: Float[np.ndarray, "n 3"], matrix: Float[np.ndarray, "3 3"], distortion: Sequence[float]
-) -> Float[np.ndarray, "n 2"]:
-    pixels, _ = cv2.fisheye.projectPoints(
-        np.ascontiguousarray(points, dtype=np.float64)[:, None], np.zeros(3), np.zeros(3), matrix, np.array(distortion)
-    )
-    return pixels.reshape(-1, 2)
 
 
 def model_from_intrinsics(given: Intrinsics) -> CameraModel:

@@ -1,6 +1,7 @@
 """A trained model on disk: what it is, what it was trained on, and its weights."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -59,6 +60,7 @@ class _Stated(msgspec.Struct):
     split: str
     seen: tuple[tuple[str, float, float], ...]
     pca: str | None = None
+    features: tuple[str, ...] = ()
     weights_sha256: str | None = None
 
 
@@ -71,6 +73,7 @@ class Run:
         split: text of the split it was trained under.
         seen: (drive, first, last) stretches of time [s] that training or validation used.
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
+        features: names of the dataset's terrain features; none without, and of runs older than this entry.
     """
 
     folder: Path
@@ -82,6 +85,7 @@ class Run:
     split: str
     seen: tuple[tuple[str, float, float], ...]
     pca: str | None = None
+    features: tuple[str, ...] = ()
 
     def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
         """Predicted states and actuators of windows; positions are relative to each window's start.
@@ -134,8 +138,18 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     for name, values in tensors.items():
         if not torch.isfinite(values).all():
             raise RunError(f"weights '{name}' are not finite", where=folder, how="train again, or restore the file")
-    loss = stated.loss.weights
-    return Run(folder, dynamics.eval(), stated.model, stated.seed, loss, scale, stated.split, stated.seen, stated.pca)
+    return Run(
+        folder,
+        dynamics.eval(),
+        stated.model,
+        stated.seed,
+        stated.loss.weights,
+        scale,
+        stated.split,
+        stated.seen,
+        stated.pca,
+        stated.features,
+    )
 
 
 def pretrained(name: str, *, device: str = "cpu") -> Run:
@@ -193,6 +207,7 @@ def save_run(
         "split": dataset.split.text,
         "seen": seen_stretches(dataset),
         "pca": dataset.pca,
+        "features": list(dataset.features),
     }
     save_json(folder / "model.json", about)
 
@@ -259,6 +274,12 @@ def refuse_unfit(run: Run, dataset: Dataset) -> None:
             where=run.folder,
             how="evaluate it on a dataset that was extracted with the PCA of its training",
         )
+    if reads and run.features and run.features != dataset.features:
+        raise RunError(
+            f"reads the terrain features {_listed(run.features)}; the dataset has {_listed(dataset.features)}",
+            where=run.folder,
+            how="evaluate it on a dataset with the same",
+        )
     for kind in ("control", "actuators"):
         if getattr(needed, kind) != getattr(given, kind):
             raise RunError(
@@ -267,3 +288,7 @@ def refuse_unfit(run: Run, dataset: Dataset) -> None:
                 where=run.folder,
                 how="evaluate it on a dataset whose rig has the same channels",
             )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")

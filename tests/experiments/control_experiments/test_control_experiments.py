@@ -70,8 +70,10 @@ def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, 
 
 def test_windows_that_the_future_leaves_out_are_evaluated_beside_the_usual_ones(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
-    with pytest.raises(RunError, match="leaves out none"):
-        selection_control(of, out)
+    page = selection_control(of, out / "none")
+    found = json.loads((page.parent / "control.json").read_text("utf-8"))
+    assert (found["left_out"], [g["case"] for g in found["gains"]]) == (0, ["usual windows", "all windows"])
+    assert "Here that is 0 of " in page.read_text("utf-8")
     drives = []
     for drive in of.dataset.drives:
         valid = drive.rows.cells.valid.copy()
