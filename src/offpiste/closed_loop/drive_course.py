@@ -108,7 +108,7 @@ def drive_course(
     fault = Fault(settings.fault, settings.fault_start)
     runtime = Runtime(
         planner.dynamics,
-        _sensor_setup(planner, suite, rig, fault),
+        sensor_setup(planner, suite, rig, fault),
         rig.wheel_positions(),
         chosen.course,
         replace(settings.runtime, remember=remember),
@@ -178,13 +178,19 @@ def check_folder(out: Path) -> None:
             raise OffpisteError("is a file", where=place, how="give a folder as --out")
 
 
-def _sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault) -> SensorSetup:
+def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:
+    """Sensors of the proving ground's vehicle as a planner's run time reads them.
+
+    Args:
+        fault: what happens to the features of images.
+    """
     lidars = lidars_of(suite, rig)
     if planner.extractor is None:
         return SensorSetup(lidars)
     patch = planner.extractor.patch
     cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
-    return SensorSetup(lidars, cameras, fault.extractor(planner.extractor.extract))
+    extract = planner.extractor.extract
+    return SensorSetup(lidars, cameras, extract if fault is None else fault.extractor(extract))
 
 
 def _truth(world: World) -> KnownGround:

@@ -9,10 +9,9 @@ import io
 import json
 import logging
 import shutil
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import redirect_stderr
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -26,6 +25,7 @@ from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.demo.comparison import closing_words, comparison_table, predict
 from offpiste.demo.picture import demo_picture
+from offpiste.demo.rehearsal import rehearse
 from offpiste.files import write_text
 from offpiste.logs import read_drive
 from offpiste.parallel import Report, run_all, usable_cores
@@ -94,12 +94,16 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     claim_folder(out, {"demo": asdict(settings)})
     place, processes = settings.place, processes or usable_cores()
     if processes > 1 and not (out / "dataset.zarr").exists():
-        rehearse(settings, processes)
+        logger.info("0/3  A rehearsal, which compiles what is not compiled yet: half a minute after an installation.")
+        rehearse(shipped("dc"), processes)
     logger.info(
         f"1/3  In a world that no model has seen ({place.preset}, seed {place.seed}): a drive with camera and LiDAR,"
         " and one course\n     driven twice, with a model that sees the ground (dc) and with one that does not (b)."
     )
-    _do_all(out, settings, processes, "drive")
+    work = partial(do_part, out=out, settings=settings)
+    failed = run_all(work, (DRIVE, *reversed(MODELS)), processes, "drive")
+    if failed:
+        raise failed[0]
     logger.info(f"2/3  Both models predict 5 s ahead from every {settings.snapshot_seconds:g} s of the first drive.")
     dataset = open_dataset(out / "dataset.zarr")
     predictions = predict(dataset, {model: run_folder(shipped(model)) for model in MODELS})
@@ -115,27 +119,6 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     logger.info(comparison_table(predictions, results).text())
     for line in (*closing_words(predictions), "", *_files(out), "", *_commands()):
         logger.info(line)
-
-
-def rehearse(settings: FirstMinuteSettings, processes: int) -> None:
-    """Do all parts in small, in processes that end: compiling takes memory that a process keeps."""
-    small = replace(settings, seconds=1.2, course_seconds=1.0, size=100.0, resolution=1.0)
-    logger.info("0/3  A rehearsal, which compiles what is not compiled yet: half a minute after an installation.")
-    with tempfile.TemporaryDirectory() as folder:
-        _do_all(Path(folder), small, processes, "rehearsal", finished=logger.debug)
-
-
-def _do_all(
-    out: Path,
-    settings: FirstMinuteSettings,
-    processes: int,
-    description: str,
-    finished: Callable[[str], None] = logger.info,
-) -> None:
-    work, parts = partial(do_part, out=out, settings=settings), (DRIVE, *reversed(MODELS))
-    failed = run_all(work, parts, processes, description, finished=finished)
-    if failed:
-        raise failed[0]
 
 
 def do_part(part: str, report: Report, *, out: Path, settings: FirstMinuteSettings) -> str:

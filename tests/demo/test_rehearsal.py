@@ -1,0 +1,20 @@
+"""The rehearsal: both parts, and what goes wrong in one."""
+
+from pathlib import Path
+
+import pytest
+
+from offpiste.demo.first_minute import shipped
+from offpiste.demo.rehearsal import PLAN, RECORD, rehearse, rehearse_part
+from offpiste.errors import RunError
+
+
+@pytest.mark.parametrize("part", [RECORD, PLAN])
+def test_each_part_is_done(part: str, tmp_path: Path) -> None:
+    assert rehearse_part(part, lambda share: None, run=shipped("dc"), folder=tmp_path) == part
+    assert (tmp_path / "drive.mcap").exists() == (part == RECORD)
+
+
+def test_what_goes_wrong_is_said() -> None:
+    with pytest.raises(RunError, match="no model 'proving-ground/none' ships"):
+        rehearse(shipped("none"), 1)
