@@ -36,6 +36,7 @@ from offpiste.logs.ground_truth import GROUND_KINDS, read_truth
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder
+from offpiste.shipped import PCA
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.run import WEIGHTS, Run, load_run
 
@@ -86,7 +87,7 @@ class PretrainedModels:
         for model in models:
             _copy(model.best.folder, self.out / model.name)
             write_card(self.out / model.name, card_of(model, None if model is blind else blind, groups, of.dataset))
-        shutil.copy(of.pca, self.out / "pca.safetensors")
+        shutil.copy(of.pca, self.out / PCA)
         return f"written: {self.out}"
 
 

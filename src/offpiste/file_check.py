@@ -14,8 +14,8 @@ from offpiste.dataset.stored_arrays import check_crc32c
 from offpiste.errors import OffpisteError
 from offpiste.perception.pca import PCA_HEADER, load_pca
 from offpiste.progress import track
+from offpiste.shipped import run_folder
 from offpiste.training.checkpoint import load_json, load_tensors
-from offpiste.training.pretrained import run_folder
 from offpiste.training.run import load_run
 
 logger = logging.getLogger(__name__)

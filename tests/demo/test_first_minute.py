@@ -13,7 +13,7 @@ from offpiste.demo.comparison import Predictions, closing_words, comparison_tabl
 from offpiste.demo.first_minute import FIRST_WORLD, MODELS, FirstMinuteSettings, run_first_minute, shipped
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.model_card import load_card
-from offpiste.training.pretrained import run_folder
+from offpiste.shipped import run_folder
 
 SMALL = FirstMinuteSettings(
     seconds=8.0,

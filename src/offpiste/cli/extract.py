@@ -27,7 +27,7 @@ class Extract:
     """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
     `ground-kind`: the kind of ground."""
     pca: Path | None = None
-    """Visual features: a file that `fit-pca` wrote. The log needs cameras and LiDARs, and the rig must name them."""
+    """Visual features: a file of `fit-pca`, or pretrained:proving-ground; the rig must name cameras and LiDARs."""
     device: str = "cpu"
     """Device of the backbone."""
     keyframe_metres: float = 0.5

@@ -20,7 +20,7 @@ class View:
     rig: str | None = None
     """For a log: name of a preset, or a rig file."""
     pca: Path | None = None
-    """For a log: a file that `fit-pca` wrote; without one there are no features, and ground is grey."""
+    """For a log: a file of `fit-pca`, or pretrained:proving-ground; without one, ground is grey."""
     out: Path = Path("view")
     """Folder of the pictures."""
     seconds: str = ""

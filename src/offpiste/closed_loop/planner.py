@@ -10,8 +10,8 @@ from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
+from offpiste.shipped import PCA, PREFIX
 from offpiste.training.checkpoint import load_json
-from offpiste.training.pretrained import PREFIX
 from offpiste.training.run import WEIGHTS, load_run
 
 
@@ -68,7 +68,7 @@ def load_planner(folder: Path, pca: Path | None = None) -> Planner:
         _refuse_unknown(features, folder)
         return Planner("ceiling", folder, run.dynamics, weights=weights, seed=run.seed)
     if pca is None and ships:
-        pca = folder.parent / "pca.safetensors"
+        pca = folder.parent / PCA
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
     extractor = load_feature_extractor(pca)

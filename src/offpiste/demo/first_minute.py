@@ -33,10 +33,10 @@ from offpiste.report.figure import write_png
 from offpiste.reproduction.data import simulate_once
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import load_rig
+from offpiste.shipped import PREFIX, run_folder
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.training.pretrained import PREFIX, run_folder
 
 logger = logging.getLogger(__name__)
 
@@ -135,7 +135,7 @@ def _drive(out: Path, settings: FirstMinuteSettings) -> str:
     if not (out / "dataset.zarr").exists() or not drive_names(out / "dataset.zarr"):
         split = write_drives(out / "parts.txt", [(log.stem, "test")])
         snapshots = SnapshotSettings(settings.snapshot_seconds)
-        pca = run_folder(shipped("dc")).parent / "pca.safetensors"
+        pca = Path(f"{PREFIX}{FAMILY}")
         make_dataset([log], load_rig(RIG), out / "dataset.zarr", split=split, pca=pca, snapshots=snapshots, processes=1)
     return f"     {summary}"
 

@@ -14,8 +14,8 @@ from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
 from offpiste.progress import track
+from offpiste.shipped import run_folder
 from offpiste.training.prediction import Lookup
-from offpiste.training.pretrained import run_folder
 from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
 from offpiste.training.train import fold_folders
 

@@ -22,6 +22,7 @@ from offpiste.checksums import sha256_of_arrays
 from offpiste.errors import PerceptionError
 from offpiste.files import write_bytes
 from offpiste.perception.backbones import Backbone
+from offpiste.shipped import pca_file
 
 logger = logging.getLogger(__name__)
 
@@ -222,12 +223,17 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
     write_bytes(path, save(tensors, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
-def load_pca(path: Path, backbone: Backbone | None = None) -> PrincipalComponents:
+def load_pca(path: str | Path, backbone: Backbone | None = None) -> PrincipalComponents:
     """Read what `save_pca` wrote, and check the backbone, where one is given.
 
+    Args:
+        path: or `pretrained:FAMILY`, for the PCA of models that ship.
+
     Raises:
+        RunError: no such family ships.
         PerceptionError: no such file, not a PCA, a damaged one, or one of another backbone or other weights.
     """
+    path = pca_file(path)
     try:
         with safe_open(path, framework="numpy") as file:
             header = file.metadata() or {}

@@ -18,6 +18,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics, Vehicle
 from offpiste.errors import RunError
+from offpiste.shipped import PREFIX, run_folder
 from offpiste.state import Trajectory
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import (
@@ -31,7 +32,6 @@ from offpiste.training.checkpoint import (
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
-from offpiste.training.pretrained import PREFIX, run_folder
 
 WEIGHTS = "model.safetensors"
 

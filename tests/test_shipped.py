@@ -8,7 +8,8 @@ import offpiste
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import RunError
 from offpiste.file_check import check_paths
-from offpiste.training.pretrained import PREFIX, pretrained_names, run_folder
+from offpiste.perception.pca import load_pca
+from offpiste.shipped import PREFIX, pca_file, pretrained_names, run_folder
 
 NAMES = pretrained_names()
 SHIPPED_BYTES = 1_000_000
@@ -46,3 +47,10 @@ def test_an_unknown_name_lists_those_there_are(name):
 
 def test_a_path_stays_one():
     assert run_folder("runs/dc") == run_folder(Path("runs/dc")) == Path("runs/dc")
+    assert pca_file("fits/pca.safetensors") == Path("fits/pca.safetensors")
+
+
+def test_the_features_of_a_family_ship_under_its_name():
+    assert load_pca("pretrained:proving-ground").identity == offpiste.pretrained("proving-ground/dc").pca
+    with pytest.raises(RunError, match=r"no PCA 'proving-ground/dc' ships; there are: proving-ground$"):
+        load_pca("pretrained:proving-ground/dc")
