@@ -21,7 +21,7 @@ class Evaluate:
     """Evaluate runs on the test part of a dataset; writes metrics.json, pictures and report.html."""
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Run folders, or `pretrained:NAME`, e.g. pretrained:proving-ground/dc; a folder of folds counts as its folds."""
+    """Run folders, or `pretrained:NAME`; a folder of folds counts as its folds. The report is about the first."""
     dataset: Path
     """The dataset that they were trained on, or another one."""
     out: Path = Path("report")

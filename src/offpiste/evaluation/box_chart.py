@@ -80,9 +80,9 @@ class BoxChart:
             _number(f"{box['mean']:.2f}" if np.isfinite(box["mean"]) else "–", {"y": name})
             for name, box in zip(names, boxes, strict=True)
         ]
-        margin = {"l": 48, "r": 46, "t": 28, "b": 44}
+        margin = {"l": 48, "r": 46, "t": 48, "b": 44}  # the numbers' name stands below the toolbar
         look = layout(x=x, y=y, margin=margin, hovermode="y", showlegend=False, boxgap=0.45, annotations=means)
-        return (Chart(86 + LINE_PIXELS * len(boxes), traces, look),)
+        return (Chart(106 + LINE_PIXELS * len(boxes), traces, look),)
 
     def _top(self, boxes: Sequence[Mapping[str, Any]]) -> float:
         ends = [float(box[name]) for box in boxes for name in ("whishi", "mean") if np.isfinite(box[name])]

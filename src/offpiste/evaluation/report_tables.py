@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS
 from offpiste.evaluation.intervals import PairedDifference
@@ -113,7 +115,8 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
         return ""
     each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
     text = "; ".join(each) if len(each) > 1 else next(iter(models))
-    return f"Intervals are over {text}. {rows[0].levels.caveat}".strip()
+    missing = "" if np.isfinite([row.distance_error_m.ci95 for row in rows]).all() else "–: too few blocks for one."
+    return " ".join(filter(None, (f"Intervals are over {text}.", missing, rows[0].levels.caveat)))
 
 
 def run_table(rows: Sequence[ResultRow]) -> TextTable:
