@@ -38,8 +38,11 @@ def main() -> None:
         costs = " | ".join(f"{courses[model]['driven_cost']:.0f}" for model in ("b", "dc"))
         print(f"| {seed} | {errors['b']:.2f} | {errors['dc']:.2f} | {costs} | {ends} |")
     nearer = sum(outcome["error_m"]["dc"] < outcome["error_m"]["b"] for outcome in outcomes)
-    cheaper = sum(o["courses"]["dc"]["driven_cost"] < o["courses"]["b"]["driven_cost"] for o in outcomes)
-    print(f"dc predicts nearer in {nearer} of {len(outcomes)}, and drives the course at less cost in {cheaper}")
+    ratios = [o["courses"]["dc"]["driven_cost"] / o["courses"]["b"]["driven_cost"] for o in outcomes]
+    less, more = sum(ratio < 0.99 for ratio in ratios), sum(ratio > 1.01 for ratio in ratios)
+    print(
+        f"dc predicts nearer in {nearer} of {len(outcomes)}, and drives the course at less cost in {less}, at more in {more}"
+    )
 
 
 def _cold(out: Path) -> dict[str, float]:
