@@ -40,9 +40,8 @@ def main() -> None:
     nearer = sum(outcome["error_m"]["dc"] < outcome["error_m"]["b"] for outcome in outcomes)
     ratios = [o["courses"]["dc"]["driven_cost"] / o["courses"]["b"]["driven_cost"] for o in outcomes]
     less, more = sum(ratio < 0.99 for ratio in ratios), sum(ratio > 1.01 for ratio in ratios)
-    print(
-        f"dc predicts nearer in {nearer} of {len(outcomes)}, and drives the course at less cost in {less}, at more in {more}"
-    )
+    of = len(outcomes)
+    print(f"dc predicts nearer in {nearer} of {of}, and drives the course at less cost in {less}, at more in {more}")
 
 
 def _cold(out: Path) -> dict[str, float]:
