@@ -13,7 +13,6 @@ from typing import Any, Final
 from experiments.closed_loop_table.table import COUNTED, MEASURES
 from offpiste.closed_loop.drive_course import (
     CourseDriveSettings,
-    check_folder,
     check_settings,
     described,
     drive_course,
@@ -21,6 +20,7 @@ from offpiste.closed_loop.drive_course import (
 )
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import OffpisteError, RunError
+from offpiste.files import check_folder
 from offpiste.parallel import run_all
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.world.build import make_world

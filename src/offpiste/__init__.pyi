@@ -21,6 +21,11 @@ from . import training as training
 from . import visualization as visualization
 from ._version import __version__ as __version__
 
+# Driving.
+from .closed_loop.drive_course import CourseDriveSettings as CourseDriveSettings
+from .closed_loop.drive_course import drive_course as drive_course
+from .closed_loop.planner import load_planner as load_planner
+
 # Making datasets.
 from .dataset.extract import make_dataset as make_dataset
 from .dataset.fit_pca import fit_pca as fit_pca

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from glob import escape
 from pathlib import Path
 
+from offpiste.errors import OffpisteError
+
 PARTIAL = ".partial"
 """Ending of files and folders that are being written, under a hidden name beside their place."""
 
@@ -23,6 +25,17 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def check_folder(out: Path) -> None:
+    """Check that a path can be a folder.
+
+    Raises:
+        OffpisteError: it is a file, or lies in one.
+    """
+    for place in (out, *out.parents):
+        if place.exists() and not place.is_dir():
+            raise OffpisteError("is a file", where=place, how="give a folder as --out")
 
 
 def remove_partials(folder: Path, name: str = "") -> None:

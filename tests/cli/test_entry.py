@@ -118,6 +118,27 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out == f"offpiste {offpiste.__version__}\n"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("evaluate", "{b}", "--dataset", "{dataset}"),
+        ("train", "{dataset}"),
+        ("demo",),
+        ("view", "{dataset}"),
+        ("drive", "{b}"),
+    ],
+)
+@pytest.mark.parametrize("out", ["{b}/model.json", "{b}/model.json/more"])
+def test_a_file_where_results_are_to_go_is_one_line(
+    words: tuple[str, ...], out: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = {"b": folder / "b", "dataset": folder / "dataset.zarr"}
+    assert run(*(word.format(**there) for word in (*words, "--out", out))) == 1
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("offpiste: "))
+    assert "is a file" in line
+    assert "--out" in line
+
+
 def test_wrong_usage_is_exit_code_2() -> None:
     assert run("train") == 2
     assert run("fly") == 2

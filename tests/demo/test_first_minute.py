@@ -100,7 +100,7 @@ def test_the_table_has_both_models_side_by_side() -> None:
         "progress_m": 40.0,
         "course_m": 90.0,
     }
-    text = comparison_table(predictions(4.0, 3.0), {"b": result, "dc": result | {"stuck": True}}).text()
+    text = comparison_table(predictions(4.0, 3.0), {"b": result, "dc": result | {"stuck": True}}, 7.0).text()
     lines = {
         line.split("│")[1].strip(): [c.strip() for c in line.split("│")[2:4]]
         for line in text.splitlines()

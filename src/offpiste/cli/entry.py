@@ -46,6 +46,7 @@ file cannot claim to hold gigabytes."""
 
 
 _NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_NO_FOLDER: Final = {errno.EEXIST, errno.ENOTDIR}
 _MAKE_ROOM: Final = "make room on the disk and run it again; what was finished is kept"
 
 
@@ -100,8 +101,12 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
-        if debug or error.errno not in _NO_ROOM:
+        if debug or error.errno not in _NO_ROOM | _NO_FOLDER:
             raise
+        if error.errno in _NO_FOLDER:
+            what = OffpisteError("is a file, or lies in one", where=error.filename, how="give a folder as --out")
+            print(f"offpiste: {what}", file=sys.stderr)  # noqa: T201
+            sys.exit(1)
         full = OffpisteError(f"cannot be written: {error.strerror}", where=error.filename or "a file", how=_MAKE_ROOM)
         print(f"offpiste: {full}", file=sys.stderr)  # noqa: T201
         sys.exit(1)

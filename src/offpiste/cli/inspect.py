@@ -3,6 +3,7 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -15,7 +16,7 @@ from offpiste.progress import show
 class Inspect:
     """What a careful engineer would find out first about a log; exit code 1 if it is unusable for training."""
 
-    log: tyro.conf.Positional[str]
+    log: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LOG")]
     """A file or folder in any format that offpiste reads."""
     rig: str | None = None
     """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""

@@ -17,7 +17,7 @@ from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.errors import Progress
-from offpiste.files import remove_partials, write_text, write_whole
+from offpiste.files import check_folder, remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
@@ -80,13 +80,17 @@ class Driven:
 def drive_course(
     planner: Planner,
     settings: CourseDriveSettings,
-    out: Path,
+    out: str | Path,
     *,
     world: World | None = None,
     scene: Scene | None = None,
     track: Progress = track,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
+
+        planner = offpiste.load_planner("pretrained:proving-ground/dc")
+        driven = offpiste.drive_course(planner, offpiste.CourseDriveSettings(offpiste.WorldSettings("dunes")), "drive")
+        driven.result["mean_path_error_m"]
 
     Args:
         world, scene: made from `settings.world`; None to make them here.
@@ -96,6 +100,7 @@ def drive_course(
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
     """
     check_settings(settings)
+    out = Path(out)
     check_folder(out)
     for name in ("drive.mcap", "result.json"):
         if (out / name).exists():
@@ -165,17 +170,6 @@ def check_settings(settings: CourseDriveSettings) -> None:
         how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
         raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)
     sensor_suite(settings.sensors)  # complains itself
-
-
-def check_folder(out: Path) -> None:
-    """Check that a path can be a folder.
-
-    Raises:
-        OffpisteError: it is a file, or lies in one.
-    """
-    for place in (out, *out.parents):
-        if place.exists() and not place.is_dir():
-            raise OffpisteError("is a file", where=place, how="give a folder as --out")
 
 
 def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:

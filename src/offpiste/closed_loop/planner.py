@@ -40,7 +40,7 @@ class Planner:
         return self.extractor is None and self.dynamics.encoder is not None
 
 
-def load_planner(folder: Path, pca: Path | None = None) -> Planner:
+def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
     """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:

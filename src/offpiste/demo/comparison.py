@@ -65,18 +65,23 @@ def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
     return Predictions(windows.row_in_drive(index), np.concatenate(recorded), paths, folders)
 
 
-def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str, Any]]) -> TextTable:
-    """How both models predicted, and how they drove."""
+def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str, Any]], speed: float) -> TextTable:
+    """How both models predicted, and how they drove.
+
+    Args:
+        results: of the course, by model.
+        speed: wanted along it [m/s].
+    """
     models = tuple(results)
     rows = [("predicted place after 5 s, off by [m]", *(number(float(predictions.errors(m).mean())) for m in models))]
     for text, key, digits in (
         ("time for the course [s]", "time_s", 1),
         ("off the course, mean [m]", "mean_path_error_m", 2),
         ("off the course, at worst [m]", "worst_path_error_m", 2),
-        ("off the wanted speed, mean [m/s]", "mean_speed_error_mps", 2),
+        (f"off the wanted {speed:g} m/s, mean [m/s]", "mean_speed_error_mps", 2),
     ):
         rows.append((text, *(number(float(results[m][key]), digits) for m in models)))
-    rows.append(("end of the drive", *(_ending(results[m]) for m in models)))
+    rows.append(("end of the drive", *(ending(results[m]) for m in models)))
     return TextTable("This drive", ("", *(WHAT[model] for model in models)), tuple(rows))
 
 
@@ -99,7 +104,8 @@ def closing_words(predictions: Predictions) -> Iterator[str]:
         )
 
 
-def _ending(result: Mapping[str, Any]) -> str:
+def ending(result: Mapping[str, Any]) -> str:
+    """How a drive along the course ended."""
     for key, text in (("rollover", "rolled over"), ("collision", "collided"), ("stuck", "stuck")):
         if result[key]:
             return text

@@ -9,7 +9,7 @@ import io
 import json
 import logging
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from offpiste.closed_loop.courses import CourseSettings
-from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
+from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import drive_names, open_dataset
-from offpiste.demo.comparison import closing_words, comparison_table, predict
+from offpiste.demo.comparison import closing_words, comparison_table, ending, predict
 from offpiste.demo.picture import demo_picture
 from offpiste.demo.rehearsal import rehearse
 from offpiste.files import write_text
@@ -108,7 +108,7 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     dataset = open_dataset(out / "dataset.zarr")
     predictions = predict(dataset, {model: run_folder(shipped(model)) for model in MODELS})
     logger.info("3/3  What came of it.\n")
-    title = f"offpiste demo, seed {settings.seed}: {place.preset}, a world that no model has seen"
+    title = f"offpiste demo: {place.preset}, seed {place.seed}, a world that no model has seen"
     rig = load_rig(RIG)
     courses = {model: read_drive(out / model / "drive.mcap", rig) for model in MODELS}
     figure = demo_picture(make_world(place), dataset, predictions, _log(out), courses, title)
@@ -116,7 +116,7 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     results = _results(out)
     outcome = {"moments": len(predictions.row), "error_m": {m: float(predictions.errors(m).mean()) for m in MODELS}}
     write_text(out / "demo.json", json.dumps({**outcome, "courses": results}, indent=1, allow_nan=False) + "\n")
-    logger.info(comparison_table(predictions, results).text())
+    logger.info(comparison_table(predictions, results, settings.course_speed).text())
     for line in (*closing_words(predictions), "", *_files(out), "", *_commands()):
         logger.info(line)
 
@@ -143,12 +143,16 @@ def _drive(out: Path, settings: FirstMinuteSettings) -> str:
 def _course(model: str, report: Report, out: Path, settings: FirstMinuteSettings) -> str:
     folder = out / model
     if (folder / "result.json").exists():
-        return f"     {model}: {described(_results(out)[model])}"
+        return _driven(model, _results(out)[model])
     shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
     course = CourseSettings(speed=settings.course_speed, length=settings.course_length)
     drive = CourseDriveSettings(settings.place, settings.course_seconds, course=course)
     driven = drive_course(load_planner(Path(shipped(model))), drive, folder, track=partial(_reported, report=report))
-    return f"     {model}: {described(driven.result)}"
+    return _driven(model, driven.result)
+
+
+def _driven(model: str, result: Mapping[str, Any]) -> str:
+    return f"     {model}: {ending(result)}, {result['mean_path_error_m']:.2f} m off the course"
 
 
 def _reported(items: Iterable[Item], description: str, *, report: Report) -> Iterator[Item]:

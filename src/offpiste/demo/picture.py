@@ -143,7 +143,7 @@ def _prediction(axes: Axes, drive: StoredDrive, predictions: Predictions, moment
     axes.plot(0, 0, marker="^", color="black")
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(alpha=0.3)
-    axes.set_title(f"5 s ahead, predicted {DT * row:.0f} s into the drive [m]", fontsize=10, loc="left")
+    axes.set_title(f"5 s ahead [m], predicted {DT * row:.0f} s into the drive", fontsize=10, loc="left")
     axes.legend(fontsize=8, loc="lower right")
 
 
@@ -156,5 +156,5 @@ def _errors(axes: Axes, predictions: Predictions) -> None:
     axes.scatter(b, dc, s=22, color=np.where(dc < b, COLOURS["dc"], COLOURS["b"]), zorder=3)
     limits = (0, 1.05 * most)
     axes.set(xlabel="b off by [m]", ylabel="dc off by [m]", xlim=limits, ylim=limits, aspect="equal")
-    axes.set_title(f"Predictions: dc nearer in {(dc < b).sum()} of {len(b)}", fontsize=10, loc="left")
+    axes.set_title(f"All predictions: dc nearer in {(dc < b).sum()} of {len(b)} (orange)", fontsize=10, loc="left")
     axes.grid(alpha=0.3)

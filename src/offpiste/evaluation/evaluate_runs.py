@@ -13,6 +13,7 @@ from offpiste.evaluation.intervals import MIN_UNITS
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
+from offpiste.files import check_folder
 from offpiste.progress import track
 from offpiste.shipped import run_folder
 from offpiste.training.prediction import Lookup
@@ -37,7 +38,9 @@ def evaluate_runs(
     Raises:
         RunError: a folder is no finished run, does not fit the dataset, or was trained on the test part.
         DatasetError: no dataset there, or no window in its test part.
+        OffpisteError: `out` is a file.
     """
+    check_folder(out)
     dataset = open_dataset(dataset_path)
     runs: list[Run] = []
     models: list[EvaluatedModel] = []

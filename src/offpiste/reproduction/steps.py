@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from offpiste.errors import RunError
+from offpiste.files import check_folder
 from offpiste.parallel import Report, run_all
 from offpiste.training.checkpoint import load_json, save_json
 
@@ -22,7 +23,9 @@ def claim_folder(out: Path, settings: dict[str, Any]) -> None:
 
     Raises:
         RunError: the folder was begun with other settings.
+        OffpisteError: it is a file.
     """
+    check_folder(out)
     path, wanted = out / "settings.json", json.loads(json.dumps(settings))
     if not path.exists():
         save_json(path, wanted)

@@ -20,7 +20,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.models import initial_actuators, reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
-from offpiste.files import remove_partials
+from offpiste.files import check_folder, remove_partials
 from offpiste.state import Trajectory
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json
@@ -58,8 +58,10 @@ def train(
             other settings.
         DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
+        OffpisteError: the folder is a file.
     """
     refuse_impossible(config)
+    check_folder(folder)
     check_device(config.device)
     vehicle = vehicle_of(dataset, config)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
