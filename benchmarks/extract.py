@@ -22,7 +22,7 @@ from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.log import open_log
+from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import MapperSettings, replay
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor

@@ -27,7 +27,7 @@ from offpiste.dataset.wheel_passes import Passes, find_passes
 from offpiste.files import write_text
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
-from offpiste.logs.log import open_log
+from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings

@@ -59,6 +59,7 @@ class Gate:
             self.out / "dataset.zarr",
             split=write_drives(self.out / "parts.txt", ((path.stem, part) for path, part in drives)),
             features=self.features,
+            force=True,
         )
         runs = []
         for model in self.models:

@@ -22,8 +22,8 @@ from experiments.command import run
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
-from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Cloud, Lidar
+from offpiste.logs.opening import open_log
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.perception.backbones import open_backbone
@@ -121,7 +121,7 @@ def main(drive: tyro.conf.Positional[Path], out: Path = Path("kitti"), backbone:
     out.mkdir(parents=True, exist_ok=True)
     pca = out / "pca.safetensors"
     save_pca(pca, fit_pca([drive], rig, parse_split(SPLIT), open_backbone(backbone)).pca)
-    dataset = make_dataset([drive], rig, out / "dataset.zarr", split=SPLIT, pca=pca)
+    dataset = make_dataset([drive], rig, out / "dataset.zarr", split=SPLIT, pca=pca, force=True)
     written = view(drive, out / "log", rig="kitti", pca=pca, rrd=False)
     written += view(dataset.path, out / "dataset")
     logger.info(alignment_table(open_sensors(open_log(drive), rig)))

@@ -176,6 +176,8 @@ def small_rig(more: str = "") -> Rig:
 class MemoryLog(Log):
     """Topics given as (stamps, columns by field)."""
 
+    has_clock_unit = True
+
     def __init__(self, **topics: tuple[np.ndarray, dict[str, np.ndarray]]) -> None:
         self.path, self.data = Path("in-memory"), topics
 

@@ -46,7 +46,7 @@ def extract_drives(inputs: Path, out: Path) -> None:
 
     logs = [inputs / "one.mcap", inputs / "two.mcap"]
     split, pca = f"drives:{inputs / 'parts.txt'}", inputs / "pca.safetensors"
-    make_dataset(logs, load_rig("proving_ground"), out / "data.zarr", split=split, pca=pca)
+    make_dataset(logs, load_rig("proving_ground"), out / "data.zarr", split=split, pca=pca, force=True)
 
 
 def train_model(inputs: Path, out: Path) -> None:

@@ -41,7 +41,9 @@ def test_all_are_undamaged_and_small():
 
 @pytest.mark.parametrize("name", ["proving-ground/none", "", "../training", "proving-ground"])
 def test_an_unknown_name_lists_those_there_are(name):
-    with pytest.raises(RunError, match=r"no model '.*' ships; there are: .*proving-ground/dc"):
+    with pytest.raises(
+        RunError, match=r"no model '.*' ships; (did you mean 'proving-ground/b'\? )?there are: .*proving-ground/dc"
+    ):
         offpiste.pretrained(name)
 
 
@@ -52,5 +54,7 @@ def test_a_path_stays_one():
 
 def test_the_features_of_a_family_ship_under_its_name():
     assert load_pca("pretrained:proving-ground").identity == offpiste.pretrained("proving-ground/dc").pca
-    with pytest.raises(RunError, match=r"no PCA 'proving-ground/dc' ships; there are: proving-ground$"):
+    with pytest.raises(
+        RunError, match=r"no PCA 'proving-ground/dc' ships; did you mean 'proving-ground'\? there are: proving-ground$"
+    ):
         load_pca("pretrained:proving-ground/dc")

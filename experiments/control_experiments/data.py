@@ -72,9 +72,10 @@ def driven_dataset(
         features=features,
         min_hindsight=min_hindsight,
         snapshots=SnapshotSettings(snapshot_seconds),
+        force=True,
     )
 
 
 def oracle_dataset(logs: Sequence[Path], split: str, out: Path) -> Dataset:
     """The true properties of the ground under the wheels of the same drives (`logs.ground_truth.GROUND_PROPERTIES`)."""
-    return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth")
+    return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth", force=True)

@@ -58,6 +58,7 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float,
         split=of.split_for(folder),
         pca=of.pca,
         snapshots=kept,
+        force=True,
     )
     # Each window is a drive with one start, its row 10: no stride. Fewer windows than usual, so smaller batches.
     config = replace(of.member("cf").config(of.size, 0, "cpu"), stride=1, batch=64)

@@ -50,7 +50,7 @@ from .evaluation.evaluate_runs import evaluate_runs as evaluate_runs
 # Inspecting and reading logs.
 from .inspection.draft_rig import draft_rig as draft_rig
 from .inspection.inspect import inspect_log as inspect_log
-from .inspection.inspect import render_text as render_text
+from .inspection.render import render_text as render_text
 from .logs import Drive as Drive
 from .logs import open_log as open_log
 from .logs import read_drive as read_drive

@@ -70,7 +70,7 @@ class Actuator:
 
 
 CONTROLS: Final = (
-    Control("throttle", rate=4.0, pattern=r"throttle|accel(erator)?_?pedal|(^|[ ._/])gas", declared=True),
+    Control("throttle", rate=4.0, pattern=r"throttle|acc(el(erator)?)?_?pedal|pedal_?acc|(^|[ ._/])gas", declared=True),
     Control("brake", rate=8.0, pattern=r"brake", declared=True),
     Control("steer", low=-1.0, rate=4.0, pattern=r"steer", declared=True),
 )

@@ -28,7 +28,10 @@ FEATURE_SETS: Final = ("hindsight", "-20", "-10", "0", "10", "20", "30", "40")
 """Views of a map cell by the vehicle's distance to it [m]; negative once driven past."""
 
 MIN_EVALUATION_SPEED: Final = 1.5
-"""Evaluation windows start above this speed [m/s]."""
+"""Evaluation windows of full-size vehicles start above this speed [m/s]; of smaller ones, `min_evaluation_speed`."""
+
+SMALLEST_FULL_SIZE: Final = 1.5
+"""Shortest wheelbase of a full-size vehicle [m]."""
 
 EVALUATION_STRIDE: Final = 5
 """Rows between the starts of evaluation windows: one every 0.1 s."""
@@ -38,3 +41,12 @@ PERCEPTION_LATENCY: Final = 0.1
 
 GRAVITY: Final = 9.80665
 """Standard gravity [m/s^2] (CGPM 1901)."""
+
+
+def min_evaluation_speed(wheelbase: float) -> float:
+    """Speed above which windows of a vehicle start [m/s]: 1.5, or less for a small one, by equal Froude numbers.
+
+    Args:
+        wheelbase: [m]; speeds go with its square root below `SMALLEST_FULL_SIZE`.
+    """
+    return MIN_EVALUATION_SPEED * min(1.0, (wheelbase / SMALLEST_FULL_SIZE) ** 0.5)

@@ -1,7 +1,8 @@
 """Errors that a user can cause: what is wrong, where, and how to fix it, in one line; missing extras."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,6 +32,12 @@ class OffpisteError(Exception):
         place = f"{self.where}: " if self.where else ""
         fix = f"; {self.how}" if self.how else ""
         return _one_line(f"{place}{self.what}{fix}")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A question that names what is spelled alike, to begin a remedy with: "did you mean 'dart'? "; "" for nothing."""
+    near = get_close_matches(name, tuple(known), n=1)
+    return f"did you mean '{near[0]}'? " if near else ""
 
 
 def _one_line(text: str) -> str:

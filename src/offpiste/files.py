@@ -27,6 +27,17 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         partial.unlink(missing_ok=True)
 
 
+def write_folder(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a folder beside its place and move it there when it is complete."""
+    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent))
+    try:
+        write(partial)
+        partial.chmod(0o755)
+        partial.replace(path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
 def check_folder(out: Path) -> None:
     """Check that a path can be a folder.
 

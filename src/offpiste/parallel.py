@@ -115,7 +115,9 @@ def _context(work: Work[Job]) -> BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([_module_of(work)])  # of no effect once the server runs
+    module = _module_of(work)
+    if module != "__main__":  # a script under `python -m` has another name in the workers
+        context.set_forkserver_preload([module])  # of no effect once the server runs
     return context
 
 

@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Final, Generic, TypeVar
 
-from offpiste.errors import OffpisteError
+from offpiste.errors import OffpisteError, did_you_mean
 
 Entry = TypeVar("Entry")
 
@@ -57,7 +57,8 @@ class Registry(Generic[Entry]):
         """
         self._load()
         if name not in self._entries:
-            raise self._error(f"no {self.kind} '{name}'", how=f"there are: {', '.join(self._entries)}")
+            how = f"{did_you_mean(name, self._entries)}there are: {', '.join(self._entries)}"
+            raise self._error(f"no {self.kind} '{name}'", how=how)
         return self._entries[name]
 
     def __contains__(self, name: object) -> bool:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-from offpiste.errors import RunError
+from offpiste.errors import RunError, did_you_mean
 
 PREFIX = "pretrained:"
 """What the name of a model that ships begins with, wherever a run folder or a PCA is expected."""
@@ -29,8 +29,20 @@ def run_folder(run: str | Path) -> Path:
         return Path(run)
     name = str(run).removeprefix(PREFIX)
     if name not in pretrained_names():
-        raise RunError(f"no model '{name}' ships", where=str(run), how=f"there are: {', '.join(pretrained_names())}")
+        how = f"{did_you_mean(name, pretrained_names())}there are: {', '.join(pretrained_names())}"
+        raise RunError(f"no model '{name}' ships", where=str(run), how=how)
     return _FOLDER / name
+
+
+def named(folder: Path) -> str:
+    """How a person names a run: `pretrained:NAME` for a model that ships, else its folder."""
+    return f"{PREFIX}{folder.relative_to(_FOLDER).as_posix()}" if folder.is_relative_to(_FOLDER) else str(folder)
+
+
+def alike(folder: Path) -> str:
+    """A question that names a run of nearly this name beside it, or one that ships (`errors.did_you_mean`)."""
+    beside = [str(path.parent) for path in folder.parent.glob("*/model.json")]
+    return did_you_mean(str(folder), [*beside, *(f"{PREFIX}{name}" for name in pretrained_names())])
 
 
 def pca_file(pca: str | Path) -> Path:
@@ -43,5 +55,6 @@ def pca_file(pca: str | Path) -> Path:
         return Path(pca)
     name, families = str(pca).removeprefix(PREFIX), sorted(path.parent.name for path in _FOLDER.glob(f"*/{PCA}"))
     if name not in families:
-        raise RunError(f"no PCA '{name}' ships", where=str(pca), how=f"there are: {', '.join(families)}")
+        how = f"{did_you_mean(name, families)}there are: {', '.join(families)}"
+        raise RunError(f"no PCA '{name}' ships", where=str(pca), how=how)
     return _FOLDER / name / PCA

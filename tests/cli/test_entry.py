@@ -92,6 +92,12 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
         (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "is there already"),
         (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
+        (("fit-pca", "--rig", "kitti"), "no log is given"),
+        (("check",), "nothing to check is given"),
+        (("evaluate", "--dataset", "{dataset}"), "no run is given"),
+        (("evaluate", "{run}b", "--dataset", "{dataset}"), "no such folder; did you mean '{run}'?"),
+        (("inspect", "{drive}", "--rig", "proving-ground"), "no such rig; did you mean 'proving_ground'?"),
+        (("train", "{dataset}", "--out", "{tmp}/run", "--model", "parametrik"), "did you mean 'parametric'?"),
         (("evaluate", "{tmp}/nothing", "--dataset", "{dataset}"), "no such folder"),
         (("evaluate", "{tmp}", "--dataset", "{dataset}"), "not a run"),
         (("evaluate", "{run}", "--dataset", "{tmp}"), "not a dataset"),
@@ -108,7 +114,7 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
     }
     assert run(*(argument.format(**places) for argument in arguments)) == 1
     error = capsys.readouterr().err
-    assert message in error
+    assert message.format(**places) in error
     assert error.startswith("offpiste: ")
     assert error.count("\n") == 1
 

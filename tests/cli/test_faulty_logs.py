@@ -36,7 +36,7 @@ def pca(folder) -> Path:
 
 def extract(capsys, folder: Path, pca: Path, out: Path, *logs: Path) -> tuple[int, str, str]:
     options = ("--rig", folder / "rig.toml", "--pca", pca, "--split", "blocks:1,0,0", "--processes", 1)
-    return run(capsys, "extract", *logs, "--out", out, *options)
+    return run(capsys, "extract", *logs, "--out", out, "--force", *options)
 
 
 NAN = np.full((50, 3), np.nan)

@@ -25,6 +25,7 @@ fractions = st.tuples(st.integers(1, 20), st.integers(0, 20), st.integers(0, 20)
 )
 splits = st.one_of(
     fractions,
+    st.sampled_from(["blocks:0.7,0.1,0.2@120", "blocks:0.6,0.2,0.2@60", "blocks:0.5,0,0.5@30.5"]),
     st.integers(3, 7).flatmap(lambda n: st.integers(0, n - 1).map(lambda k: f"fold:{k}/{n}")),
     st.sampled_from(["places:20", "places:50", "places:5"]),
 )
@@ -54,6 +55,23 @@ def test_blocks_follow_the_fractions_by_time():
     counts = [(label == part).sum() for part in range(3)]
     assert counts == [14000, 2000 - GAP, 4000 - GAP]
     assert (np.diff(label[label >= 0]) >= 0).all()
+
+
+def test_blocks_repeat_every_period():
+    label = parse_split("blocks:0.7,0.1,0.2@120").label("drive", wandering(20000))
+    edges = np.concatenate([start + np.array([0, 4200, 4800]) for start in range(0, 20000, 6000)])
+    for first, part in zip(edges, [0, 1, 2] * 4, strict=True):
+        if first < len(label):
+            assert (label[first : first + GAP] == (part if first == 0 else -1)).all()
+            assert (label[first + GAP : first + 500] == part).all()
+
+
+def test_blocks_too_short_for_windows_are_refused_with_the_least():
+    with pytest.raises(
+        DatasetError, match=r"@60: blocks of 60 s leave 6\.0 s for the smallest part; give @104 or more"
+    ):
+        parse_split("blocks:0.7,0.1,0.2@60")
+    assert parse_split("blocks:0.7,0.1,0.2@104").period == 104.0
 
 
 def test_a_part_may_be_empty():
@@ -113,7 +131,7 @@ def test_a_split_by_drives_comes_back_as_it_was_written(tmp_path):
     "text",
     ["", "blocks", "drives", "blocks:1", "blocks:0.5,0.5,0.5", "blocks:-0.1,0.6,0.5", "blocks:0,0.5,0.5",
      "blocks:a,b,c", "blocks:nan,0.5,0.5", "fold:5/5", "fold:0/2", "fold:1", "places:0", "places:x", "places:inf",
-     "random:0.8"],
+     "random:0.8", "blocks:0.7,0.1,0.2@", "blocks:0.7,0.1,0.2@-3", "blocks:0.7,0.1,0.2@nan"],
 )  # fmt: skip
 def test_what_is_no_split_is_an_error_that_shows_one(text):
     with pytest.raises(DatasetError, match=r"not a split.*blocks:0\.7,0\.1,0\.2"):

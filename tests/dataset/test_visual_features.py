@@ -15,7 +15,7 @@ from offpiste.dataset.store import Dataset, drive_names
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError, LogError
 from offpiste.logs.ground_truth import read_truth_map
-from offpiste.logs.log import open_log
+from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions
@@ -182,11 +182,11 @@ def test_what_cannot_be_extracted_ends_in_one_line(folder: Path, tmp_path: Path)
     world = WorldSettings("uniform", size=100.0, resolution=0.5)
     simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "blind.mcap")
     with pytest.raises(LogError, match="LiDAR"):
-        make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", pca=pca)
+        make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", pca=pca, force=True)
     with pytest.raises(DatasetError, match="both a PCA"):
         make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "e.zarr", pca=pca, features="ground-truth")
     with pytest.raises(DatasetError, match="another"):
-        make_dataset([folder / "drive.mcap"], rig, folder / "data.zarr", split="blocks:1,0,0")
+        make_dataset([folder / "drive.mcap"], rig, folder / "data.zarr", split="blocks:1,0,0", force=True)
     with pytest.raises(DatasetError, match="min-hindsight is 2"):
         make_dataset([folder / "drive.mcap"], rig, tmp_path / "f.zarr", pca=pca, min_hindsight=2.0)
 
@@ -199,12 +199,12 @@ def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path)
     rig = load_rig("proving_ground")
     logs = [tmp_path / f"{name}.mcap" for name in ("one", "bad", "two")]
     with pytest.raises(LogError, match=r"bad\.mcap"):
-        make_dataset(logs, rig, tmp_path / "d.zarr", processes=2)
+        make_dataset(logs, rig, tmp_path / "d.zarr", processes=2, force=True)
     assert drive_names(tmp_path / "d.zarr") == ["one", "two"]
     # A killed run leaves half a drive; the next one clears it away and does only what is missing.
     (tmp_path / "d.zarr" / ".one.x.partial").mkdir()
     with logged() as said:
-        again = make_dataset(logs[::2], rig, tmp_path / "d.zarr")
+        again = make_dataset(logs[::2], rig, tmp_path / "d.zarr", force=True)
     assert said == ["one: already there", "two: already there"]
     assert len(again.drives) == 2
     assert not (tmp_path / "d.zarr" / ".one.x.partial").exists()
@@ -220,5 +220,7 @@ def test_a_dataset_without_drives_does_not_bar_the_next_try(tmp_path: Path) -> N
         make_dataset([tmp_path / "bad.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr")
     world = WorldSettings("uniform", size=100.0, resolution=0.5)
     simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "one.mcap")
-    made = make_dataset([tmp_path / "one.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr", split="blocks:1,0,0")
+    made = make_dataset(
+        [tmp_path / "one.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr", split="blocks:1,0,0", force=True
+    )
     assert [drive.name for drive in made.drives] == ["one"]

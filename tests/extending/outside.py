@@ -55,7 +55,7 @@ def extracted_car(folder: Path, channel: str, *, extension: str, **columns: np.n
     table = {"t": time, "x": 5 * time, "y": zero, "yaw": zero, "throttle": zero, "brake": zero, "steer": zero} | columns
     rows = np.column_stack([*table.values()])
     np.savetxt(folder / "drive.csv", rows, delimiter=",", header=",".join(table), comments="", fmt="%.9g")
-    words = ("--rig", folder / "rig.toml", "--out", folder / "d.zarr", "--split", "blocks:1,0,0")
+    words = ("--rig", folder / "rig.toml", "--out", folder / "d.zarr", "--split", "blocks:1,0,0", "--force")
     extracted = offpiste("extract", folder / "drive.csv", *words, extension=extension)
     assert extracted.returncode == 0, extracted.stderr
     return folder / "d.zarr"

@@ -160,7 +160,7 @@ def verdict_of(outcome: Outcome, command: str = "") -> tuple[str, str]:
     if outcome.code != 1:
         return "wrong message", f"exit code {outcome.code}"
     # `inspect` says why in its report; `--write-rig` says on standard error what it wrote, and what the rig lacks.
-    others = [line for line in lines if not line.startswith(("wrote ", "  missing: "))]
+    others = [line for line in lines if not line.startswith(("wrote ", "  cured: ", "  missing: "))]
     if not others and "NOT usable for training" in outcome.out:
         return "refused", "NOT usable for training"
     if not others and command == "check":  # says on standard output what is damaged, a line each

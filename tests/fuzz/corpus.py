@@ -67,7 +67,7 @@ def _made(line: str, **places: object) -> None:
 
 
 QUICK = "--epochs 1 --bicycle-epochs 1 --actuator-epochs 1 --stride 100 --batch 2"
-EXTRACT = "extract {input} --out {out}/d.zarr --processes 1"
+EXTRACT = "extract {input} --out {out}/d.zarr --force --processes 1"
 
 
 def make_corpus(folder: Path, data: Path | None) -> list[Sound]:
@@ -107,7 +107,7 @@ def _tables(folder: Path) -> list[Sound]:
         result.append(Sound(kind, place, commands, container.name, rewrite))
         if kind in ("csv", "ros1"):
             log = place / container.name
-            lines = (f"inspect {log} --rig {{input}}", f"extract {log} --rig {{input}} --out {{out}}/d.zarr")
+            lines = (f"inspect {log} --rig {{input}}", f"extract {log} --rig {{input}} --force --out {{out}}/d.zarr")
             result.append(Sound("rig", rig, lines))
     return result
 
@@ -128,7 +128,7 @@ def _sensors(folder: Path) -> list[Sound]:
     only.mkdir()
     shutil.copy(log, only / "good.mcap")
     options = "--split blocks:1,0,0"
-    extract = f"extract {{log}} --rig {{rig}} --pca {{pca}} {options} --processes 1 --out {{{{out}}}}/d.zarr"
+    extract = f"extract {{log}} --rig {{rig}} --pca {{pca}} {options} --force --processes 1 --out {{{{out}}}}/d.zarr"
     fit = f"fit-pca {{log}} --rig {{rig}} --backbone filterbank --images 4 --components 3 {options} --out {{{{out}}}}/p"
     view = "view {log} --rig {rig} --seconds 1:2 --no-rrd --out {{out}}/v"
     inspect = "inspect {log} --rig {rig}"
@@ -326,7 +326,7 @@ def _texts(folder: Path) -> list[Sound]:
     split.write_text("drive train\nother test\nthird validation\n")
     world = folder / "world.toml"
     world.write_text((Path(__file__).parents[2] / "examples/extending/salt_flat.toml").read_text())
-    lines = (f"extract {log} --rig {rig} --out {{out}}/d.zarr --split drives:{{input}}",)
+    lines = (f"extract {log} --rig {rig} --force --out {{out}}/d.zarr --split drives:{{input}}",)
     drive = "simulate --world {input} --sensors none --seconds 1 --out {out}/s.mcap"
     course = f"drive {folder}/b --world {{input}} --seconds 0.2 --out {{out}}/c"
     return [Sound("split", split, lines, share=0.4), Sound("world", world, (drive, drive, course), share=0.4)]

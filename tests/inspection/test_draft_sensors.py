@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.cli import main
+from offpiste.errors import LogError
 from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.logs import open_log
 from offpiste.logs.ros.writer import quaternion
@@ -61,6 +62,11 @@ def test_what_the_log_does_not_say_is_missing(tmp_path: Path) -> None:
     assert any(line.startswith("transforms: no TF") for line in lines)
     assert any(line.startswith("calibration of front: no CameraInfo") for line in lines)
     assert any(line.startswith("mounting of top: no fixed transform joins 'lidar' to 'base_link'") for line in lines)
+    given = rig.lidars["top"].body_from_lidar
+    assert given is not None
+    assert given.looks == "forward"
+    with pytest.raises(LogError, match="the mounting of 'top' is a rough guess"):
+        open_sensors(open_log(tmp_path / "log.mcap"), rig)
 
 
 def test_two_cameras_have_their_own_calibration_and_name(tmp_path: Path) -> None:

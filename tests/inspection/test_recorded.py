@@ -41,7 +41,6 @@ def test_turnpike_without_a_rig(unknown: Inspection) -> None:
     assert unknown.summary.distance == pytest.approx(3750, rel=0.03)
     assert unknown.summary.speed_max == pytest.approx(14.6, abs=0.5)
     assert "channels.steer.sign = -1" in remedies(unknown)
-    assert any(m.startswith("channels.throttle.wrap = {") and "period = 6553.6" in m for m in remedies(unknown))
     findings = {f.where: f for f in unknown.findings}
     assert findings["wheel_rpm[0]"].what == "isolated spikes"
     assert "copy" in findings["cmd[1]"].what
@@ -53,6 +52,12 @@ def test_the_vehicle_bus_has_a_clock_that_drifts(unknown: Inspection) -> None:
     (finding,) = (f for f in unknown.findings if f.what == "has a clock that drifts")
     assert finding.where == "controls, shock_pos, wheel_rpm"
     assert 'topic = "wheel_rpm"' in finding.remedy
+
+
+def test_the_draft_unwraps_the_throttle(turnpike: Path) -> None:
+    wrap = parse_rig(draft_rig(open_log(turnpike)), where="").channels["throttle"].wrap
+    assert wrap is not None
+    assert wrap.period == 6553.6
 
 
 def test_frames_of_velocities(turnpike: Path, meadows: Path) -> None:

@@ -5,7 +5,8 @@ import json
 import numpy as np
 from simulated import drive_log, rig
 
-from offpiste.inspection.inspect import inspect_log, render_text
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.render import render_text
 
 
 def test_people_read_the_worst_first_with_evidence_and_remedy() -> None:

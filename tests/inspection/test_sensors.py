@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from experiments.sensor_faults import planted
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.misfit import Misfit
 from offpiste.inspection.sensor_samples import gather, small_camera
 from offpiste.inspection.sensor_stamps import check_own_body, check_sensor_stamps
-from offpiste.inspection.sensors import CheckedSensor, camera_misfits, check_mountings, lidar_misfits
+from offpiste.inspection.sensors import CheckedSensor, camera_misfits, can_be_checked, check_mountings, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.sensor_log import open_sensors
@@ -114,3 +115,12 @@ def test_kitti(data_folder):
     assert camera.is_turned
     assert camera.misfit is not None
     np.testing.assert_allclose(np.rad2deg(camera.misfit.parameters[1]), -2.0, atol=0.4)
+
+
+@pytest.mark.parametrize(
+    ("where", "checked"), [("controls", True), ("steer", True), ("position", False), ("oxts", False)]
+)
+def test_only_the_pose_decides_whether_sensors_are_checked(where, checked):
+    finding = Finding("fatal", where, "is wrong", "", "")
+    assert can_be_checked([finding], load_rig("kitti")) == checked
+    assert can_be_checked([replace(finding, severity="warning")], load_rig("kitti"))

@@ -65,7 +65,7 @@ def test_nan_and_infinity_are_counted() -> None:
     log = drive_log(seconds=60).change("pedals", "throttle", broken)
     (finding,) = (f for f in inspect_log(log, rig()).findings if f.severity == "warning")
     assert finding.where.startswith("throttle")
-    assert finding.evidence == "11 of 3000 samples (0.4%)"
+    assert finding.evidence == "11 of 3000 samples (0.4%), the first 10, the last 30"
 
 
 def test_a_field_that_no_channel_reads_is_only_noted() -> None:

@@ -1,7 +1,9 @@
 """Channels: known signals in, known answers out; what is not known is NaN or said, never guessed."""
 
+import msgspec
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from factories import MemoryLog, small_rig
 from offpiste.errors import LogError, RigError
@@ -143,3 +145,24 @@ def test_a_grid_of_time_is_no_longer_than_a_day():
         refuse_long(1e9, 1e9 + 90_000, "log")
     with pytest.raises(LogError, match="stamps span 48 hours"):
         common_span([channel([0.0, 2 * 86_400], [0.0, 1.0])], "log")
+
+
+def test_samples_out_of_order_are_sorted_where_the_rig_says_so():
+    log = MemoryLog(odom=(np.array([0.0, 0.3, 0.1, 0.2, 0.4]), {"v": np.array([0.0, 3.0, 1.0, 2.0, 4.0])}))
+    source = ChannelSource(fields=("v",), topic="odom")
+    rig = small_rig()
+    kept, _ = read_channel(log, rig, "yaw_rate", source)
+    assert len(kept.time) < 5
+    sorted_clock = msgspec.structs.replace(rig, clock=msgspec.structs.replace(rig.clock, sort=True))
+    ordered, notes = read_channel(log, sorted_clock, "yaw_rate", source)
+    np.testing.assert_allclose(ordered.values[:, 0], 10 * ordered.time)
+    assert len(ordered.time) == 5
+    assert notes == []
+
+
+def test_an_orientation_is_turned_about_the_bodys_z_axis():
+    quaternion = Rotation.random(10, random_state=0).as_quat()
+    source = ChannelSource(fields=("x", "y", "z", "w"), offset=0.7)
+    turned = Rotation.from_quat(convert("orientation", source, quaternion)).as_matrix()
+    expected = Rotation.from_quat(quaternion).as_matrix() @ Rotation.from_euler("z", 0.7).as_matrix()
+    np.testing.assert_allclose(turned, expected, atol=1e-12)

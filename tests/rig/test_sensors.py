@@ -78,3 +78,13 @@ def test_the_proving_grounds_rig_masks_what_its_cameras_see_of_the_vehicle():
         seen = np.isfinite(own) & (own < 100)
         assert (seen & ~mask).sum() < 0.02 * seen.sum()
         assert (mask & ~seen).mean() < 0.01
+
+
+def test_a_rough_guess_looks_somewhere():
+    left = Mounting(looks="left")
+    np.testing.assert_allclose(left.matrix()[:3, 0], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(left.matrix(optical=True)[:3, :3] @ [0, 0, 1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(left.matrix(optical=True)[:3, :3] @ [0, 1, 0], [0, 0, -1], atol=1e-12)
+    ahead = Mounting((0.0, 0.0, 0.0), (-0.5, 0.5, -0.5, 0.5)).matrix()
+    np.testing.assert_allclose(Mounting(looks="forward").matrix(optical=True), ahead, atol=1e-12)
+    assert left.is_rough

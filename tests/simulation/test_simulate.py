@@ -288,6 +288,6 @@ def test_the_command_line_records_what_can_be_extracted(tmp_path, capsys):
     log, dataset = str(tmp_path / "drive.mcap"), str(tmp_path / "data.zarr")
     assert run("simulate", "--sensors", "none", "--seconds", "5", "--out", log) == 0
     assert "drive.mcap: 5 s, " in capsys.readouterr().out
-    assert run("extract", log, "--rig", "proving_ground", "--out", dataset) == 0
+    assert run("extract", log, "--rig", "proving_ground", "--out", dataset, "--force") == 0
     drive = read_drive(log, RIG)
     assert len(drive.channels["position"].time) == 250

@@ -17,8 +17,9 @@ from offpiste.errors import DatasetError, RunError, TrainingError
 from offpiste.training import optimise, prediction
 from offpiste.training.checkpoint import load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
+from offpiste.training.fitness import refuse_seen
 from offpiste.training.prediction import predict
-from offpiste.training.run import load_run, refuse_seen
+from offpiste.training.run import load_run
 from offpiste.training.train import fold_folders, train, train_folds
 
 QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
@@ -192,12 +193,12 @@ def test_a_gradient_that_is_not_finite_is_named(dataset: Dataset, tmp_path: Path
 def test_a_folder_with_a_run_is_not_overwritten(dataset: Dataset, run: Path) -> None:
     with pytest.raises(RunError, match="holds a run already"):
         train(dataset, QUICK, run)
-    with pytest.raises(RunError, match=r"begun with other settings \(train\)"):
+    with pytest.raises(RunError, match=r"begun with other settings \(batch 64 then, 4 now\)"):
         train(dataset, replace(QUICK, batch=4), run, resume=True)
 
 
 def test_an_unknown_model_is_named(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="no model 'bb'; there are: ctrv"):
+    with pytest.raises(RunError, match=r"no model 'bb'; did you mean 'b'\? there are: ctrv"):
         train(dataset, replace(QUICK, model="bb"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.errors import OffpisteError
 
 
 @COMMANDS.register("check")
@@ -21,4 +22,6 @@ class Check:
         """Look for them, compare, say what is damaged."""
         from offpiste.file_check import check_paths
 
+        if not self.paths:
+            raise OffpisteError("nothing to check is given", how="name runs, datasets or PCA files")
         return 1 if check_paths(self.paths) else 0

@@ -4,13 +4,12 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from typing import Final, Protocol
 
 import tyro
 
 from offpiste._version import __version__
-from offpiste.errors import OffpisteError
+from offpiste.errors import OffpisteError, did_you_mean
 from offpiste.progress import log_to_terminal
 from offpiste.registry import Registry
 
@@ -58,9 +57,8 @@ def commands_in_order() -> dict[str, Callable[..., Command]]:
 
 def _no_command(word: str, commands: Sequence[str]) -> OffpisteError:
     """What is wrong with a first word that is no command."""
-    near = get_close_matches(word, commands, n=1)
-    meant = f"did you mean '{near[0]}'? " if near else ""
-    return OffpisteError(f"'{word}' is no command", how=f"{meant}Commands: {', '.join(commands)}")
+    how = f"{did_you_mean(word, commands)}Commands: {', '.join(commands)}"
+    return OffpisteError(f"'{word}' is no command", how=how)
 
 
 def main(arguments: list[str] | None = None) -> None:

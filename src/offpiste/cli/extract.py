@@ -22,7 +22,7 @@ class Extract:
     out: Path
     """The dataset, e.g. dataset.zarr; drives already in it are kept."""
     split: str = "blocks:0.7,0.1,0.2"
-    """blocks:TRAIN,VALIDATION,TEST by time, fold:K/N, places:METRES, or drives:FILE."""
+    """blocks:TRAIN,VALIDATION,TEST by time (@SECONDS: repeated), fold:K/N, places:METRES, or drives:FILE."""
     features: Literal["none", "ground-truth", "ground-kind"] = "none"
     """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
     `ground-kind`: the kind of ground."""
@@ -40,6 +40,8 @@ class Extract:
     """Snapshots hold what was measured this long before their windows start, or earlier [s]; `drive` has the same."""
     processes: int = 0
     """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
+    force: bool = False
+    """Also extract logs in which `inspect` finds something fatal."""
     flat: bool = False
     """Leave out the slope of the driven path: all ground is flat (an ablation)."""
 
@@ -63,5 +65,6 @@ class Extract:
             snapshots=SnapshotSettings(self.snapshot_seconds, latency=self.latency),
             replay=MapperSettings(self.keyframe_metres),
             processes=self.processes,
+            force=self.force,
         )
         return 0

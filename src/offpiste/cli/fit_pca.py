@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.errors import LogError
 from offpiste.progress import show
 
 
@@ -43,6 +44,8 @@ class FitPca:
         from offpiste.perception.pca import save_pca
         from offpiste.rig.rig import load_rig
 
+        if not self.logs:
+            raise LogError("no log is given", how="name one or more logs")
         images = read_image_list(self.images) if isinstance(self.images, Path) else self.images
         fitted = fit_pca(
             self.logs,

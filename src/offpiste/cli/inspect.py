@@ -3,6 +3,7 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 from typing import Annotated
 
 import tyro
@@ -21,24 +22,71 @@ class Inspect:
     rig: str | None = None
     """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
     write_rig: Path | None = None
-    """Write a first rig for this log to a new file."""
+    """Write a rig to a new file: the given one, or a first one for this log, with all remedies applied."""
+    estimate_mountings: bool = False
+    """Estimate how the rig's cameras and LiDARs are mounted, instead of the checks; the rig's mountings are guesses."""
     json: bool = False
     """Print findings as JSON."""
 
     def run(self) -> int:
-        """Draft a rig, inspect, print."""
+        """Inspect, write the cured rig, print, name the next command."""
         from json import dumps
 
-        from offpiste.inspection.draft_rig import write_draft
-        from offpiste.inspection.inspect import inspect_log, render
+        from offpiste.inspection.draft_rig import draft_rig, refuse_existing, write_rig
+        from offpiste.inspection.draft_sensors import missing
+        from offpiste.inspection.inspect import inspect_log
+        from offpiste.inspection.render import render
+        from offpiste.logs import open_log
+        from offpiste.rig.edits import edited_text
+        from offpiste.rig.rig import load_rig, rig_text
+
+        if self.estimate_mountings:
+            return self._estimate()
+        rig = load_rig(self.rig) if self.rig else None
+        if self.write_rig:
+            refuse_existing(self.write_rig)
+        log = open_log(self.log, clock=rig.clock if rig else None)
+        inspection = inspect_log(log, rig, sensors=True)
+        show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
+        if self.write_rig:
+            text = rig_text(self.rig) if self.rig else draft_rig(log)
+            write_rig(edited_text(text, inspection.cure), self.write_rig)
+            lacking = [] if self.rig else missing(text)
+            cured = [f"  cured: {edit}" for edit in inspection.cure]
+            lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]
+            print(*lines, sep="\n", file=sys.stderr)  # noqa: T201
+        if not self.json:
+            show(f"next: {self._next(usable=inspection.usable)}")
+        return 0 if inspection.usable else 1
+
+    def _next(self, *, usable: bool) -> str:
+        """The command that comes next, as a line to paste."""
+        if self.write_rig:
+            return join(["offpiste", "inspect", self.log, "--rig", str(self.write_rig)])
+        if not self.rig:
+            return join(["offpiste", "inspect", self.log, "--write-rig", "my.toml"])
+        if usable:
+            return join(["offpiste", "extract", self.log, "--rig", self.rig, "--out", "dataset.zarr"])
+        again = join(["offpiste", "inspect", self.log, "--rig", self.rig])
+        return (
+            again if self.rig.endswith(".toml") else join(["offpiste", "inspect", self.log, "--write-rig", "my.toml"])
+        )
+
+    def _estimate(self) -> int:
+        """Estimate mountings, print; exit code 1 if one could not be estimated."""
+        from json import dumps
+
+        from offpiste.errors import RigError
+        from offpiste.inspection.estimated_mounting import render_mountings
+        from offpiste.inspection.mountings import estimate_mountings
         from offpiste.logs import open_log
         from offpiste.rig.rig import load_rig
 
-        rig = load_rig(self.rig) if self.rig else None
-        log = open_log(self.log, clock=rig.clock if rig else None)
-        if self.write_rig:
-            lacking = write_draft(log, self.write_rig)
-            print(f"wrote {self.write_rig}", *(f"  missing: {what}" for what in lacking), sep="\n", file=sys.stderr)  # noqa: T201
-        inspection = inspect_log(log, rig, sensors=True)
-        show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
-        return 0 if inspection.usable else 1
+        if not self.rig:
+            how = "give --rig; `offpiste inspect LOG --write-rig first.toml` drafts one"
+            raise RigError("--estimate-mountings needs a rig that names cameras and LiDARs", how=how)
+        rig = load_rig(self.rig)
+        result = estimate_mountings(open_log(self.log, clock=rig.clock), rig)
+        as_json = {"schema": 1, "mountings": [one.as_dict() for one in result]}
+        show(dumps(as_json, indent=2) if self.json else render_mountings(result))
+        return 1 if any(one.refused for one in result) else 0

@@ -24,6 +24,8 @@ class Simulate:
     """Seed of the driver and the noise, for another drive in the same world."""
     sensors: Literal["full", "light", "none"] = "light"
     """Four cameras and two LiDARs; one of each, slower; or none."""
+    mounting_turn: float = 0.0
+    """Angle by which each sensor is turned about a random axis from its usual mounting; the log says so [degrees]."""
     twins: int = 0
     """Further drives with the same start and commands on other ground."""
     grip_contrast: float = 1.0
@@ -48,6 +50,8 @@ class Simulate:
         world = WorldSettings(self.world, self.seed, self.grip_contrast, self.appearance_noise)
         imperfections = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
         seed = self.seed if self.drive_seed is None else self.drive_seed
-        settings = DriveSettings(world, self.seconds, seed, self.sensors, imperfections=imperfections)
+        settings = DriveSettings(
+            world, self.seconds, seed, self.sensors, self.mounting_turn, imperfections=imperfections
+        )
         simulate(settings, self.out, twins=self.twins)
         return 0

@@ -76,6 +76,14 @@ class Driven:
     runtime: Runtime
     result: dict[str, Any]
 
+    def __repr__(self) -> str:
+        """What the drive came to; its arrays are attributes."""
+        return f"Driven({', '.join(f'{key}={value!r}' for key, value in self.result.items() if _is_short(value))})"
+
+
+def _is_short(value: Any) -> bool:
+    return isinstance(value, bool | int | float) or (isinstance(value, str) and len(value) < 60)
+
 
 def drive_course(
     planner: Planner,

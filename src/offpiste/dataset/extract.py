@@ -12,17 +12,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED
+from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
+from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_on, refuse_unusable
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
 from offpiste.logs.drive import drive_from_log, drive_name
-from offpiste.logs.log import open_log
+from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
 from offpiste.parallel import Report, run_all, usable_cores
@@ -47,15 +49,20 @@ class Job:
     min_hindsight: float = 0.0
     snapshots: SnapshotSettings | None = None
     replay: MapperSettings | None = None
+    force: bool = False
 
 
 def extract_drive(job: Job, report: Report) -> str:
     """Extract a drive; returns its description.
 
     Raises:
+        UnusableLog: `inspect` finds something fatal in it, and `force` is not given.
         LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
     """
     log = open_log(job.log, clock=job.rig.clock)
+    findings = findings_on(log, job.rig)
+    if not job.force:
+        refuse_unusable(findings, job.log)
     drive = drive_from_log(log, job.rig)
     rows, notes = extract_rows(drive), drive.notes
     if job.pca is not None:
@@ -72,13 +79,20 @@ def extract_drive(job: Job, report: Report) -> str:
             rows = with_visual_features(rows, sensors, job.rig, extractor, replay, snapshots=keeper, report=report)
             writer.close()
             stored = add_drive(
-                job.out, job.name, rows, job.split, notes + sensors.notes, snapshots=folder / "snapshots"
+                job.out,
+                job.name,
+                rows,
+                job.split,
+                notes + sensors.notes,
+                snapshots=folder / "snapshots",
+                findings=findings,
             )
-        return described(stored, job.split, job.min_hindsight)
+        return described(stored, job.split, job.min_hindsight, min_evaluation_speed(job.rig.vehicle.wheelbase))
     terrain = None
     if job.features != "none":
         rows, terrain = with_ground_truth(rows, truth_map(job.log, LAYERS[job.features]), job.rig)
-    return described(add_drive(job.out, job.name, rows, job.split, notes, terrain), job.split)
+    stored = add_drive(job.out, job.name, rows, job.split, notes, terrain, findings=findings)
+    return described(stored, job.split, min_speed=min_evaluation_speed(job.rig.vehicle.wheelbase))
 
 
 def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str, ...]:
@@ -103,20 +117,23 @@ def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray,
     result = []
     for number in (PARTS.index(name) for name in parts):
         starts = np.zeros(len(part), bool)
-        starts[evaluation_starts(rows, part == number)] = True
+        speed = min_evaluation_speed(job.rig.vehicle.wheelbase)
+        starts[evaluation_starts(rows, part == number, min_speed=speed)] = True
         result.append(starts)
     return result
 
 
-def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> str:
+def described(
+    drive: StoredDrive, split: Split, min_hindsight: float = 0.0, min_speed: float = MIN_EVALUATION_SPEED
+) -> str:
     """A drive as stored, in a few lines."""
     rows = drive.rows
     mine = [drive.part == number for number in range(len(PARTS))]
-    windows = [len(evaluation_starts(rows, part, min_hindsight)) for part in mine]
+    windows = [len(evaluation_starts(rows, part, min_hindsight, min_speed)) for part in mine]
     share = ", ".join(f"{count} {part}" for count, part in zip(windows, PARTS, strict=True))
     lines = [
         f"{drive.name}: {len(rows.time) / 50:.0f} s, {rows.distance / 1000:.2f} km, "
-        f"{rows.valid.mean():.1%} of the rows complete; windows above {MIN_EVALUATION_SPEED} m/s: {share}"
+        f"{rows.valid.mean():.1%} of the rows complete; windows above {min_speed:.3g} m/s: {share}"
     ]
     wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
     if split.kind in ("blocks", "fold") and min(wanted) == 0:
@@ -127,13 +144,18 @@ def described(drive: StoredDrive, split: Split, min_hindsight: float = 0.0) -> s
     if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
         rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)
         lines.append("  valid by distance: " + ", ".join(f"{name} {rate:.2f}" for name, rate in rates))
-        unseen = sum(len(evaluation_starts(rows, part)) for part in mine) - sum(windows)
+        unseen = sum(len(evaluation_starts(rows, part, min_speed=min_speed)) for part in mine) - sum(windows)
         if unseen:
             lines.append(f"  {unseen} windows left out: less than {min_hindsight:.0%} of their ground was ever seen")
     if drive.snapshots is not None and len(drive.snapshots.row):
         count, latency = len(drive.snapshots.row), drive.snapshots.latency
         lines.append(f"  {count} snapshots of the map, of what was measured {latency:g} s before their windows start")
+    lines += [f"  {_level(finding)}: {finding.line}" for finding in drive.findings]
     return "\n".join(lines + [f"  {note}" for note in drive.notes])
+
+
+def _level(finding: LogFinding) -> str:
+    return "FATAL, extracted by --force" if finding.severity == "fatal" else "warning"
 
 
 def make_dataset(
@@ -149,6 +171,7 @@ def make_dataset(
     snapshots: SnapshotSettings | None = None,
     replay: MapperSettings | None = None,
     processes: int = 1,
+    force: bool = False,
 ) -> Dataset:
     """Extract drives into a dataset; drives that are in it already are left as they are.
 
@@ -159,8 +182,10 @@ def make_dataset(
         min_hindsight: least share of the ground seen in hindsight along a window (`window_starts.enough_hindsight`).
         snapshots, replay: of visual features.
         processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
+        force: extract logs with fatal findings of `inspect`, too.
 
     Raises:
+        UnusableLog: `inspect` finds something fatal in a log; the others are extracted.
         LogError, RigError: a log cannot be read with this rig, or has no ground truth; the others are extracted.
         DatasetError: two logs of one name, another dataset at `out`, or several logs that cannot be extracted.
     """
@@ -189,7 +214,7 @@ def make_dataset(
     for name in (name for name in names if name in done):
         logger.info(f"{name}: already there")
     jobs = [
-        Job(Path(log), name, rig, out, parts, features, pca, device, min_hindsight, snapshots, replay)
+        Job(Path(log), name, rig, out, parts, features, pca, device, min_hindsight, snapshots, replay, force)
         for log, name in zip(logs, names, strict=True)
         if name not in done
     ]
@@ -200,12 +225,19 @@ def make_dataset(
         if not drive_names(out):
             shutil.rmtree(out)  # all logs failed
     _refuse_failed(failed, out)
-    return open_dataset(out)
+    dataset = open_dataset(out)
+    if (line := split_warning(dataset)) is not None:
+        logger.warning(line)
+    return dataset
 
 
 def _some(names: Sequence[str]) -> str:
     """The first of many names."""
     return ", ".join(f"'{name}'" for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _log_of(error: OffpisteError) -> str:
+    return Path(error.where).name or error.what
 
 
 def _useless(empty: Sequence[str]) -> str:
@@ -215,11 +247,16 @@ def _useless(empty: Sequence[str]) -> str:
 
 
 def _refuse_failed(failed: Sequence[OffpisteError], out: Path) -> None:
+    unusable = [error for error in failed if isinstance(error, UnusableLog)]
+    for error in unusable:
+        if len(error.findings) > 1 or len(failed) > 1:
+            for finding in error.findings:
+                logger.error(f"{error.where}: {finding.line}")
     if len(failed) == 1:
         raise failed[0]
     if failed:
         raise DatasetError(
             f"{len(failed)} logs could not be extracted (see above); the others were",
             where=out,
-            how="fix or leave out those logs and run it again: it resumes where it stopped",
+            how=f"fix or leave out {_some([_log_of(e) for e in failed])} and run it again: it resumes where it stopped",
         )

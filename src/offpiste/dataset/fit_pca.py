@@ -15,8 +15,8 @@ from offpiste.dataset.splits import Split
 from offpiste.errors import PerceptionError
 from offpiste.files import write_text
 from offpiste.logs.drive import drive_from_log, drive_name
-from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Image
+from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
 from offpiste.parallel import Report

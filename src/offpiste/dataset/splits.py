@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.errors import DatasetError
 from offpiste.files import write_text
 
@@ -25,7 +25,8 @@ class Split:
     Attributes:
         text: the same as a person writes it: "blocks:0.7,0.1,0.2", "fold:2/5", "places:50", "drives:FILE".
         kind: blocks, fold, places or drives.
-        fractions: of each drive, in the order of time (blocks).
+        fractions: of each drive, or of each period of it, in the order of time (blocks).
+        period: time after which blocks repeat [s]; 0: once a drive (blocks).
         fold: number of the fold from 0, and of how many (fold).
         cell: side of the squares that go to one part [m] (places).
         drives: part of each drive by its name (drives).
@@ -34,9 +35,15 @@ class Split:
     text: str
     kind: str
     fractions: tuple[float, ...] = ()
+    period: float = 0.0
     fold: tuple[int, int] = (0, 1)
     cell: float = 0.0
     drives: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def smallest(self) -> float:
+        """Smallest share of a part that has one (blocks)."""
+        return min(share for share in self.fractions if share > 0)
 
     def label(self, drive: str, position: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, " N"]:
         """Part of each row of a drive, -1 in gaps.
@@ -50,10 +57,11 @@ class Split:
         """
         rows = len(position)
         if self.kind == "blocks":
-            if rows * min(f for f in self.fractions if f > 0) < 2 * GAP:
+            length = min(round(self.period / DT), rows) if self.period else rows
+            if length * self.smallest < 2 * GAP:
                 return np.zeros(rows, dtype=np.int8)
-            edges = np.round(np.cumsum(self.fractions) * rows)
-            return _with_gaps(np.searchsorted(edges[:-1], np.arange(rows), side="right"))
+            edges = np.round(np.cumsum(self.fractions) * length)
+            return _with_gaps(np.searchsorted(edges[:-1], np.arange(rows) % length, side="right"))
         if self.kind == "fold":
             if rows / (2 * self.fold[1]) < 2 * GAP:
                 return np.zeros(rows, dtype=np.int8)
@@ -69,9 +77,9 @@ class Split:
 def parse_split(text: str) -> Split:
     """A split from its text.
 
-    `blocks:TRAIN,VALIDATION,TEST` fractions of each drive by time; `fold:K/N` part K of N blocks tests, half of the
-    next one validates; `places:METRES` squares of the ground, drawn 70 : 10 : 20; `drives:FILE` a line
-    "NAME PART" a drive.
+    `blocks:TRAIN,VALIDATION,TEST` fractions of each drive by time, with `@SECONDS` of each such period of it;
+    `fold:K/N` part K of N blocks tests, half of the next one validates; `places:METRES` squares of the ground, drawn
+    70 : 10 : 20; `drives:FILE` a line "NAME PART" a drive.
 
     Raises:
         DatasetError: unknown kind, fractions that do not sum to one, a file that cannot be read.
@@ -83,9 +91,11 @@ def parse_split(text: str) -> Split:
         raise DatasetError(f"not a split: '{text}' says no more than its kind", how=f"{usage}{more}")
     try:
         if kind == "blocks":
-            fractions = tuple(float(f) for f in rest.split(","))
-            if len(fractions) == 3 and abs(sum(fractions) - 1) < 1e-6 and min(fractions) >= 0 and fractions[0] > 0:
-                return Split(text, kind, fractions=fractions)
+            shares, at, every = rest.partition("@")
+            fractions, period = tuple(float(f) for f in shares.split(",")), float(every) if at else 0.0
+            good = len(fractions) == 3 and abs(sum(fractions) - 1) < 1e-6 and min(fractions) >= 0 and fractions[0] > 0
+            if good and (not at or 0 < period < np.inf):
+                return _long_enough(Split(text, kind, fractions=fractions, period=period))
         elif kind == "fold":
             number, total = (int(f) for f in rest.split("/"))
             if total >= 3 and 0 <= number < total:
@@ -98,6 +108,18 @@ def parse_split(text: str) -> Split:
     except ValueError:
         pass
     raise DatasetError(f"not a split: '{text}'", how=usage)
+
+
+def _long_enough(split: Split) -> Split:
+    """The same split, unless a block of a period is too short for windows."""
+    least = 2 * GAP * DT / split.smallest
+    if split.period and split.period < least - 1e-9:
+        raise DatasetError(
+            f"blocks of {split.period:g} s leave {split.period * split.smallest:.1f} s for the smallest part",
+            where=split.text,
+            how=f"give @{np.ceil(least):.0f} or more: two windows with their history take {2 * GAP * DT:.1f} s",
+        )
+    return split
 
 
 def write_drives(path: Path, parts: Iterable[tuple[str, str]]) -> str:

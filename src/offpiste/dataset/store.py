@@ -16,15 +16,17 @@ import zarr
 from jaxtyping import Int
 
 from offpiste.checksums import CHECKSUMS, DamagedFile, check_files, write_checksums
+from offpiste.conventions import MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
+from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_findings, stored_findings
 from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.dataset.store_validation import read_settings, refuse_invalid, refuse_misshapen, refuse_unlike
 from offpiste.dataset.stored_arrays import mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
-from offpiste.files import PARTIAL, remove_partials
+from offpiste.files import PARTIAL, check_folder, remove_partials, write_folder
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
@@ -39,6 +41,7 @@ class StoredDrive:
     Attributes:
         load_map: reads the map that the features of this drive come from; None where there is none.
         snapshots: the map at the start of windows that validate and test; None where none was kept.
+        findings: of `inspect` on its log; none of datasets that were made before findings were kept.
     """
 
     name: str
@@ -47,6 +50,7 @@ class StoredDrive:
     notes: tuple[str, ...]
     load_map: Callable[[], TerrainMap] | None = None
     snapshots: Snapshots | None = None
+    findings: tuple[LogFinding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class Dataset:
     Attributes:
         features: names of the terrain features under each wheel; empty for a dataset without.
         min_hindsight: least share of the ground seen in hindsight along a window (`window_starts.enough_hindsight`).
+        min_speed: windows start above it [m/s] (`conventions.min_evaluation_speed`).
         pca: identity of the PCA that made visual features (`PrincipalComponents.identity`).
     """
 
@@ -66,6 +71,12 @@ class Dataset:
     features: tuple[str, ...] = ()
     min_hindsight: float = 0.0
     pca: str | None = None
+    min_speed: float = MIN_EVALUATION_SPEED
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Findings of `inspect` on its drives, each once and in words."""
+        return findings_by_drive([(drive.name, drive.findings) for drive in self.drives])
 
     def relabelled(self, split: Split) -> "Dataset":
         """The same rows under another split (folds)."""
@@ -103,8 +114,10 @@ def create(
         "features": list(features),
         "pca": pca,
         "min_hindsight": min_hindsight,
+        "min_speed": min_evaluation_speed(rig.vehicle.wheelbase),
         "latency": latency,
     }
+    check_folder(path)
     remove_partials(path.parent, path.name)
     if path.exists() and _attributes(path).get("schema") and not drive_names(path):
         shutil.rmtree(path)  # begun by a run whose logs all failed
@@ -119,7 +132,7 @@ def create(
         zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3)
         write_checksums(partial, [partial / "zarr.json"])
 
-    _write_whole(path, write)
+    write_folder(path, write)
 
 
 def drive_names(path: Path) -> list[str]:
@@ -135,12 +148,14 @@ def add_drive(
     notes: tuple[str, ...],
     terrain: TerrainMap | None = None,
     snapshots: Path | None = None,
+    findings: Sequence[LogFinding] = (),
 ) -> StoredDrive:
     """Write one drive into a dataset, whole or not at all.
 
     Args:
         terrain: what its features were read from; kept where predictions are evaluated on it.
         snapshots: a folder of a `SnapshotWriter`, which is moved into the dataset.
+        findings: of `inspect` on its log.
 
     Raises:
         DatasetError: there is a drive of this name already.
@@ -150,28 +165,28 @@ def add_drive(
             f"already holds a drive '{name}'", where=path, how="rename the log: drives are identified by their names"
         )
     part = split.label(name, rows.state[:, :2] + rows.origin)
-
     evaluated = terrain is not None and bool(np.any(part > 0))
 
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
+        attributes["findings"] = stored_findings(findings)
         group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
         write_arrays(group, {**rows.arrays(), "part": part})
         if rows.cells is not None:
             write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
         if terrain is not None and evaluated:
             about = {"origin": terrain.origin.tolist(), "resolution": terrain.resolution}
-            arrays = {"elevation": terrain.elevation, "features": terrain.features}
-            write_arrays(group.create_group("map", attributes=about), arrays)
+            layers = group.create_group("map", attributes=about)
+            write_arrays(layers, {"elevation": terrain.elevation, "features": terrain.features})
         if snapshots is not None:
             snapshots.replace(partial / SNAPSHOTS)
         # Arrays carry a checksum themselves.
         write_checksums(partial, partial.rglob("zarr.json"))
 
-    _write_whole(path / name, write)
+    write_folder(path / name, write)
     load_map = (lambda: _read_map(path, name)) if evaluated else None
     kept = open_snapshots(path / name / SNAPSHOTS) if snapshots is not None else None
-    return StoredDrive(name, rows, part, notes, load_map, kept)
+    return StoredDrive(name, rows, part, notes, load_map, kept, tuple(findings))
 
 
 @contextmanager
@@ -192,10 +207,8 @@ def open_dataset(path: str | Path) -> Dataset:
     """
     path = Path(path)
     attributes = _attributes(path)
-    if attributes.get("schema") != SCHEMA:
-        raise DatasetError(
-            f"schema {attributes.get('schema')}, this offpiste reads {SCHEMA}", where=path, how="extract it again"
-        )
+    if (schema := attributes.get("schema")) != SCHEMA:
+        raise DatasetError(f"schema {schema}, this offpiste reads {SCHEMA}", where=path, how="extract it again")
     names = drive_names(path)
     if not names:
         raise DatasetError(
@@ -207,7 +220,7 @@ def open_dataset(path: str | Path) -> Dataset:
     for drive in drives:
         refuse_invalid(path, drive.name, drive.rows, about.rig, needs_cells=bool(about.features))
         refuse_misshapen(path, drive.name, drive.rows, drive.part, about)
-    return Dataset(path, about.rig, split, drives, about.features, about.min_hindsight, about.pca)
+    return Dataset(path, about.rig, split, drives, about.features, about.min_hindsight, about.pca, about.min_speed)
 
 
 def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
@@ -232,7 +245,8 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
         rows = rows_from_arrays(arrays, np.array(attributes["origin"]), cells)
         load_map = (lambda: _read_map(path, name)) if "map" in group else None
         kept = open_snapshots(path / name / SNAPSHOTS) if SNAPSHOTS in group else None
-        return StoredDrive(name, rows, part, tuple(attributes["notes"]), load_map, kept)
+        found = read_findings(attributes.get("findings"), path / name)
+        return StoredDrive(name, rows, part, tuple(attributes["notes"]), load_map, kept, found)
 
 
 def _read_cells(folder: Path, group: Any) -> Cells:
@@ -278,14 +292,3 @@ def _attributes(path: Path) -> dict[str, Any]:
             raise damaged from error
         raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
     return attributes
-
-
-def _write_whole(path: Path, write: Any) -> None:
-    """Write a folder beside its place and move it there when it is complete."""
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent))
-    try:
-        write(partial)
-        partial.chmod(0o755)
-        partial.replace(path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)

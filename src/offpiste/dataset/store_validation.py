@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from jaxtyping import Int
 
+from offpiste.conventions import MIN_EVALUATION_SPEED
 from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
@@ -27,6 +28,7 @@ class Settings(msgspec.Struct, frozen=True):
     features: tuple[str, ...] = ()
     min_hindsight: float = 0.0
     pca: str | None = None
+    min_speed: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = MIN_EVALUATION_SPEED
 
 
 def read_settings(attributes: dict[str, Any], path: Path) -> Settings:

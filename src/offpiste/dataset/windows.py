@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, NormalsUnderWheels
@@ -81,7 +81,7 @@ class Windows:
         dataset: rows and split.
         part: "train", "validation" or "test".
         start: "causal" gives starts and histories as they were known at the time, "smoothed" as targets are.
-        min_speed: of the causal estimate at the start [m/s].
+        min_speed: of the causal estimate at the start [m/s]; None for the dataset's.
         horizon: predicted steps.
         feature_set: of `conventions.FEATURE_SETS`; features and normals are read from it where a batch names no other.
         device: where batches are made.
@@ -96,12 +96,13 @@ class Windows:
         part: str,
         *,
         start: str = "causal",
-        min_speed: float = MIN_EVALUATION_SPEED,
+        min_speed: float | None = None,
         horizon: int = HORIZON_STEPS,
         feature_set: str = "hindsight",
         device: torch.device | str = "cpu",
     ) -> None:
         self.dataset, self.part, self.horizon, self.start = dataset, part, horizon, start
+        min_speed = dataset.min_speed if min_speed is None else min_speed
         rows = [drive.rows for drive in dataset.drives]
         self.device = torch.device(device)
         self._columns = {
@@ -272,7 +273,7 @@ class Windows:
 def _no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> DatasetError:
     what = f"the {part} part has no window of {horizon * DT:g} s"
     if any((drive.part == PARTS.index(part)).any() for drive in dataset.drives):
-        what, how = f"{what} that starts above {min_speed:g} m/s", "give longer or faster drives"
+        what, how = f"{what} that starts above {min_speed:.3g} m/s", "give longer or faster drives"
     else:
         count = len(dataset.drives)
         what = f"{what}, and no row (split {dataset.split.text}, {count} drive{'s' * (count > 1)})"

@@ -136,7 +136,16 @@ def _drive(out: Path, settings: FirstMinuteSettings) -> str:
         split = write_drives(out / "parts.txt", [(log.stem, "test")])
         snapshots = SnapshotSettings(settings.snapshot_seconds)
         pca = Path(f"{PREFIX}{FAMILY}")
-        make_dataset([log], load_rig(RIG), out / "dataset.zarr", split=split, pca=pca, snapshots=snapshots, processes=1)
+        make_dataset(
+            [log],
+            load_rig(RIG),
+            out / "dataset.zarr",
+            split=split,
+            pca=pca,
+            snapshots=snapshots,
+            processes=1,
+            force=True,
+        )
     return f"     {summary}"
 
 

@@ -14,8 +14,8 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.demo.comparison import WHAT, Predictions
 from offpiste.evaluation.errors import in_start_frame
 from offpiste.logs.drive import Drive
-from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Image
+from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.report.feature_colours import colour_limits, colours
@@ -156,5 +156,5 @@ def _errors(axes: Axes, predictions: Predictions) -> None:
     axes.scatter(b, dc, s=22, color=np.where(dc < b, COLOURS["dc"], COLOURS["b"]), zorder=3)
     limits = (0, 1.05 * most)
     axes.set(xlabel="b off by [m]", ylabel="dc off by [m]", xlim=limits, ylim=limits, aspect="equal")
-    axes.set_title(f"All predictions: dc nearer in {(dc < b).sum()} of {len(b)} (orange)", fontsize=10, loc="left")
+    axes.set_title(f"dc nearer in {(dc < b).sum()} of {len(b)} (orange)", fontsize=10, loc="left")
     axes.grid(alpha=0.3)

@@ -23,7 +23,8 @@ from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.result_rows import REFERENCE
-from offpiste.inspection.inspect import inspect_log, render
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.render import render
 from offpiste.logs import open_log
 from offpiste.parallel import usable_cores
 from offpiste.perception.backbones import open_backbone
@@ -228,7 +229,7 @@ def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, pr
         f"4/{STEPS}  offpiste extract {out}/logs/*.mcap --rig proving_ground --pca {pca} --split {split} --out {path}"
     )
     kept = SnapshotSettings(settings.snapshot_seconds)
-    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes)
+    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes, force=True)
 
 
 def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) -> Path:

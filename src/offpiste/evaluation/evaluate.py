@@ -127,6 +127,7 @@ def evaluate_models(
         windows=_window_numbers(windows, splits, part, stride, sampling),
         headlines=headlines(cases, sampling),
         results=result_rows(cases, part, sampling),
+        warnings=dataset.findings,
     )
     return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)
 

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
@@ -16,8 +17,9 @@ from offpiste.evaluation.result_rows import Start
 from offpiste.files import check_folder
 from offpiste.progress import track
 from offpiste.shipped import run_folder
+from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.prediction import Lookup
-from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
+from offpiste.training.run import Run, load_run
 from offpiste.training.train import fold_folders
 
 logger = logging.getLogger(__name__)
@@ -36,10 +38,12 @@ def evaluate_runs(
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
 
     Raises:
-        RunError: a folder is no finished run, does not fit the dataset, or was trained on the test part.
+        RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
         DatasetError: no dataset there, or no window in its test part.
         OffpisteError: `out` is a file.
     """
+    if not folders:
+        raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
     check_folder(out)
     dataset = open_dataset(dataset_path)
     runs: list[Run] = []
@@ -55,6 +59,8 @@ def evaluate_runs(
             fold = number if folds else None
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
     _refuse_unseen(runs, dataset)
+    if (line := warning_line(dataset.findings)) is not None:
+        logger.warning(line)
     evaluation = evaluate_models(
         models,
         dataset,

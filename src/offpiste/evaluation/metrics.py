@@ -142,6 +142,7 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     windows: WindowNumbers
     headlines: list[Headline]
     results: list[ResultRow]
+    warnings: tuple[str, ...] = ()
 
 
 def label(model: str, variant: str) -> str:

@@ -45,6 +45,7 @@ class ModelCard(msgspec.Struct, frozen=True):
         figures: of this run, by group.
         over_seeds: of the runs of all seeds, on all windows.
         not_for: what it must not be used for.
+        warnings: of `inspect` on the logs that it was trained on.
     """
 
     name: str
@@ -60,6 +61,7 @@ class ModelCard(msgspec.Struct, frozen=True):
     over_seeds: GroupFigures
     not_for: tuple[str, ...]
     licence: str = "Apache-2.0"
+    warnings: tuple[str, ...] = ()
 
 
 def load_card(folder: Path) -> ModelCard:
@@ -91,6 +93,8 @@ def card_page(card: ModelCard) -> str:
         "Written": card.date,
         "Licence": card.licence,
     }
+    if card.warnings:
+        facts["Warnings of `inspect` on the logs"] = "; ".join(card.warnings)
     lines = [f"# {card.name}", "", card.about, "", *(f"- **{name}**: {text}" for name, text in facts.items()), ""]
     lines += [figures_table(card).markdown()]
     lines += ["## What it must not be used for", "", *(f"- {use}" for use in card.not_for), ""]

@@ -97,6 +97,8 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         "command": made.command,
         "versions": ", ".join(f"{name} {version}" for name, version in made.versions.items()),
     }
+    if metrics.warnings:
+        facts["warnings of inspect"] = "; ".join(metrics.warnings)
     if failed:
         facts["failed"] = f"{failed} predictions are not finite; means over them are not either"
     return facts

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from offpiste.inspection.lidar import differentiated, planes
-from offpiste.inspection.misfit import Misfit, Pair, Parameters, fit_misfit, turned
+from offpiste.inspection.misfit import PRIOR, Misfit, Pair, Parameters, fit_misfit, turned
 from offpiste.inspection.sensor_samples import Grey, Scan, SmallCamera, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
@@ -34,7 +34,6 @@ _ALIKE: Final = 0.8
 _OLD: Final = 0.3
 """Most time between an image and the scan that gives its distances [s]."""
 _FURTHEST: Final = 40.0
-_NONE: Final = Pair(np.zeros(0), np.zeros((0, 4)))
 
 
 def check_camera(
@@ -44,12 +43,15 @@ def check_camera(
     scans: Sequence[Scan],
     poses: Poses,
     lidar_parameters: Parameters | None = None,
+    *,
+    prior: Parameters = PRIOR,
 ) -> Misfit | None:
     """Estimate by how much a camera's mounting and stamps are off; None with too few usable images.
 
     Args:
         lidar, scans: measure the distances of what the images show.
         lidar_parameters: misfit of the LiDAR, which is corrected.
+        prior: as for `fit_misfit`; with seven entries the place is estimated, too.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
     times = np.array([scan.time for scan in scans]) - given[3]
@@ -63,24 +65,24 @@ def check_camera(
     def compare(parameters: Parameters) -> list[Pair]:
         return [_compared(camera, one, other, world, poses, parameters) for one, other, world in couples]
 
-    return fit_misfit(compare)
+    return fit_misfit(compare, prior=prior)
 
 
 def _compared(
     camera: SmallCamera, one: Grey, other: Grey, world: Float[np.ndarray, "n 3"], poses: Poses, parameters: Parameters
 ) -> Pair:
     """Shifts of squares from where they should be, x and y [px], and how they change with the parameters."""
-    matrix = camera.rectifier.pinhole.matrix
+    matrix, nothing = camera.rectifier.pinhole.matrix, Pair(np.zeros(0), np.zeros((0, len(parameters))))
     first, second = (_camera_pose(camera, image.time, poses, parameters) for image in (one, other))
     if first is None or second is None or len(world) < 100:
-        return _NONE
+        return nothing
     points, at = _squares(camera, one, world, first)
     if not len(points):
-        return _NONE
+        return nothing
     normal, flat = planes(world, cKDTree(world), points)
     points, at, normal = points[flat], at[flat], normal[flat]
     if not len(points):
-        return _NONE
+        return nothing
     shift, same = _shifts(one, other, at, _Mapping(matrix, first, second, points, normal))
     points, normal, shift = points[same], normal[same], shift[same]
     back = _Mapping(matrix, second, first, points, normal)

@@ -1,38 +1,81 @@
-"""Guesses which topics and fields may feed which channel, by their names and types."""
+"""Guesses which topics and fields may feed which channel, by their names, units and types."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.logs.log import Log, Topic
+from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label
 
-_AXIS = re.compile(r"(?<![a-z])([pqvw]?)x(?![a-z])", re.IGNORECASE)
-_GROUPS: tuple[tuple[str, re.Pattern[str]], ...] = (
-    ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$", re.IGNORECASE)),
-    ("angular_velocity", re.compile(r"angular|gyro|omega|(^|[^a-z])w$", re.IGNORECASE)),
-    ("linear_velocity", re.compile(r"linear_?vel|twist\.linear|vel|(^|[^a-z])v$", re.IGNORECASE)),
-    ("position", re.compile(r"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$", re.IGNORECASE)),
+_AXIS_WORDS: Final = tuple(
+    (re.compile(rf"(?<![a-z]){pattern}(?![a-z])"), to)
+    for pattern, to in (
+        ("(easting|east)", "x"),
+        ("(northing|north)", "y"),
+        ("(up|altitude|alt|elevation|height)", "z"),
+        ("(utm|pos|position|enu)_?e", r"\1_x"),
+        ("(utm|pos|position|enu)_?n", r"\1_y"),
+        ("(utm|pos|position|enu)_?u", r"\1_z"),
+        ("(v|vel|velocity|speed)_(lon|long|longitudinal|forward|fwd)", "v_x"),
+        ("(v|vel|velocity|speed)_(lat|lateral|left)", "v_y"),
+        ("([xyz])_?dot", r"v_\1"),
+        ("([xyz])_(v|vel|velocity)", r"v_\1"),
+    )
 )
-_NOT_GROUPS = re.compile(r"acc|magn|(?<![a-z])mag(?![a-z])|gravity|force|effort|imu.*orient", re.IGNORECASE)
-_SCALARS: tuple[tuple[str, re.Pattern[str]], ...] = (
-    ("yaw", re.compile(r"(?<![a-z])(yaw|heading|psi)$", re.IGNORECASE)),
-    ("yaw_rate", re.compile(r"yaw_?rate|(^|[ ._])w( \(imu\))?$|gyro_?z", re.IGNORECASE)),
+"""Words for the letters x, y and z of vectors."""
+
+_AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
+_PLACES = "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos"
+_GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
+    ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
+    ("angular_velocity", re.compile(r"angular|gyro|omega|(^|[^a-z])[wg]$"), "yz"),
+    ("linear_velocity", re.compile(r"linear_?vel|twist\.linear|vel|(^|[^a-z])v$"), "yz"),
+    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$|(?<![a-z])({_PLACES})$"), "yz"),
+)
+"""Vectors, by what stands before the letter x, and the other letters."""
+_WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
+_NOT_GROUPS = re.compile(
+    r"acc|magn|gravity|force|effort|imu.*orient"
+    r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|sigma)(?![a-z])"
 )
 
+_TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], ...]], ...]] = (
+    (frozenset("uvwpqr"), (("linear_velocity", ("u", "v", "w")), ("angular_velocity", ("p", "q", "r")))),
+    (frozenset("uvr"), (("linear_velocity", ("u", "v")), ("yaw_rate", ("r",)))),
+)
+"""Names too short to mean anything alone; together they are of one notation (SNAME's, of marine vehicles)."""
 
-def _scalars() -> tuple[tuple[str, re.Pattern[str]], ...]:
+_ANGLE = r"(angle|ang)"
+_SCALARS: tuple[tuple[str, int, str], ...] = (
+    ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
+    ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
+    ("yaw", 1, r"(?<![a-z])theta$"),
+    ("yaw", 2, r"(?<![a-z])phi$"),
+    ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
+    ("steer_angle", 0, rf"(road_?wheel|front_?wheel|tyre|tire)_?{_ANGLE}"),
+    ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
+    ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
+    ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
+    ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
+)
+"""Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""
+
+
+def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
     """Channels of one number, with the names of fields that may hold them; registered ones are tried first."""
     named = [(control.name, control.pattern, control in CONTROLS) for control in all_controls()]
     named += [(actuator.channel, actuator.pattern, actuator in ACTUATORS) for actuator in all_actuators()]
     own, more = (
-        tuple((name, re.compile(pattern, re.IGNORECASE)) for name, pattern, ships in named if pattern and ships is kind)
+        tuple((name, 0, pattern) for name, pattern, ships in named if pattern and ships is kind)
         for kind in (True, False)
     )
-    return (*more, *_SCALARS, *own)
+    return tuple((name, rank, re.compile(pattern, re.IGNORECASE)) for name, rank, pattern in (*more, *_SCALARS, *own))
 
 
-_NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk", re.IGNORECASE)
+_NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk")
+_NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "odometry.npy": (
         ("position", ("0", "1", "2")),
@@ -47,16 +90,36 @@ _TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
 
 @dataclass(frozen=True)
 class Guess:
-    """A channel and where it may come from."""
+    """A channel and where it may come from.
+
+    Attributes:
+        unit: that the log states (`offpiste.rig.labels`); "" where it states none.
+        rank: how far the name is from the channel's own; 0 is nearest.
+    """
 
     channel: str
     topic: str
     fields: tuple[str, ...]
+    unit: str = ""
+    rank: int = 0
 
 
 def guess_channels(log: Log) -> list[Guess]:
-    """All guesses that names and types suggest, in the log's order."""
-    return [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(topic)]
+    """All guesses that names, units and types suggest, in the log's order, the nearest names first."""
+    guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(topic)]
+    return sorted(guesses, key=lambda guess: guess.rank)
+
+
+def labels(topic: Topic) -> dict[str, Label]:
+    """Name and unit of each field of a topic; a message with a single number is named by its topic."""
+    result = {}
+    for name in topic.fields:
+        whole = f"{topic.name}/{name}" if len(topic.fields) <= 2 else name
+        label = parse_label(whole)
+        if not label.unit and (alone := _NUMBER_ONLY.search(label.name)):
+            label = parse_label(whole[: alone.start()])
+        result[name] = Label(label.name, topic.units.get(name, "") or label.unit)
+    return result
 
 
 def _of_topic(topic: Topic) -> Iterator[Guess]:
@@ -65,34 +128,83 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             if set(fields) <= set(topic.fields):
                 yield Guess(channel, topic.name, fields)
         return
+    named = labels(topic)
     taken: set[str] = set()
-    for guess in _vectors(topic):
-        taken |= set(guess.fields)
-        yield guess
-    for field in topic.fields:
-        # A message with a single number is named by its topic.
-        name = f"{topic.name}/{field}" if len(topic.fields) <= 2 else field
-        if field in taken or field.endswith("]") or _NOT_SCALARS.search(name):
+    for guess in (*_together(topic, named), *_vectors(topic, named), *_wheels(topic, named)):
+        if not taken & set(guess.fields):
+            yield guess
+            taken |= set(guess.fields)
+    scalars = _scalars()
+    for field, label in named.items():
+        if field in taken or is_array_entry(field) or _NOT_SCALARS.search(label.name):
             continue
-        for channel, pattern in _scalars():
-            if pattern.search(name):
-                yield Guess(channel, topic.name, (field,))
+        for channel, rank, pattern in scalars:
+            scalar = _guess(channel, topic, (field,), label, rank) if pattern.search(label.name) else None
+            if scalar is not None:
+                yield scalar
                 break
 
 
-def _vectors(topic: Topic) -> Iterator[Guess]:
+def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, rank: int = 0) -> Guess | None:
+    """A guess, unless the unit measures something else; pedals and steering may be recorded in any."""
+    if channel_unit(channel, label.unit) is None and channel not in {control.name for control in all_controls()}:
+        return None
+    return Guess(channel, topic.name, fields, label.unit, rank)
+
+
+def _together(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
+    columns = {label.name: field for field, label in named.items()}
+    for letters, channels in _TOGETHER:
+        if letters <= set(columns):
+            for channel, names in channels:
+                fields = tuple(columns[name] for name in names)
+                if (guess := _guess(channel, topic, fields, named[fields[0]])) is not None:
+                    yield guess
+            return
+
+
+def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
     """Guesses at vectors: fields that differ in one letter, x, y, z or w."""
-    for field in topic.fields:
-        for match in _AXIS.finditer(field):
-            if _NOT_GROUPS.search(field):
+    plain = {label.name: field for field, label in reversed(list(named.items()))}
+    columns = {_with_letters(name): field for name, field in plain.items()} | plain
+    for name in dict.fromkeys(_with_letters(label.name) for label in named.values()):
+        for match in _AXIS.finditer(name):
+            if _NOT_GROUPS.search(name):
                 continue
-            before, after = field[: match.end() - 1], field[match.end() :]
-            axes = [a for a in "yzw" if before + a + after in topic.fields]
-            fields = (field, *(before + a + after for a in axes))
-            channel = next((name for name, pattern in _GROUPS if pattern.search(before.rstrip("._ /"))), None)
-            wanted = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
-            if channel is not None and len(fields) in wanted[channel]:
-                yield Guess(channel, topic.name, fields)
+            before, after = name[: match.end() - 1], name[match.end() :]
+            group = next((g for g in _GROUPS if g[1].search(before.rstrip("._ /"))), None)
+            if group is None:
+                continue
+            channel, _, letters = group
+            fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
+            guess = _guess(channel, topic, fields, named[fields[0]])
+            if guess is not None and len(fields) in _WIDTHS[channel]:
+                yield guess
+
+
+def _with_letters(name: str) -> str:
+    for pattern, letter in _AXIS_WORDS:
+        name = pattern.sub(letter, name)
+    return name
+
+
+_CORNERS: Final = ("fl", "fr", "rl", "rr")
+_CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr)(?![a-z])")
+_WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|(?<![a-z])(ws|v|omega))")
+
+
+def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
+    """Speeds of four wheels."""
+    turned = {"lf": "fl", "rf": "fr", "lr": "rl"}
+    columns: dict[str, str] = {}
+    for field, label in named.items():
+        corner = _CORNER.search(label.name)
+        if corner and _WHEEL_SPEED.search(label.name):
+            columns.setdefault(turned.get(corner[1], corner[1]), field)
+    if set(columns) == set(_CORNERS):
+        fields = tuple(columns[corner] for corner in _CORNERS)
+        if (guess := _guess("wheel_speed", topic, fields, named[fields[0]])) is not None:
+            yield guess
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

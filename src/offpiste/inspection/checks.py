@@ -2,18 +2,22 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from offpiste.inspection.clocks import check_clocks
+from offpiste.inspection.course import heading_fits
+from offpiste.inspection.draft_values import check_draft_values
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.pedals import check_controls, check_pedals
-from offpiste.inspection.pose import heading_fits
+from offpiste.inspection.lags import LagFit
+from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signals import channel_signals, check_signals, recorded_signals
+from offpiste.inspection.signals import channel_signals, check_signals, other_signals
 from offpiste.inspection.stamps import check_stamps
-from offpiste.inspection.steering import check_copies, check_steering
+from offpiste.inspection.steering import SteeringFit, check_steering, steering_fits
+from offpiste.inspection.steering_copies import check_copies
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import Clock
@@ -36,8 +40,8 @@ class Topics:
 
     @property
     def clock(self) -> Clock:
-        """The clock that a given rig asks for."""
-        return self.rig.clock if self.rig and self.given else Clock()
+        """The clock that the rig asks for."""
+        return self.rig.clock if self.rig else Clock()
 
     @property
     def used(self) -> set[str]:
@@ -66,22 +70,37 @@ class Motion:
     path: Path
     follows: bool
 
+    @cached_property
+    def steering(self) -> dict[str, SteeringFit]:
+        """Fits of the steering, which several checks read."""
+        return steering_fits(self.drive, self.path)
+
+    @cached_property
+    def pedals(self) -> dict[str, LagFit]:
+        """Fits of the pedals, which several checks read."""
+        return pedal_fits(self.drive, self.path)
+
 
 def _signals(topics: Topics) -> list[Finding]:
-    if topics.rig is not None and topics.given:
-        return check_signals(channel_signals(topics.recorded, topics.rig))
-    return check_signals(recorded_signals(topics.recorded, topics.rig))
+    signals = channel_signals(topics.recorded, topics.rig) if topics.rig is not None else []
+    if not topics.given:
+        signals += other_signals(topics.recorded, topics.rig)
+    return check_signals(signals, topics.rig)
 
 
 def _ranges(topics: Topics) -> list[Finding]:
     return check_ranges(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
 
 
+def _draft_values(topics: Topics) -> list[Finding]:
+    return check_draft_values(topics.rig) if topics.rig is not None and topics.given else []
+
+
 def _stamps(topics: Topics) -> list[Finding]:
     return check_stamps(topics.inspected, topics.clock, used=topics.used)
 
 
-TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (_signals, _ranges, _stamps)
+TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (_signals, _ranges, _stamps, _draft_values)
 """Checks of topics as recorded; a fatal finding ends the inspection."""
 
 
@@ -100,7 +119,9 @@ def _clocks(motion: Motion) -> list[Finding]:
 
 
 def _steering(motion: Motion) -> list[Finding]:
-    return check_steering(motion.drive, motion.path, measured=motion.topics.given) if motion.follows else []
+    measured = motion.topics.given and not check_draft_values(motion.drive.rig)
+    fits = motion.steering
+    return check_steering(fits, motion.drive, motion.path, measured=measured) if motion.follows else []
 
 
 def _steering_copies(motion: Motion) -> list[Finding]:
@@ -108,11 +129,12 @@ def _steering_copies(motion: Motion) -> list[Finding]:
 
 
 def _pedals(motion: Motion) -> list[Finding]:
-    return check_pedals(motion.drive, motion.path)
+    return check_pedals(motion.pedals, motion.drive, motion.path)
 
 
 def _controls(motion: Motion) -> list[Finding]:
-    return check_controls(motion.drive, motion.path, given=motion.topics.given)
+    fits = motion.steering, motion.pedals
+    return check_controls(*fits, motion.drive, motion.path, given=motion.topics.given)
 
 
 MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (

@@ -6,16 +6,19 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.inspection.driven_path import Path
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signals import place
 from offpiste.logs.channel import Channel
 from offpiste.logs.clock_drift import estimate_lag
+from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
 _FOLLOWS = 0.97
 """Correlation with the speed above which a field is one of the wheels' speeds."""
 _MAX_LAG = 4.0
+_LATE = 0.15
+"""Least lag that is reported [s]."""
 _CHANGE = 0.3
 """A lag that changes by more than this between its 5th and 95th percentile drifts [s]."""
 
@@ -61,25 +64,34 @@ def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides
         reference = Channel("speed", "m/s", path.time[speed], path.speed[speed, None])
         lag = estimate_lag(reference, wheel.samples, max_lag=_MAX_LAG).lag
         low, middle, high = np.percentile(lag, (5, 50, 95))
-        topics = ", ".join(f'"{t}"' for t in shared)
         field = place(wheel.topic, wheel.field)
-        source = f'{{ topic = "{wheel.topic}", fields = ["{wheel.field}"], scale = {number(wheel.scale)} }}'
+        source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
         evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
         evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
         if high - low > _CHANGE:
-            remedy = f"[alignment] topics = [{topics}], speed = {source}, max_lag = {_MAX_LAG}"
-            findings.append(Finding("warning", ", ".join(shared), "has a clock that drifts", evidence, remedy, 0.9))
-        elif abs(middle) > 0.15:
-            findings.append(_constant(shared, float(middle), evidence, rig))
+            edit = Edit("alignment", {"topics": shared, "speed": source, "max_lag": _MAX_LAG})
+            where, what = ", ".join(shared), "has a clock that drifts"
+            findings.append(Finding(_severity(shared, rig), where, what, evidence, str(edit), 0.9, ((edit,),)))
+        else:
+            findings += _constant(shared, float(middle), evidence, rig)
     return findings
 
 
-def _constant(topics: list[str], lag: float, evidence: str, rig: Rig) -> Finding:
-    """A lag that does not change is the delay of the channels that read these topics."""
-    readers = [name for name, source in rig.channels.items() if source.topic in topics]
-    lines = ", ".join(f"channels.{name}.delay = {number(round(rig.channels[name].delay + lag, 2))}" for name in readers)
+def _constant(topics: list[str], lag: float, evidence: str, rig: Rig) -> list[Finding]:
+    """A lag that does not change is the delay of the channels that read these topics, as far as the rig has it not."""
+    sources = {name: source for name, source in rig.channels.items() if source.topic in topics}
+    readers = [name for name, source in sources.items() if abs(lag - source.delay) > _LATE]
+    if abs(lag) <= _LATE or not readers:
+        return []
+    cure = tuple(Edit(f"channels.{name}.delay", round(lag, 2)) for name in readers)
     what = "is late" if lag > 0 else "is early"
-    return Finding("warning", ", ".join(topics), what, evidence, lines, 0.8)
+    return [Finding(_severity(topics, rig), ", ".join(topics), what, evidence, ", ".join(map(str, cure)), 0.8, (cure,))]
+
+
+def _severity(topics: list[str], rig: Rig) -> Severity:
+    """Wheels that lock or spin run ahead of the vehicle: no harm where no model reads what shares their clock."""
+    readers = {name for name, source in rig.channels.items() if source.topic in topics}
+    return "warning" if readers - {"wheel_speed"} else "note"
 
 
 def _proportional(

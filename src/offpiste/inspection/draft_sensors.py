@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 from offpiste.errors import LogError
 from offpiste.logs.log import Log
@@ -132,8 +132,29 @@ def _mounting(log: Log, topic: str, name: str, body: str, transforms: list[Trans
         frame = log.frame(topic)
         between(transforms, body, frame, path=log.path)
     except LogError as error:
-        return [f"# MISSING: mounting of {name}: {' '.join(error.what.split())}; give {key}"]
+        how = "`offpiste inspect LOG --rig THIS --estimate-mountings` estimates it from the guess"
+        return [
+            f"# MISSING: mounting of {name}: {' '.join(error.what.split())}; {how}, or give {key}",
+            f'{key} = {{ looks = "{looks(name)}" }}  # ROUGH GUESS by its name: forward, left, back or right',
+        ]
     return [f"# its messages are of frame '{frame}', which the transforms join to '{body}'"]
+
+
+_SIDES: tuple[tuple[Literal["left", "right", "back"], re.Pattern[str]], ...] = (
+    ("left", re.compile(r"(^|_)left(_|$)", re.I)),
+    ("right", re.compile(r"(^|_)right(_|$)", re.I)),
+    ("back", re.compile(r"(^|_)(back|rear)(_|$)", re.I)),
+)
+
+
+def looks(name: str) -> Literal["forward", "left", "back", "right"]:
+    """Direction in which a sensor looks, guessed from its name: forward unless it says otherwise.
+
+    A name with `front` is that of a sensor in front, left or right of a stereo pair.
+    """
+    if re.search(r"(^|_)(front|forward|stereo)(_|$)", name, re.I):
+        return "forward"
+    return next((side for side, pattern in _SIDES if pattern.search(name)), "forward")
 
 
 def _info(log: Log, image: str) -> str:

@@ -9,7 +9,8 @@ from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.motion import driven_slope, heading
 
-_STEP = 0.05
+STEP = 0.05
+"""Time between rows [s]."""
 _WINDOW = 0.4
 """Span of pose samples behind a velocity [s]; slower poses take six samples."""
 MOVING = 0.3
@@ -31,6 +32,7 @@ class Path:
         yaw, yaw_rate: heading and its rate [rad, rad/s].
         acceleration: d(forward)/dt [m/s^2].
         slope: dz/ds of the path; 0 where positions are planar.
+        window: span of pose samples behind each velocity [s].
     """
 
     time: Float[np.ndarray, " n"]
@@ -42,16 +44,17 @@ class Path:
     yaw_rate: Float[np.ndarray, " n"]
     acceleration: Float[np.ndarray, " n"]
     slope: Float[np.ndarray, " n"]
+    window: float = _WINDOW
 
     @property
     def distance(self) -> float:
         """Length of the path [m], without standstills."""
-        return float(np.nansum(np.where(self.speed > MOVING, self.speed, 0.0)) * _STEP)
+        return float(np.nansum(np.where(self.speed > MOVING, self.speed, 0.0)) * STEP)
 
     @property
     def driving(self) -> float:
         """Time in motion [s]."""
-        return float(np.sum(np.nan_to_num(self.speed) > MOVING) * _STEP)
+        return float(np.sum(np.nan_to_num(self.speed) > MOVING) * STEP)
 
     @property
     def cruise(self) -> float:
@@ -67,7 +70,7 @@ def driven_path(drive: Drive) -> Path:
     """
     place, yaw = drive.channels["position"], heading(drive)
     start, end = common_span([place, yaw], drive.name)
-    time = np.arange(start, end, _STEP)
+    time = np.arange(start, end, STEP)
     window = max(_WINDOW, *(6 * float(np.median(np.diff(channel.time))) for channel in (place, yaw)))
 
     position, velocity = local_polynomial(place.time, place.values - place.values[0], time, window=window, causal=False)
@@ -82,10 +85,19 @@ def driven_path(drive: Drive) -> Path:
 
     speed = np.hypot(*velocity[:, :2].T)
     slope = (
-        driven_slope(position, speed, dt=_STEP, length=drive.rig.motion.slope_length)
+        driven_slope(position, speed, dt=STEP, length=drive.rig.motion.slope_length)
         if position.shape[1] == 3
         else np.zeros(len(time))
     )
     return Path(
-        time, position[:, :2], velocity[:, :2], speed, forward, turned[:, 0], yaw_rate[:, 0], acceleration, slope
+        time,
+        position[:, :2],
+        velocity[:, :2],
+        speed,
+        forward,
+        turned[:, 0],
+        yaw_rate[:, 0],
+        acceleration,
+        slope,
+        window,
     )

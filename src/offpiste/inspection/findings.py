@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from offpiste.rig.edits import Edit
+
 Severity = Literal["fatal", "warning", "note"]
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}
 
@@ -19,6 +21,9 @@ class Finding:
         evidence: the numbers it rests on, with units.
         remedy: the exact rig line, or what to do where no rig line helps.
         score: share of the drive that is affected, 0 to 1; ranks findings of one severity.
+        cures: rig edits that may fix it, the likeliest first; `remedies` applies and checks them.
+        sure: whether it is wrong whatever else is; otherwise it is a warning only if one of its cures proves right.
+        also: other findings of the same cause, which the same cure silences.
     """
 
     severity: Severity
@@ -27,6 +32,9 @@ class Finding:
     evidence: str
     remedy: str
     score: float = 0.0
+    cures: tuple[tuple[Edit, ...], ...] = ()
+    sure: bool = True
+    also: tuple[str, ...] = ()
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -37,9 +45,3 @@ def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 def is_fatal(findings: Iterable[Finding]) -> bool:
     """Whether one of the findings makes a log unusable."""
     return any(finding.severity == "fatal" for finding in findings)
-
-
-def number(value: float) -> str:
-    """A number as a rig line takes it: four digits, always a float."""
-    text = f"{value:.4g}"
-    return text if any(c in text for c in ".en") else f"{text}.0"

@@ -1,6 +1,7 @@
-"""How well a control explains the motion at each lag, and the delay that follows from it.
+"""How well a signal explains the motion at each lag: gain, sign and delay together, with their uncertainties.
 
-A vehicle follows its controls: motion up to 0.4 s after steering is a response, motion before it is a wrong stamp.
+A vehicle follows its controls: motion up to half a second after steering is a response, motion before it is a wrong
+stamp. Uncertainties are those of a jackknife over blocks of driving, since neighbouring samples are not independent.
 """
 
 from dataclasses import dataclass
@@ -9,14 +10,21 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
+from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 LAGS: Final = np.arange(-1.5, 1.51, 0.05)
 """Lags of the motion behind a control that are tried [s]."""
-_CLEARER = 0.03
+_BLOCK: Final = 5.0
+"""Length of a block [s]."""
+_CLEARER: Final = 0.03
 """A lag outside of the vehicle's own must explain this much more of the variance than the best one inside."""
+SURE: Final = 3.0
+"""Standard deviations at which a difference is sure."""
+_OUTLIER: Final = 4.0
+"""Rows whose residual exceeds this many times its scale weigh less."""
 
 
 @dataclass(frozen=True)
@@ -28,18 +36,44 @@ class LagFit:
         r: partial correlation at each lag, with the sign of the gain.
         gain: at each lag.
         count: rows that were used.
+        left_out: `r` with one block of rows left out at a time.
+        gain_left_out: `gain` likewise.
     """
 
     lags: Float[np.ndarray, " L"]
     r: Float[np.ndarray, " L"]
     gain: Float[np.ndarray, " L"]
     count: int
+    left_out: Float[np.ndarray, "B L"]
+    gain_left_out: Float[np.ndarray, "B L"]
 
     def best(self, low: float = -np.inf, high: float = np.inf, *, sign: int = 0) -> int:
         """Index of the lag within [low, high] that explains most, with a gain of this sign if it is not 0."""
         score = np.abs(self.r) if sign == 0 else sign * self.r
         score = np.where((self.lags >= low - 1e-9) & (self.lags <= high + 1e-9), score, -np.inf)
         return int(score.argmax())
+
+    def delay(self, index: int) -> tuple[float, float]:
+        """The lag of the best explanation near an index, between the tried lags, and its standard deviation [s]."""
+        sign = np.sign(self.r[index])
+        lag = _peak(self.lags, sign * self.r, index)
+        near = slice(max(index - 6, 0), index + 7)
+        tops = [_peak(self.lags, sign * row, int((sign * row)[near].argmax()) + near.start) for row in self.left_out]
+        return lag, jackknife(np.array(tops))
+
+    def r_sigma(self, index: int) -> float:
+        """Standard deviation of the correlation at an index."""
+        return jackknife(self.left_out[:, index])
+
+    def gain_sigma(self, index: int) -> float:
+        """Standard deviation of the gain at an index."""
+        return jackknife(self.gain_left_out[:, index])
+
+
+def jackknife(left_out: Float[np.ndarray, " B"]) -> float:
+    """Standard deviation of an estimate from its values without one block each (Quenouille 1956); inf for one block."""
+    count = len(left_out)
+    return float(np.sqrt((count - 1) * np.var(left_out))) if count > 1 else np.inf
 
 
 def fit_lags(
@@ -48,12 +82,15 @@ def fit_lags(
     lagged: Float[np.ndarray, "L n"],
     lags: Float[np.ndarray, " L"],
     rows: Bool[np.ndarray, " n"],
+    *,
+    step: float = 0.05,
 ) -> LagFit | None:
     """Fit `target` by `base` and one row of `lagged` at a time (partial regression, Frisch and Waugh 1933).
 
     Args:
         lagged: the source at `t - lag`, one row a lag; NaN where unknown.
         rows: which to use; those with a NaN anywhere are left out as well, so that all lags see the same rows.
+        step: time between rows [s].
 
     Returns:
         None where too few rows remain or nothing varies.
@@ -61,15 +98,93 @@ def fit_lags(
     use = rows & np.isfinite(target) & np.isfinite(base).all(axis=1) & np.isfinite(lagged).all(axis=0)
     if use.sum() < 40:
         return None
-    x, y = lagged[:, use], target[use]
-    span, _ = np.linalg.qr(base[use])
-    y = y - span @ (span.T @ y)
-    x = x - (x @ span) @ span.T
-    power, spread = np.einsum("Ln,Ln->L", x, x), float(y @ y)
-    if spread <= 1e-12 or not (power > 1e-12).all():
-        return None
-    product = x @ y
-    return LagFit(lags, product / np.sqrt(power * spread), product / power, int(use.sum()))
+    x, y, known = lagged[:, use], target[use], base[use]
+    block = np.flatnonzero(use) // round(_BLOCK / step)
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    weight = np.ones(len(y))
+    # Glitches must not decide: rows far off the best explanation weigh less, in two steps.
+    for last in (False, False, True):
+        sums = _Sums.of(known, x, y, weight, starts)
+        solved = sums.solve()
+        if solved is None:
+            return None
+        r, gain = solved
+        if last:
+            break
+        residual = _residual(known, x[np.abs(r).argmax()], y, weight)
+        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        weight = np.minimum(1.0, _OUTLIER * scale / np.maximum(np.abs(residual), 1e-12)) ** 2
+    without = [sums.without(i).solve() for i in range(len(starts))] if len(starts) > 1 else []
+    rest = [pair for pair in without if pair is not None]
+    left_out, gain_left_out = (np.array([pair[i] for pair in rest]).reshape(-1, len(lags)) for i in (0, 1))
+    return LagFit(lags, r, gain, int(use.sum()), left_out, gain_left_out)
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums of products by block: of the base with itself and the target, of each lag with all of them."""
+
+    base: Float[np.ndarray, "B b b"]
+    target: Float[np.ndarray, "B b"]
+    power: Float[np.ndarray, " B"]
+    crossed: Float[np.ndarray, "B L b"]
+    product: Float[np.ndarray, "B L"]
+    spread: Float[np.ndarray, "B L"]
+
+    @classmethod
+    def of(cls, base: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray, starts: np.ndarray) -> "_Sums":
+        weighed = base * weight[:, None]
+
+        def by_block(rows: np.ndarray) -> np.ndarray:
+            return np.asarray(np.add.reduceat(rows, starts, axis=-1))
+
+        crossed = np.zeros((len(x), len(starts), base.shape[1]))
+        for column, values in enumerate(weighed.T):
+            crossed[:, :, column] = by_block(x * values)
+        return cls(
+            np.moveaxis(by_block(np.einsum("nb,nc->bcn", weighed, base)), -1, 0),
+            by_block((weighed * y[:, None]).T).T,
+            by_block(weight * y * y),
+            np.moveaxis(crossed, 1, 0),
+            by_block(x * (weight * y)).T,
+            by_block(x * x * weight).T,
+        )
+
+    def without(self, block: int) -> "_Sums":
+        keep = np.arange(len(self.power)) != block
+        return _Sums(
+            *(part[keep] for part in (self.base, self.target, self.power, self.crossed, self.product, self.spread))
+        )
+
+    def solve(self) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"]] | None:
+        """Partial correlation and gain at each lag; None where nothing varies."""
+        normal, target = self.base.sum(axis=0), self.target.sum(axis=0)
+        inverse = np.linalg.pinv(normal)
+        crossed = self.crossed.sum(axis=0)
+        projected = crossed @ inverse
+        product = self.product.sum(axis=0) - projected @ target
+        spread = self.spread.sum(axis=0) - np.einsum("Lb,Lb->L", projected, crossed)
+        power = float(self.power.sum() - target @ inverse @ target)
+        if power <= 1e-12 or not (spread > 1e-12).all():
+            return None
+        return product / np.sqrt(spread * power), product / spread
+
+
+def _residual(base: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, " n"]:
+    columns = np.column_stack((base, x))
+    root = np.sqrt(weight)
+    solution = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)[0]
+    return np.asarray(y - columns @ solution)
+
+
+def _peak(lags: Float[np.ndarray, " L"], score: Float[np.ndarray, " L"], index: int) -> float:
+    """The lag of a maximum between the tried ones, by a parabola through its neighbours."""
+    if not 0 < index < len(lags) - 1:
+        return float(lags[index])
+    before, at, after = score[index - 1 : index + 2]
+    bend = before - 2 * at + after
+    shift = 0.5 * (before - after) / bend if bend < -1e-12 else 0.0
+    return float(lags[index] + np.clip(shift, -0.5, 0.5) * (lags[1] - lags[0]))
 
 
 def lagged(channel: Channel, time: Float[np.ndarray, " n"], rig: Rig) -> Float[np.ndarray, "L n"]:
@@ -95,18 +210,18 @@ def check_delay(
         sign: of the right effect; 0: either.
     """
     best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
-    lag = float(fit.lags[best])
     gained = fit.r[best] ** 2 - max(fit.r[inside] * (sign or np.sign(fit.r[best])), 0.0) ** 2
     # A best lag at the end of those tried is no maximum: slow signals fit anywhere.
-    weak = abs(fit.r[best]) < clear
-    if weak or own[0] <= lag <= own[1] or gained < _CLEARER or best in (0, len(fit.lags) - 1):
+    if abs(fit.r[best]) < clear or gained < _CLEARER or best in (0, len(fit.lags) - 1):
         return []
-    evidence = (
-        f"the motion is {abs(lag):.2f} s {'before' if lag < 0 else 'after'} it: R2 {fit.r[best] ** 2:.2f} there and "
-    )
-    evidence += f"{fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
+    lag, sigma = fit.delay(best)
+    outside = max(own[0] - lag, lag - own[1])
+    if outside < max(SURE * sigma, 0.02):
+        return []
+    evidence = f"the motion is {abs(lag):.2f} ± {sigma:.2f} s {'before' if lag < 0 else 'after'} it: "
+    evidence += f"R2 {fit.r[best] ** 2:.2f} there and {fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
     what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
-    remedy = f"channels.{name}.delay = {number(rig.channels[name].delay - lag)}"
-    if lag < 0:
-        remedy += "; if it is called a command, it is a copy of a measurement"
-    return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, evidence, remedy, gained)]
+    # What remains is the vehicle's own delay, as near to zero as it may be.
+    edit = Edit(f"channels.{name}.delay", round(rig.channels[name].delay - lag, 2))
+    remedy = str(edit) + ("; if it is called a command, it is a copy of a measurement" if lag < 0 else "")
+    return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, evidence, remedy, gained, ((edit,),))]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from offpiste.inspection.misfit import STEPS, Misfit, Pair, Parameters, fit_misfit
+from offpiste.inspection.misfit import PRIOR, STEPS, Misfit, Pair, Parameters, fit_misfit
 from offpiste.inspection.sensor_samples import Scan, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
@@ -26,8 +26,21 @@ _FURTHEST: Final = 40.0
 _NEIGHBOURS: Final = 12
 
 
-def check_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> Misfit | None:
-    """Estimate by how much a LiDAR's mounting and stamps are off; None with too few usable scans."""
+def check_lidar(
+    lidar: Lidar,
+    scans: Sequence[Scan],
+    poses: Poses,
+    *,
+    seed: int = 0,
+    prior: Parameters = PRIOR,
+    start: Parameters | None = None,
+    rounds: int = 6,
+) -> Misfit | None:
+    """Estimate by how much a LiDAR's mounting and stamps are off; None with too few usable scans.
+
+    Args:
+        prior, start, rounds: as for `fit_misfit`; with more than four entries the place is estimated, too.
+    """
     rng = np.random.default_rng(seed)
     chosen = [rng.permutation(len(scan.points))[:_SAMPLE] for scan in scans]
     couples = list(pairs([scan.time for scan in scans]))
@@ -35,7 +48,19 @@ def check_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int 
     def compare(parameters: Parameters) -> list[Pair]:
         return [_compared(lidar, scans[i], scans[j], chosen[i], poses, parameters) for i, j in couples]
 
-    return fit_misfit(compare)
+    return fit_misfit(compare, prior=prior, start=start, rounds=rounds)
+
+
+def median_distance(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> float:
+    """Median distance of points from planes of the next scan, as they are mounted now [m]; NaN without pairs."""
+    rng = np.random.default_rng(seed)
+    couples = list(pairs([scan.time for scan in scans]))
+    distances = []
+    for i, j in couples[:: max(1, len(couples) // 12)]:
+        chosen = rng.permutation(len(scans[i].points))[:_SAMPLE]
+        distances.append(np.abs(_compared(lidar, scans[i], scans[j], chosen, poses, np.zeros(4)).residual))
+    known = np.concatenate(distances) if distances else np.zeros(0)
+    return float(np.median(known)) if len(known) else np.nan
 
 
 def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: Poses, parameters: Parameters) -> Pair:
@@ -46,7 +71,7 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
     known = np.flatnonzero(np.isfinite(there).all(axis=1))
     usable = np.isfinite(here).all(axis=1) & (np.linalg.norm(one.points[chosen], axis=1) < _FURTHEST)
     if len(known) < 100 or not usable.any():
-        return Pair(np.zeros(0), np.zeros((0, 4)))
+        return Pair(np.zeros(0), np.zeros((0, len(parameters))))
     chosen, here = chosen[usable], here[usable]
     tree = cKDTree(there[known])
     distance, nearest = tree.query(here, distance_upper_bound=_REACH)
@@ -64,7 +89,7 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
 
 def differentiated(residual: Callable[[Parameters], Float[np.ndarray, " n"]], parameters: Parameters) -> Pair:
     """A residual [n] and its slopes by central differences; rows that are unknown anywhere are left out."""
-    steps = np.diag(STEPS)
+    steps = np.diag(STEPS[: len(parameters)])
     slopes = [(residual(parameters + s) - residual(parameters - s)) / (2 * s.sum()) for s in steps]
     value, slope = residual(parameters), np.stack(slopes, axis=1)
     known = np.isfinite(value) & np.isfinite(slope).all(axis=1)

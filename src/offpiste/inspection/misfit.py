@@ -15,14 +15,16 @@ from scipy.spatial.transform import Rotation
 
 PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
 """Standard deviation of the prior [rad, rad, rad, s]: what the data do not tell stays as uncertain as this."""
-STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04])
-"""Steps of the differences [rad, rad, rad, s]. Long in time: over less, noise of the poses would pass for motion."""
+STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04, 0.01, 0.01, 0.01])
+"""Steps of the differences [rad, rad, rad, s, m, m, m]. Long in time: over less, noise of the poses would pass for
+motion."""
 LEAST_PAIRS: Final = 8
 """Least number of pairs: fewer do not show their own scatter."""
 _BIWEIGHT: Final = 4.685
 """95 % efficient on normal errors."""
 
-Parameters = Float[np.ndarray, " 4"]
+Parameters = Float[np.ndarray, " k"]
+"""A turn about the body's axes [rad] and a delay [s]; where the place is sought as well, a shift along them [m]."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,11 @@ class Pair:
 
     Attributes:
         residual: zero where all is right [m or px].
-        slope: its derivatives by turn [rad] and lateness [s].
+        slope: its derivatives by the parameters: turn [rad], lateness [s], shift [m].
     """
 
     residual: Float[np.ndarray, " n"]
-    slope: Float[np.ndarray, "n 4"]
+    slope: Float[np.ndarray, "n k"]
 
 
 @dataclass(frozen=True)
@@ -44,62 +46,74 @@ class Misfit:
 
     Attributes:
         parameters: turn about the body's axes, so that the right mounting is `exp(turn) @ body_from_sensor` [rad];
-            lateness: it happened so much before the time that the rig makes of the stamp [s].
+            lateness: it happened so much before the time that the rig makes of the stamp [s]; shift, if sought [m].
         sigma: standard deviation of each.
         pairs: that were used.
         scale: of the residuals that remain [m or px].
     """
 
     parameters: Parameters
-    sigma: Float[np.ndarray, " 4"]
+    sigma: Float[np.ndarray, " k"]
     pairs: int
     scale: float
 
 
 def turned(mounting: Float[np.ndarray, "4 4"], parameters: Parameters) -> Float[np.ndarray, "4 4"]:
-    """The mounting `body_from_sensor` with its axes turned about the body's; the sensor stays where it is."""
+    """The mounting `body_from_sensor` with its axes turned about the body's; the sensor stays where it is.
+
+    It is shifted along the body's axes by what parameters beyond the fourth say.
+    """
     matrix = mounting.copy()
+    matrix[: len(parameters[4:7]), 3] += parameters[4:7]
     matrix[:3, :3] = Rotation.from_rotvec(parameters[:3]).as_matrix() @ mounting[:3, :3]
     return matrix
 
 
-def fit_misfit(compare: Callable[[Parameters], Sequence[Pair]], *, rounds: int = 6) -> Misfit | None:
+def fit_misfit(
+    compare: Callable[[Parameters], Sequence[Pair]],
+    *,
+    rounds: int = 6,
+    prior: Parameters = PRIOR,
+    start: Parameters | None = None,
+) -> Misfit | None:
     """The parameters that bring measurements together.
 
     Args:
         compare: pairs near some parameters; called once a round, each time nearer to the answer.
+        prior: standard deviations about zero of what is known beforehand; as many as parameters.
+        start: first parameters; zeros by default.
 
     Returns:
         None with fewer than `LEAST_PAIRS` pairs.
     """
-    result = None
+    result, first = None, np.zeros(len(prior)) if start is None else start
     for _ in range(rounds):
-        before = np.zeros(4) if result is None else result.parameters
+        before = first if result is None else result.parameters
         pairs = [pair for pair in compare(before) if len(pair.residual)]
         if len(pairs) < LEAST_PAIRS:
             return None
-        result = _step(pairs, before)
+        result = _step(pairs, before, prior)
         if (np.abs(result.parameters - before) < 0.2 * result.sigma).all():
             break
     return result
 
 
-def _step(pairs: Sequence[Pair], start: Parameters) -> Misfit:
+def _step(pairs: Sequence[Pair], start: Parameters, prior: Parameters) -> Misfit:
     """One linear fit, outliers weighed down; in units of the prior, so that all numbers are of one size."""
-    slope = np.concatenate([pair.slope for pair in pairs]) * PRIOR
+    slope = np.concatenate([pair.slope for pair in pairs]) * prior
     residual = np.concatenate([pair.residual for pair in pairs])
-    step, scale = np.zeros(4), 0.0
-    normal, weight = np.eye(4), np.ones(len(residual))
+    step, scale = np.zeros(len(prior)), 0.0
+    normal, weight = np.eye(len(prior)), np.ones(len(residual))
     for _ in range(15):
         left = residual + slope @ step
         scale = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
         weight = np.clip(1 - (left / (_BIWEIGHT * scale)) ** 2, 0, None) ** 2 / scale**2
-        normal = slope.T @ (weight[:, None] * slope) + np.eye(4)
-        step = -np.linalg.solve(normal, slope.T @ (weight * residual) + start / PRIOR)
+        normal = slope.T @ (weight[:, None] * slope) + np.eye(len(prior))
+        step = -np.linalg.solve(normal, slope.T @ (weight * residual) + start / prior)
     pull = weight * (residual + slope @ step)
     ends = np.cumsum([len(pair.residual) for pair in pairs])[:-1]
     shared = np.stack([s.T @ p for s, p in zip(np.split(slope, ends), np.split(pull, ends), strict=True)])
     inverse = np.linalg.inv(normal)
-    few = len(pairs) / (len(pairs) - 4)
+    few = len(pairs) / (len(pairs) - len(prior))
     covariance = inverse @ (few * shared.T @ shared) @ inverse + inverse
-    return Misfit(start + step * PRIOR, np.sqrt(np.diag(covariance)) * PRIOR, len(pairs), scale)
+    return Misfit(start + step * prior, np.sqrt(np.diag(covariance)) * prior, len(pairs), scale)

@@ -1,31 +1,38 @@
 """Response to throttle and brake: sign, delay and size; channels of the controls."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from offpiste.channels import CONTROLS, all_controls
-from offpiste.inspection.driven_path import Path
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.course import heading_fits
+from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, LagFit, check_delay, fit_lags, lagged, sampled
-from offpiste.inspection.pose import heading_fits
-from offpiste.inspection.steering import turns_vehicle
+from offpiste.inspection.steering import SteeringFit
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
 _EFFECT = 0.2
 """Correlation with speed or yaw rate above which a control of another vehicle has an effect."""
 
 
-def check_controls(drive: Drive, path: Path, *, given: bool) -> list[Finding]:
+def check_controls(
+    steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit], drive: Drive, path: Path, *, given: bool
+) -> list[Finding]:
     """Findings where there is no steering, or where no control has any effect.
 
     Args:
+        steering, pedals: of `steering_fits` and `pedal_fits`.
         given: whether the rig was given, not guessed.
     """
     findings: list[Finding] = []
     # Where the heading does not follow the course, turning tells nothing.
-    steers = turns_vehicle(drive, path) if heading_fits(path) else True
-    drives = changes_speed(drive, path)
+    steers = any(fit.has_effect for fit in steering.values()) if heading_fits(path) else True
+    drives = any(_has_effect(fit) for fit in pedals.values())
     if "steer" not in drive.channels and drives:
         what, evidence = "there is no steering", "pedals alone do not tell where the vehicle goes"
         remedy = "add [channels.steer] with the topic that holds it: commanded, or else measured"
@@ -62,14 +69,20 @@ _OWN_DELAY = (-0.15, 0.8)
 """Delays of the acceleration that are the vehicle's own [s]."""
 _PEDAL_EFFECT = 0.2
 """Correlation of acceleration and pedal, with speed, slope and the other pedal taken out, above which it is one."""
+_RELEASED = 0.08
+"""A pedal below this is released."""
 _CLEAR = 0.3
 """Correlation above which a delay is clear."""
 
 
-def check_pedals(drive: Drive, path: Path) -> list[Finding]:
-    """Findings on `throttle` and `brake`."""
+def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[Finding]:
+    """Findings on `throttle` and `brake`.
+
+    Args:
+        fits: of `pedal_fits`.
+    """
     findings: list[Finding] = []
-    for name, fit in _fits(drive, path).items():
+    for name, fit in fits.items():
         sign = _EFFECTS[name]
         right, wrong = fit.best(*_OWN_DELAY, sign=sign), fit.best(*_OWN_DELAY, sign=-sign)
         if not _has_effect(fit):
@@ -80,19 +93,37 @@ def check_pedals(drive: Drive, path: Path) -> list[Finding]:
             evidence = (
                 f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
             )
-            how = _flip(name, drive.channels[name], drive.rig)
-            findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0))
+            cure = _flip(name, drive.channels[name], drive.rig)
+            how = ", ".join(map(str, cure)) + "; or it is the other pedal"
+            findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0, (cure,)))
         else:
             findings += check_delay(name, fit, _OWN_DELAY, drive.rig, clear=_CLEAR, sign=sign)
+            findings += _idle(name, drive, path)
     return findings
 
 
-def changes_speed(drive: Drive, path: Path) -> bool:
-    """Whether `throttle` or `brake` has a clear effect on the acceleration."""
-    return any(_has_effect(fit) for fit in _fits(drive, path).values())
+def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
+    """A finding if a pedal never comes back to zero, not even at a standstill or while the other one is pressed."""
+    channel, source = drive.channels[name], drive.rig.channels[name]
+    lowest = float(np.percentile(channel.values, 0.5))
+    if lowest < _RELEASED:
+        return []
+    at = sampled(channel, path.time, drive.rig)
+    other = drive.channels.get("brake" if name == "throttle" else "throttle")
+    pressed = np.zeros(len(at), bool) if other is None else sampled(other, path.time, drive.rig) > 0.3
+    standing = np.nan_to_num(path.speed, nan=np.inf) < MOVING
+    if (pressed | standing).sum() < 20 or not np.nanpercentile(at[pressed | standing], 5) >= _RELEASED:
+        return []
+    # Motors do not answer to the least throttle: only who brakes has surely released it.
+    severity: Severity = "warning" if pressed.sum() >= 20 else "note"
+    per_unit = source.sign * unit_factor(name, source.unit)
+    edit = Edit(f"channels.{name}.offset", rounded(source.offset - lowest / per_unit))
+    when = "with the other pedal pressed" if pressed.any() else "at standstills"
+    evidence = f"its lowest value is {lowest:.3g}, {when}, too"
+    return [Finding(severity, name, "never comes back to zero", evidence, str(edit), lowest, ((edit,),))]
 
 
-def _fits(drive: Drive, path: Path) -> dict[str, LagFit]:
+def pedal_fits(drive: Drive, path: Path) -> dict[str, LagFit]:
     """Fits of the pedals that move, by name."""
     moved = [name for name in _EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
     fits = {name: _pedal_fit(name, drive, path) for name in moved}
@@ -104,23 +135,21 @@ def _has_effect(fit: LagFit) -> bool:
 
 
 def _pedal_fit(name: str, drive: Drive, path: Path) -> LagFit | None:
-    """Fit of the acceleration by a pedal, with drag, slope and the other pedal taken out."""
+    """Fit of the gain in speed, forwards or backwards, by a pedal, with drag, slope and the other pedal taken out."""
     channel = drive.channels[name]
-    one = np.ones(len(path.time))
-    base = [one, path.forward, path.forward * np.abs(path.forward), path.slope]
+    one, way = np.ones(len(path.time)), np.sign(path.forward)
+    base = [one, np.abs(path.forward), path.forward**2, path.slope * way]
     other = drive.channels.get("brake" if name == "throttle" else "throttle")
     if other is not None and np.ptp(other.values) > 0:
         base.append(sampled(other, path.time - 0.2, drive.rig))
     pedal = lagged(channel, path.time, drive.rig)
-    return fit_lags(path.acceleration, np.stack(base, axis=1), pedal, LAGS, path.speed > 0.3)
+    return fit_lags(path.acceleration * way, np.stack(base, axis=1), pedal, LAGS, path.speed > 0.3)
 
 
-def _flip(name: str, channel: Channel, rig: Rig) -> str:
-    """The rig line that reverses a pedal: 0..1 becomes 1..0, and so does -1..0."""
+def _flip(name: str, channel: Channel, rig: Rig) -> tuple[Edit, ...]:
+    """The edits that reverse a pedal: 0..1 becomes 1..0, and so does -1..0."""
     source = rig.channels[name]
     if np.median(channel.values) < 0:
-        return f"channels.{name}.sign = {-source.sign}"
-    return (
-        f"channels.{name}.scale = {number(-source.scale)}, channels.{name}.offset = "
-        f"{number(source.sign - source.offset)}; or it is the other pedal"
-    )
+        return (Edit(f"channels.{name}.sign", -source.sign),)
+    scale, offset = rounded(-source.scale), rounded(source.sign - source.offset)
+    return Edit(f"channels.{name}.scale", scale), Edit(f"channels.{name}.offset", offset)

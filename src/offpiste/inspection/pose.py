@@ -1,25 +1,35 @@
-"""Checks of the pose: order of the quaternion, which way is up, heading against course, jumps, units."""
+"""Checks of the pose: order of the quaternion, which way is up, jumps, units."""
+
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.driven_path import Path
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.driven_path import STEP, Path
+from offpiste.inspection.findings import Finding
+from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.logs.motion import heading
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 _UPRIGHT = 0.7
 """Cosine of the tilt that no vehicle drives at for half of a log: 45 degrees."""
-_FASTEST = 60.0
-"""No ground vehicle here is faster [m/s]."""
-_TOGETHER = 0.8
-"""Resultant of angles that agree: a circular spread of some 40 degrees."""
+_FASTEST: Final = 120.0
+"""No ground vehicle is faster [m/s]."""
+_HARDEST: Final = 25.0
+"""No ground vehicle keeps up a larger acceleration over half a second, in a twentieth of its driving [m/s^2]."""
 _JUMP_TIME = 0.05
 """A jump is at least as long as the path driven in this time at cruising speed [s]."""
+
+
+_NOISY: Final = 0.03
+"""Uncertainty of a velocity [m/s], or of a place [m], over the cruising speed, from which it costs accuracy."""
+_WIDEST: Final = 1.5
+"""Widest span over which positions are differentiated [s]."""
 
 
 def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Finding]:
@@ -41,19 +51,22 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
                 off,
             )
         )
-    up = _up(known)
+    source = rig.channels["orientation"]
+    up = _up(to_z_up("orientation", source, known, rig.motion.axes))
     if up > _UPRIGHT:
         return findings
-    source = rig.channels["orientation"]
-    if _up(np.roll(known, -1, axis=1)) > 0.9:
-        fields = ", ".join(f'"{f}"' for f in source.fields[1:] + source.fields[:1])
-        what, remedy = "the quaternion is stored as w x y z", f"channels.orientation.fields = [{fields}]"
-    elif up < -_UPRIGHT:
-        what, remedy = "the body's z axis points down (NED)", "convert the pose to x forward, y left, z up"
-    else:
-        what, remedy = "the body's z axis does not point up", "take another pose, or turn this one to z up"
     evidence = f"the median z component of the body's z axis is {up:.2f} where a vehicle's is near 1"
-    return [*findings, Finding("fatal", "orientation", what, evidence, remedy, 1.0)]
+    cures: list[tuple[Edit, ...]] = []
+    what, remedy = "the body's z axis does not point up", "take another pose, or turn this one to z up"
+    if _up(np.roll(known, -1, axis=1)) > 0.9:
+        what = "the quaternion is stored as w x y z"
+        cures.append((Edit("channels.orientation.fields", [*source.fields[1:], source.fields[0]]),))
+    if up < -_UPRIGHT:
+        what = what if cures else "the body's z axis points down"
+        cures += [(Edit("motion.axes", axes),) for axes in ("body down", "world down") if axes != rig.motion.axes]
+        cures += [(Edit("motion.axes", "z up"),)] if rig.motion.axes != "z up" else []
+    remedy = str(cures[0][0]) if cures else remedy
+    return [*findings, Finding("fatal", "orientation", what, evidence, remedy, 1.0, tuple(cures))]
 
 
 def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
@@ -64,23 +77,85 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
         evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
         how = "project it to a local frame (UTM, ENU), or take another pose"
         return [Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0)]
-    if path.cruise > _FASTEST:
+    if path.cruise > _FASTEST or _acceleration(path) > _HARDEST:
         now = rig.channels["position"].unit or "m"
-        unit = "mm" if path.cruise > 20 * _FASTEST else "cm"
-        evidence = f"95 % of the speeds reach {path.cruise:.0f} m/s, read as {now}"
-        return [Finding("fatal", "position", "moves too fast", evidence, f'channels.position.unit = "{unit}"', 1.0)]
+        evidence = f"95 % of the speeds reach {path.cruise:.3g} m/s and of the accelerations {_acceleration(path):.3g} "
+        evidence += f"m/s2, read as {now}"
+        units = [unit for unit in ("cm", "mm", "m", "ft") if unit != now and _plausible(path, now, unit)]
+        cures = tuple((Edit("channels.position.unit", unit),) for unit in units)
+        remedy = str(cures[0][0]) if cures else "fix channels.position.unit or scale"
+        return [Finding("fatal", "position", "moves too fast", evidence, remedy, 1.0, cures)]
     return []
 
 
+def _acceleration(path: Path) -> float:
+    """95 % of the accelerations along and across the path, over half a second [m/s^2]."""
+    rows = round(0.5 / STEP)
+    change = np.hypot(*(path.velocity[rows:] - path.velocity[:-rows]).T) / (rows * STEP)
+    change = change[np.isfinite(change)]
+    return float(np.percentile(change, 95)) if len(change) else 0.0
+
+
+def _plausible(path: Path, now: str, unit: str) -> bool:
+    """Whether a vehicle drives like that if the positions are in another unit."""
+    factor = unit_factor("position", unit) / unit_factor("position", now)
+    return factor * path.cruise < _FASTEST and 0.05 < factor * _acceleration(path) < _HARDEST
+
+
 def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
-    """Findings on positions and headings; `origin` is where the log's time starts [s]."""
+    """Findings on positions; `origin` is where the log's time starts [s]."""
     place = drive.channels["position"]
-    return _jumps(place, path, origin) + _level(place) + _course(drive, path)
+    return check_faults(drive) + _jumps(place, path, origin) + _level(place) + _noise(drive, path)
 
 
-def heading_fits(path: Path) -> bool:
-    """Whether the heading follows the course, so that turning and steering can be checked by it."""
-    return _resultant(path, 1.0) > _TOGETHER
+def check_faults(drive: Drive) -> list[Finding]:
+    """Samples of the pose that no vehicle makes, and headings that jump."""
+    findings = []
+    length = max(float(np.ptp(drive.channels["position"].time)), 1e-9)
+    for name in dict.fromkeys(run.channel for run in drive.faults.dropped):
+        runs = [run for run in drive.faults.dropped if run.channel == name]
+        count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
+        unit = "m" if name == "position" else "rad"
+        evidence = (
+            f"{count} samples in {len(runs)} runs, such as {worst.first} to {worst.last} ({worst.since:.2f} s), up to "
+        )
+        evidence += f"{worst.off:.3g} {unit} off"
+        how = "nothing where the rest is enough: they are dropped on reading, and no window reaches across"
+        share = min(sum(run.until - run.after for run in runs if np.isfinite(run.until - run.after)) / length, 1.0)
+        findings.append(Finding("warning", name, "has samples that no vehicle makes", evidence, how, share))
+    turns = [jump for jump in drive.faults.jumps if jump.channel != "position"]
+    if turns:
+        when = ", ".join(f"{jump.since:.2f} s" for jump in turns[:5]) + (", ..." if len(turns) > 5 else "")
+        evidence = f"{len(turns)} times; at {when}"
+        how = "take a heading without corrections; no window reaches across"
+        findings.append(Finding("warning", turns[0].channel, "jumps", evidence, how, min(5 * len(turns) / length, 1.0)))
+    return findings
+
+
+def _noise(drive: Drive, path: Path) -> list[Finding]:
+    """A finding if the positions are too noisy to start from, or, where the log has no velocity, to differentiate."""
+    velocity = drive.rig.channels.get("linear_velocity")
+    place = drive.channels["position"]
+    if len(place.time) < 100:
+        return []
+    step = float(np.median(np.diff(place.time)))
+    # Third differences of white noise have 20 times its variance; driving hardly shows in them.
+    sigma = 1.4826 * float(np.median(np.abs(np.diff(place.values[:, :2], 3, axis=0)))) / np.sqrt(20)
+    if velocity is not None and velocity.frame != "unknown":
+        if sigma < max(_NOISY * path.cruise, 0.02):
+            return []
+        evidence = f"places scatter by {sigma:.3g} m around a smooth path"
+        how = "take a smoother pose: every prediction starts from one of these places"
+        return [Finding("warning", "position", "is noisy", evidence, how, 0.6)]
+    window = drive.rig.motion.window
+    error = sigma * np.sqrt(12 * step / window) / window
+    most = max(_NOISY * path.cruise, 0.03)
+    if error < most or step > window / 4:
+        return []
+    wider = round(min(window * (error / most) ** (2 / 3), _WIDEST), 2)
+    evidence = f"noise of {sigma:.3g} m makes velocities over {window:g} s uncertain by {error:.2g} m/s"
+    edit = Edit("motion.window", wider)
+    return [Finding("warning", "position", "is too noisy to differentiate", evidence, str(edit), 0.6, ((edit,),))]
 
 
 def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
@@ -120,73 +195,6 @@ def _level(place: Channel) -> list[Finding]:
     evidence = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
     how = "reorder channels.position.fields so that z is up, or take another pose (this may be a camera's frame)"
     return [Finding("warning", "position", "climbs as much as it drives", evidence, how, 0.9)]
-
-
-def _course(drive: Drive, path: Path) -> list[Finding]:
-    """Heading against the direction of travel."""
-    moving = _moving(path)
-    if moving.sum() < 40:
-        return []
-    channel = "yaw" if "yaw" in drive.channels else "orientation"
-    fits = _resultant(path, 1.0)
-    if fits > _TOGETHER:
-        off = _mean_difference(path)
-        if abs(off) < np.radians(15):
-            return []
-        evidence = f"{np.degrees(off):.0f} degrees on average while moving"
-        if abs(off) > np.radians(150):
-            how = "turn the pose by 180 degrees, unless it drove backwards"
-        else:
-            how = "turn the pose to x forward"
-        if channel == "yaw":
-            offset = drive.rig.channels["yaw"].sign * off + drive.rig.channels["yaw"].offset
-            how = f"channels.yaw.offset = {number(offset)}" if not drive.rig.channels["yaw"].unit else how
-        return [Finding("warning", channel, "the heading is turned against the course", evidence, how, 0.8)]
-    return [_heading_apart(drive, path, channel, fits)]
-
-
-def _heading_apart(drive: Drive, path: Path, channel: str, fits: float) -> Finding:
-    tried = {"sign": -1.0, "deg": np.pi / 180, "rad": 180 / np.pi}
-    raw = heading(drive)
-    if channel == "yaw":
-        # Degrees read as radians were unwrapped at the wrong turn: go back to the samples.
-        raw = drive.channels["yaw"]
-    result = {}
-    for name, factor in tried.items():
-        yaw = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0] * factor))
-        result[name] = _resultant(path, 1.0, yaw)
-    best = max(result, key=lambda name: result[name])
-    evidence = f"they agree to {fits:.2f} (1: always, 0: never)"
-    if result[best] < _TOGETHER or channel != "yaw":
-        if result["sign"] > _TOGETHER:
-            evidence += f", and to {result['sign']:.2f} with the heading mirrored"
-        how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
-        return Finding("warning", channel, "the heading does not follow the course", evidence, how, 1.0)
-    line = f"sign = {-drive.rig.channels['yaw'].sign}" if best == "sign" else f'unit = "{best}"'
-    evidence += f", and to {result[best]:.2f} with the line below"
-    return Finding("fatal", "yaw", "the heading does not follow the course", evidence, f"channels.yaw.{line}", 1.0)
-
-
-def _moving(path: Path) -> np.ndarray:
-    moving: np.ndarray = np.isfinite(path.yaw) & (path.speed > max(0.3, 0.3 * path.cruise))
-    return moving
-
-
-def _resultant(path: Path, factor: float, yaw: Float[np.ndarray, " n"] | None = None) -> float:
-    """Length of the mean of exp(i (course - yaw)); backward stretches count as forward."""
-    moving = _moving(path)
-    if not moving.any():
-        return 1.0
-    course = np.arctan2(path.velocity[moving, 1], path.velocity[moving, 0])
-    turned = course - factor * (path.yaw if yaw is None else yaw)[moving]
-    return float(np.sqrt(np.abs(np.mean(np.exp(2j * turned)))))
-
-
-def _mean_difference(path: Path) -> float:
-    """Mean of heading's correction, course minus yaw [rad]."""
-    moving = _moving(path)
-    course = np.arctan2(path.velocity[moving, 1], path.velocity[moving, 0])
-    return float(np.angle(np.mean(np.exp(1j * (course - path.yaw[moving])))))
 
 
 def _up(quaternion: Float[np.ndarray, "n 4"]) -> float:

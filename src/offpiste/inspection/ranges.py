@@ -6,10 +6,11 @@ from jaxtyping import Float
 
 from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert
 from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.edits import Edit, absent, rounded
 from offpiste.rig.rig import Rig
 
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
@@ -34,6 +35,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if outside <= (_CLIPPED if source.clip else 0.005):
             continue
         first, last = np.percentile(values, (0.5, 99.5))
+        cure = _cure(name, source, rig, (low, high), (float(first), float(last)))
         findings.append(
             Finding(
                 "warning",
@@ -41,11 +43,17 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
                 "leaves its range" if not source.clip else "is clipped much of the time",
                 f"{outside:.0%} of the samples are outside of {low:g} to {high:g}; they lie between {first:.3g} "
                 f"and {last:.3g}",
-                _remedy(name, source, low, high, first, last),
+                ", ".join(map(str, cure)),
                 outside,
+                (cure,),
             )
         )
     return findings
+
+
+def limits(channel: str) -> tuple[float, float] | None:
+    """Range of a control or actuator, by channel, in offpiste's units."""
+    return next(((low, high) for name, low, high in _limits() if name == channel), None)
 
 
 def _limits() -> list[tuple[str, float, float]]:
@@ -63,7 +71,11 @@ def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]
     return values
 
 
-def _remedy(name: str, source: ChannelSource, low: float, high: float, first: float, last: float) -> str:
+def _cure(
+    name: str, source: ChannelSource, rig: Rig, wanted: tuple[float, float], seen: tuple[float, float]
+) -> tuple[Edit, ...]:
+    """The edits that bring what was seen into the wanted range: another unit if one fits, or scale and offset."""
+    (low, high), (first, last) = wanted, seen
     largest = max(abs(first), abs(last))
     plain = not source.unit and source.scale == 1.0
     for unit, factor in _ALTERNATIVES.items():
@@ -73,12 +85,12 @@ def _remedy(name: str, source: ChannelSource, low: float, high: float, first: fl
             unit_factor(name, unit)
         except RigError:
             continue
-        return f'channels.{name}.unit = "{unit}"'
+        return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
-        return f"channels.{name}.scale = {number(source.scale * high / largest)}"
+        return (Edit(f"channels.{name}.scale", rounded(source.scale * high / largest)),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
     span = last - first
     if not span > 0:
-        return f'absent = ["{name}"]'
+        return absent(name, rig)
     scale, offset = source.scale / span, (source.offset - source.sign * first / unit_factor(name, source.unit)) / span
-    return f"channels.{name}.scale = {number(scale)}, channels.{name}.offset = {number(offset)}"
+    return Edit(f"channels.{name}.scale", rounded(scale)), Edit(f"channels.{name}.offset", rounded(offset))

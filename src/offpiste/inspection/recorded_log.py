@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from offpiste.errors import LogError
 from offpiste.inspection.findings import Finding
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.progress import track
+from offpiste.rig.channels import SECONDS, Clock
+from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig
 
 _BULK = re.compile(
@@ -52,6 +55,20 @@ class RememberedLog(Log):
         self._log = log
         self._sources = (*rig.channels.values(), *((rig.alignment.speed,) if rig.alignment else ())) if rig else ()
         self._samples: dict[tuple[str, str], Samples] = {}
+        self._stamps: dict[tuple[str, str], Float[np.ndarray, " n"]] = {}
+        self._opened, self._per_stamp = log.clock, 1.0
+
+    @property
+    def clock(self) -> Clock:
+        """The other log's clock."""
+        return self._opened
+
+    def by(self, clock: Clock) -> "RememberedLog":
+        """The same samples, their stamps in the unit of another clock where the format has no unit of its own."""
+        other = copy(self)
+        if self._log.has_clock_unit:
+            other._per_stamp = SECONDS[clock.unit] / SECONDS[self._opened.unit]
+        return other
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -60,10 +77,18 @@ class RememberedLog(Log):
 
     def quantities(self, topic: Topic) -> tuple[str, ...]:
         """Fields that are checked: no entries of arrays (scans, covariances) unless the rig reads them (joints)."""
-        plain = tuple(f for f in topic.fields if not f.endswith("]"))[:_MAX_FIELDS]
+        plain = tuple(f for f in topic.fields if not is_array_entry(f))[:_MAX_FIELDS]
         needed = {field for source in self._sources if source.topic == topic.name for field in source.fields}
         more = tuple(f for f in topic.fields if f in needed and f not in plain)
         return plain + more or topic.fields[:1]
+
+    def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
+        """The other log's stamps [s]; beyond any that a clock can hold they are infinite."""
+        key = (topic, stamps)
+        if key not in self._stamps:
+            time = self._samples[key].time if key in self._samples else self._log.stamps(topic, stamps=stamps)
+            self._stamps[key] = _of_usable_size(Samples(time, np.zeros((len(time), 0)))).time
+        return self._stamps[key] * self._per_stamp
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         quantities = self.quantities(topic)
@@ -77,7 +102,7 @@ class RememberedLog(Log):
                 # One field that cannot be read must not hide the others.
                 return _of_usable_size(self._log.read(topic.name, fields, stamps=stamps))
         samples = self._samples[key]
-        return Samples(samples.time, samples.values[:, [quantities.index(f) for f in fields]])
+        return Samples(samples.time * self._per_stamp, samples.values[:, [quantities.index(f) for f in fields]])
 
 
 def _of_usable_size(samples: Samples) -> Samples:
@@ -86,12 +111,13 @@ def _of_usable_size(samples: Samples) -> Samples:
     return Samples(time, values)
 
 
-def read_topics(log: RememberedLog, *, stamps: str) -> tuple[dict[str, Recorded], list[Finding]]:
+def read_topics(log: RememberedLog, clock: Clock) -> tuple[dict[str, Recorded], list[Finding]]:
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
     Args:
-        stamps: "header" or "receive".
+        clock: which stamps count, and whether samples are put in their order.
     """
+    stamps = clock.stamps
     recorded: dict[str, Recorded] = {}
     findings: list[Finding] = []
     for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
@@ -103,9 +129,11 @@ def read_topics(log: RememberedLog, *, stamps: str) -> tuple[dict[str, Recorded]
         if not readable:
             continue
         samples = log.read(name, readable, stamps=stamps)
-        other = log.read(name, readable[:1], stamps="receive" if stamps == "header" else "header").time
+        other = log.stamps(name, stamps="receive" if stamps == "header" else "header")
         same = np.array_equal(other, samples.time, equal_nan=True)
-        recorded[name] = Recorded(topic, samples.time, None if same else other, readable, samples.values)
+        order = np.argsort(samples.time, kind="stable") if clock.sort else slice(None)
+        arrived = None if same else other[order]
+        recorded[name] = Recorded(topic, samples.time[order], arrived, readable, samples.values[order])
     return recorded, findings
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from offpiste.inspection.misfit import Parameters, turned
 from offpiste.logs.measurements import Camera, Cloud, Image
@@ -118,18 +118,27 @@ def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
     period = max((end - start) / _PAIRS, APART)
     result = Gathered({n: [] for n in log.lidars}, {n: [] for n in cameras}, start, end, period)
     names = [*log.lidars, *cameras]
-    done: dict[str, int] = dict.fromkeys(names, 0)
-    for measured in track(log.stream(names, start=start, end=end), "sensors"):
-        name = measured.lidar if isinstance(measured, Cloud) else measured.camera
-        if measured.time < start + _wanted(done[name], period) - 1e-3:
-            continue
-        while start + _wanted(done[name], period) - 1e-3 <= measured.time:
-            done[name] += 1
+    chosen = {name: _due(log.stamps(name), start, end, period) for name in names}
+    for measured in track(log.picked(chosen), "sensors", total=sum(map(len, chosen.values()))):
         if isinstance(measured, Cloud):
-            result.scans[name].append(_scan(measured))
+            result.scans[measured.lidar].append(_scan(measured))
         else:
-            result.images[name].append(cameras[name].grey(measured))
+            result.images[measured.camera].append(cameras[measured.camera].grey(measured))
     return result
+
+
+def _due(times: Float[np.ndarray, " n"], start: float, end: float, period: float) -> Int[np.ndarray, " m"]:
+    """Indices of those measurements that make pairs: of each moment when one is due, the first thereafter."""
+    order = np.argsort(times, kind="stable")
+    order = order[(times[order] >= start) & (times[order] <= end)]
+    chosen, done = [], 0
+    for index in order.tolist():
+        if times[index] < start + _wanted(done, period) - 1e-3:
+            continue
+        while start + _wanted(done, period) - 1e-3 <= times[index]:
+            done += 1
+        chosen.append(index)
+    return np.array(chosen, dtype=np.int64)
 
 
 def driving(poses: Poses) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from offpiste.errors import OffpisteError
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_samples import Grey, Scan
 from offpiste.inspection.stamps import check_spans, check_stamps
@@ -17,6 +17,7 @@ from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.sensor_log import SensorLog
+from offpiste.rig.edits import number
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import TIME_FIELDS
 

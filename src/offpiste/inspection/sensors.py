@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.camera import check_camera
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.lidar import check_lidar
+from offpiste.inspection.map_health import check_map_health, map_health
 from offpiste.inspection.misfit import Misfit, turned
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
 from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, refused, untimed_points
@@ -19,6 +20,7 @@ from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
+from offpiste.rig.edits import number
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
@@ -35,6 +37,7 @@ KNOWN_LATE: Final = 0.020
 """A delay that is less certain than this says nothing [s]."""
 APART: Final = 0.2
 """Scans whose points stay further than this from each other's planes show no common world [m]; clean: 0.02 to 0.04."""
+_POSE: Final = ("position", "orientation", "yaw")
 _AXES: Final = ("roll", "pitch", "yaw")
 
 
@@ -191,6 +194,13 @@ def _basis(one: CheckedSensor, misfit: Misfit) -> str:
     return f"{misfit.pairs} pairs of {'images' if isinstance(one.sensor, Camera) else 'scans'}"
 
 
+def can_be_checked(findings: Sequence[Finding], rig: Rig) -> bool:
+    """Whether the pose is good enough to check sensors by it, whatever is wrong with controls and other channels."""
+    pose = [rig.channels[name] for name in _POSE if name in rig.channels]
+    about = {"log", *_POSE, *(source.topic for source in pose)}
+    return not any(finding.severity == "fatal" and finding.where in about for finding in findings)
+
+
 def check_sensors(log: Log, rig: Rig) -> list[Finding]:
     """Findings on the cameras and LiDARs that a rig names; none where it names none.
 
@@ -221,6 +231,8 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
         replace(one, untimed=untimed.get(one.sensor.name, ""))
         for one in lidar_misfits(sensors.lidars, gathered, sensors.poses)
     ]
+    health, misplaced = map_health(sensors.lidars, gathered, sensors.poses), any(one.is_turned for one in checked)
+    findings += check_map_health(health, turned=misplaced)
     return findings + check_mountings(checked + camera_misfits(cameras, checked, gathered, sensors.poses))
 
 

@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
-from offpiste.inspection.findings import Finding, number
+from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.logs.channel import convert
-from offpiste.rig.channels import ChannelSource, Wrap, known_channels
+from offpiste.logs.channel import LARGEST, convert, largest
+from offpiste.rig.channels import ChannelSource, Wrap, known_channels, unit_factor
+from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
 _PERIODS = (65536.0, 6553.6, 655.36)
@@ -29,30 +31,33 @@ class Signal:
         key: the rig's entry that reads it, "channels.throttle"; "" where none does.
         raw: as recorded, wraps undone as the rig says.
         values: converted by the rig, without what it calls not valid; the same as `raw` without a rig.
+        range: limits of the channel, where it has some.
+        largest: as recorded, that is a measurement and no fault.
     """
 
     where: str
     key: str
     raw: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " m"]
+    range: tuple[float, float] | None = None
+    largest: float = LARGEST
 
-    def line(self, assignment: str) -> str:
-        """A rig line for this signal."""
-        return f"{self.key}.{assignment}" if self.key else f"where a channel reads it: {assignment}"
+    def cure(self, entry: str, value: object) -> tuple[str, tuple[tuple[Edit, ...], ...]]:
+        """A remedy that sets one entry of the channel, in words and as edits; words alone where no channel reads it."""
+        if not self.key:
+            return f"where a channel reads it: {entry} = {toml_value(value)}", ()
+        edit = Edit(f"{self.key}.{entry}", value)
+        return str(edit), ((edit,),)
 
 
-def recorded_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal]:
-    """Every field as recorded; `rig` only names the channel that would read it."""
-    readers = {
-        (source.topic, field): f"channels.{name}"
-        for name, source in (rig.channels.items() if rig else ())
-        for field in source.fields
-    }
+def other_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal]:
+    """Every field as recorded that no channel of the rig reads."""
+    read = {(source.topic, field) for source in (rig.channels.values() if rig else ()) for field in source.fields}
     return [
-        Signal(place(topic, field), readers.get((topic, field), ""), column, column)
+        Signal(place(topic, field), "", column, column)
         for topic, r in recorded.items()
         for field, column in zip(r.fields, r.values.T, strict=True)
-        if not _is_clock(column)
+        if (topic, field) not in read and not _is_clock(column)
     ]
 
 
@@ -67,19 +72,23 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         converted = _valid(convert(name, source, columns), source)
         raw = columns if source.wrap is None else _unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields):
-            signals.append(
-                Signal(f"{name} ({place(source.topic, field)})", f"channels.{name}", raw[:, i], converted[:, i])
-            )
+            where = f"{name} ({place(source.topic, field)})"
+            most = largest(name) / abs(source.scale * unit_factor(name, source.unit) or 1.0)
+            signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most))
     return signals
 
 
-def check_signals(signals: list[Signal]) -> list[Finding]:
-    """Findings on each signal; those that no channel reads are notes."""
+def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
+    """Findings on each signal; those that no channel reads are notes.
+
+    Args:
+        rig: whose channels read them.
+    """
     findings: list[Finding] = []
     dead: list[Signal] = []
     for signal in signals:
         findings += _not_finite(signal)
-        raw = signal.raw[np.isfinite(signal.raw)]
+        raw = signal.raw[np.abs(np.nan_to_num(signal.raw, nan=np.inf)) <= signal.largest]
         if len(raw) < 10:
             continue
         if np.ptp(raw) == 0:
@@ -90,7 +99,7 @@ def check_signals(signals: list[Signal]) -> list[Finding]:
             findings.append(_wrapped(signal, raw, wrap))
         else:
             findings += _spiked(signal)
-    return findings + _dead(dead)
+    return findings + _dead(dead, rig)
 
 
 def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
@@ -142,34 +151,32 @@ def place(topic: str, field: str) -> str:
 
 
 def _not_finite(signal: Signal) -> list[Finding]:
-    bad = ~np.isfinite(signal.raw)
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(signal.raw) <= signal.largest)
     if not bad.any():
         return []
     share = float(bad.mean())
-    return [
-        Finding(
-            "warning" if signal.key else "note",
-            signal.where,
-            "values are NaN or infinite",
-            f"{bad.sum()} of {len(bad)} samples ({share:.1%})",
-            "nothing where the rest is enough: those samples are dropped on reading"
-            if share < 0.5
-            else f'declare it absent: absent = ["{signal.key.removeprefix("channels.") or "..."}"]',
-            share,
-        )
-    ]
+    how = "nothing where the rest is enough: those samples are dropped on reading"
+    if share >= 0.5:
+        how = f'declare it absent: absent = ["{signal.key.removeprefix("channels.") or "..."}"]'
+    at = np.flatnonzero(bad)
+    evidence = f"{len(at)} of {len(bad)} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
+    severity: Severity = "warning" if signal.key else "note"
+    return [Finding(severity, signal.where, "values are NaN, infinite or beyond any measurement", evidence, how, share)]
 
 
 def _wrapped(signal: Signal, raw: Float[np.ndarray, " n"], wrap: Wrap) -> Finding:
     count = int((raw > wrap.above).sum())
+    remedy, cures = signal.cure("wrap", {"above": rounded(wrap.above), "period": wrap.period})
     return Finding(
         "warning" if signal.key else "note",
         signal.where,
         "wraps around like a 16-bit counter below zero",
         f"{count} of {len(raw)} samples ({count / len(raw):.1%}) lie between {raw[raw > wrap.above].min():g} and "
         f"{raw.max():g}, the others below {raw[raw <= wrap.above].max():g}",
-        signal.line(f"wrap = {{ above = {number(wrap.above)}, period = {wrap.period} }}"),
+        remedy,
         count / len(raw),
+        cures,
     )
 
 
@@ -179,12 +186,14 @@ def _spiked(signal: Signal) -> list[Finding]:
     if not spikes.any():
         return []
     usual, at = values[~spikes], values[spikes]
-    low, high = _limits(usual, at)
-    room = np.ptp(usual) / 4
-    if at.max() < usual.max() + room and at.min() > usual.min() - room:
-        return []  # a quick foot on a pedal looks like that, and no rig line could fix it
+    low, high = _limits(usual, at) if signal.range is None else _around(signal.range)
+    # A quick foot on a pedal looks like that, too, but it stays within what the pedal can show.
+    floor, ceiling = signal.range or (float(usual.min()), float(usual.max()))
+    room = (ceiling - floor) / 4
+    if at.max() < ceiling + room and at.min() > floor - room:
+        return []
     inside = int(((at >= low) & (at <= high)).sum())
-    remedy = signal.line(f"valid = [{number(low)}, {number(high)}]")
+    remedy, cures = signal.cure("valid", [rounded(low), rounded(high)])
     return [
         Finding(
             "warning" if signal.key else "note",
@@ -194,6 +203,7 @@ def _spiked(signal: Signal) -> list[Finding]:
             f"lie between {usual.min():.4g} and {usual.max():.4g}",
             remedy + (f", which removes all but {inside}" if inside else ""),
             float(spikes.mean()),
+            cures,
         )
     ]
 
@@ -207,6 +217,12 @@ def _unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return values
 
 
+def _around(limits: tuple[float, float]) -> tuple[float, float]:
+    """A channel's range with a twentieth of room on both sides: what lies within may be real."""
+    room = (limits[1] - limits[0]) / 20
+    return limits[0] - room, limits[1] + room
+
+
 def _limits(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
     """The usual values with half their span of room on both sides, as far as no spike lies in it."""
     low, high = float(usual.min()), float(usual.max())
@@ -217,7 +233,7 @@ def _limits(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> 
     return (0.0 if bottom < 0 <= low else bottom), top
 
 
-def _dead(signals: list[Signal]) -> list[Finding]:
+def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     scalars = [name for name, (_, widths) in known_channels().items() if widths == (1,) and name != "yaw"]
     read = [s for s in signals if s.key.removeprefix("channels.") in scalars]
     other = [s for s in signals if not s.key]
@@ -227,8 +243,9 @@ def _dead(signals: list[Signal]) -> list[Finding]:
             s.where,
             "never changes",
             f"{s.raw[np.isfinite(s.raw)][0]:g} in all {len(s.raw)} samples",
-            f'absent = ["{s.key.removeprefix("channels.")}"], and remove [{s.key}]',
+            ", ".join(map(str, absent(s.key.removeprefix("channels."), rig))) if rig else "declare it absent",
             1.0,
+            (absent(s.key.removeprefix("channels."), rig),) if rig else (),
         )
         for s in read
     ]

@@ -2,13 +2,15 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.channels import Clock
+from offpiste.rig.channels import SECONDS, Clock
+from offpiste.rig.edits import Edit
 
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
@@ -16,7 +18,16 @@ _RATES = (0.2, 20_000.0)
 """A vehicle's topic outside of these rates is stamped in another unit than seconds [Hz]."""
 _APART = 0.5
 """Messages that arrive this much later after their header than others do have another clock [s]."""
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_RECEIVE: Final = Edit("clock.stamps", "receive")
+_SORT: Final = Edit("clock.sort", True)
+_REPEATED: Final = 0.05
+"""Share of repeated stamps from which they cost data: a warning."""
+_GAPS: Final = 0.02
+"""Share of the time in gaps from which they cost data: a warning."""
+_DISORDER: Final = 0.2
+"""Share of stamps that go back from which a log has no order."""
+_SHUFFLED: Final = 0.002
+"""Share of stamps that go back from which a log is not in the order of its stamps."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +131,9 @@ def check_spans(recorded: dict[str, Recorded], pose: str, *, used: bool) -> list
                     name,
                     f"its clock does not overlap that of {pose}",
                     f"{first:.2f} to {last:.2f} s against {start:.2f} to {end:.2f} s",
-                    'clock.stamps = "receive"' if topic.other is not None else "drop the topic, or fix its stamps",
+                    str(_RECEIVE) if topic.other is not None else "drop the topic, or fix its stamps",
                     1.0,
+                    ((_RECEIVE,),) if topic.other is not None else (),
                 )
             )
             continue
@@ -153,70 +165,55 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
     with np.errstate(invalid="ignore"):  # between stamps that are infinite
         step, later = np.diff(topic.time), np.diff(arrives) > 0
     receives = later.size > 0 and bool(later.mean() > 0.99)
-    remedy = 'clock.stamps = "receive"' if receives else "nothing: those samples are dropped on reading"
+    remedy = str(_RECEIVE) if receives else "nothing: those samples are dropped on reading"
+    cures: tuple[tuple[Edit, ...], ...] = ((_RECEIVE,),) if receives else ()
     if seen.count < total:
         share = 1 - seen.count / total
-        findings.append(
-            Finding("warning", where, "stamps are not finite", f"{total - seen.count} of {total}", remedy, share)
-        )
+        evidence = f"{total - seen.count} of {total}"
+        findings.append(Finding("warning", where, "stamps are not finite", evidence, remedy, share, cures))
     if seen.backward:
         worst = int(np.nanargmin(step))
         share = seen.backward / total
-        findings.append(
-            Finding(
-                "warning",
-                where,
-                "stamps go back",
-                f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s",
-                remedy,
-                share,
-            )
-        )
+        evidence = f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s"
+        what = "stamps go back"
+        if share > _SHUFFLED and not clock.sort:
+            cures, remedy = (*cures, (_SORT,)), remedy if cures else str(_SORT)
+            what = "samples are not in the order of their stamps" if share > _DISORDER else what
+        severity: Severity = "fatal" if share > _DISORDER else "warning"
+        findings.append(Finding(severity, where, what, evidence, remedy, share, cures))
     if seen.repeated:
         share = seen.repeated / total
-        findings.append(
-            Finding(
-                "warning" if share > 0.2 else "note",
-                where,
-                "stamps repeat",
-                f"{seen.repeated} of {total} ({share:.1%})",
-                remedy
-                if share <= 0.02 or receives
-                else "nothing: one sample a stamp is kept; samples arrive in bunches",
-                share,
-            )
-        )
+        bunches = remedy if share <= 0.02 or receives else "nothing: one sample a stamp is kept"
+        severity = "warning" if share > _REPEATED else "note"
+        evidence = f"{seen.repeated} of {total} ({share:.1%})"
+        repeats = ((_RECEIVE,),) if receives else ()
+        findings.append(Finding(severity, where, "stamps repeat", evidence, bunches, share, repeats))
     return findings
 
 
 def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: bool) -> list[Finding]:
     findings: list[Finding] = []
-    if not np.isfinite(seen.rate):
-        return findings
+    if not np.isfinite(seen.rate) or seen.backward > _DISORDER * seen.count:
+        return findings  # out of order, stamps show no rate
     if used and seen.count > 20 and not _RATES[0] < seen.rate < _RATES[1]:
         # Vehicles are recorded at some 50 Hz: the unit that comes nearest to that.
-        wanted = np.log10(_SECONDS[clock.unit] * seen.rate / 50)
-        unit = min(_SECONDS, key=lambda name: abs(np.log10(_SECONDS[name]) - wanted))
+        wanted = np.log10(SECONDS[clock.unit] * seen.rate / 50)
+        unit = min(SECONDS, key=lambda name: abs(np.log10(SECONDS[name]) - wanted))
         message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
-        return [Finding("fatal", where, "stamps are in another unit", message, f'clock.unit = "{unit}"', 1.0)]
+        edit = Edit("clock.unit", unit)
+        return [Finding("fatal", where, "stamps are in another unit", message, str(edit), 1.0, ((edit,),))]
     if 1 / seen.rate > clock.max_gap and used:
-        findings.append(
-            Finding(
-                "warning",
-                where,
-                "is slower than the longest gap that is interpolated",
-                f"one sample in {1 / seen.rate:.2f} s, clock.max_gap is {clock.max_gap} s",
-                f"clock.max_gap = {number_above(2 / seen.rate)}, or use another topic",
-                1.0,
-            )
-        )
+        edit = Edit("clock.max_gap", float(number_above(2 / seen.rate)))
+        evidence = f"one sample in {1 / seen.rate:.2f} s, clock.max_gap is {clock.max_gap} s"
+        what, how = "is slower than the longest gap that is interpolated", f"{edit}; or use another topic"
+        findings.append(Finding("warning", where, what, evidence, how, 1.0, ((edit,),)))
     # Topics without a steady rate speak when they have something to say; their silence is no gap.
     elif seen.gaps and (used or seen.jitter < 0.5):
         at, longest = max(seen.gaps, key=lambda gap: gap[1])
         share = sum(length for _, length in seen.gaps) / (seen.end - seen.start)
         findings.append(
             Finding(
-                "warning",
+                "warning" if share > _GAPS else "note",
                 where,
                 "has gaps" if len(seen.gaps) > 1 else "has a gap",
                 f"{len(seen.gaps)}, the longest {longest:.2f} s at {at - origin:.2f} s; {share:.1%} of the time",
@@ -254,7 +251,7 @@ def _clocks(recorded: dict[str, Recorded], clock: Clock) -> list[Finding]:
             message = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
         else:
             continue
-        findings.append(Finding("warning", name, what, message, 'clock.stamps = "receive"', score))
+        findings.append(Finding("warning", name, what, message, str(_RECEIVE), score, ((_RECEIVE,),)))
     return findings
 
 

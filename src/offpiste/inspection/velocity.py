@@ -1,20 +1,34 @@
 """Checks of recorded velocities against the derivative of the pose: frame, unit, sign and delay."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.geometry import rotation_from_quaternion, yaw_rate_from_body_rates
-from offpiste.inspection.driven_path import TURNING, Path
-from offpiste.inspection.findings import Finding, number
+from offpiste.geometry import (
+    local_polynomial,
+    planar_body_from_world,
+    rotation_from_quaternion,
+    yaw_rate_from_body_rates,
+)
+from offpiste.inspection.driven_path import STEP, TURNING, Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.rig.channels import ChannelSource
+from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.rig import Rig
 
 _FITS = 0.2
 """A frame fits if the RMS difference to the pose's derivative is below this share of the RMS speed."""
-_LAGS = np.arange(-1.0, 1.01, 0.05)
+_FOLLOWS = 0.6
+"""A yaw rate follows the pose's if the RMS difference is below this share of its RMS."""
+_LAGS: Final = np.arange(-20, 21) * STEP
+_LATE: Final = 0.12
+"""Delays from here on are reported [s]."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
 _RATE_UNITS = {"deg/s": 180 / np.pi, "rev/min": 60 / (2 * np.pi)}
 
@@ -25,55 +39,59 @@ class FrameFit:
 
     Attributes:
         misfit: RMS difference over the RMS speed, with the best gain and delay taken out.
-        gain: recorded over true.
-        delay: by how much the recorded one is late [s].
+        gain, gain_sigma: recorded over true, and its standard deviation.
+        delay, delay_sigma: by how much the recorded one is late, and its standard deviation [s].
     """
 
     frame: str
     misfit: float
     gain: float
+    gain_sigma: float
     delay: float
+    delay_sigma: float
 
 
 def fit_frames(drive: Drive, path: Path) -> dict[str, FrameFit]:
     """Fits of channel `linear_velocity` by frame, "world" and "body"; empty where too little moves."""
-    velocity = drive.channels["linear_velocity"]
     if path.driving < 3:
         return {}
-    shifted = _shifted(path, velocity)
-    turned = {"world": shifted[:, :2], "body": _world_from_body(drive, path, shifted)}
-    return {frame: _best(frame, world, path.velocity.T) for frame, world in turned.items()}
+    recorded = _on_path(path, drive.channels["linear_velocity"])
+    body = planar_body_from_world(path.velocity, path.yaw)
+    pairs = {"world": (recorded[:, :2], path.velocity), "body": (_levelled(drive, path, recorded), body)}
+    fits = {frame: _fit(frame, *pair) for frame, pair in pairs.items()}
+    return {frame: fit for frame, fit in fits.items() if fit is not None}
 
 
 def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     """Frame, unit, sign and delay of the recorded velocity."""
+    name, source = "linear_velocity", drive.rig.channels["linear_velocity"]
+    if path.driving >= 3 and not drive.channels[name].values[:, :2].any():
+        return [_zero(name)]
     fits = fit_frames(drive, path)
     if not fits:
         return []
-    source = drive.rig.channels["linear_velocity"]
     best = min(fits.values(), key=lambda fit: fit.misfit)
     stated = fits.get(source.frame)
     evidence = ", ".join(f"{fit.misfit:.2f} as {fit.frame}" for fit in fits.values())
     evidence = f"RMS difference to the pose's derivative over RMS speed: {evidence}"
-    key = "channels.linear_velocity"
+    unused = Edit(f"channels.{name}.frame", "unknown")
     if best.misfit > 2 * _FITS:
         if source.frame == "unknown":
             return []
-        what = "fits the pose in neither frame"
-        return [Finding("warning", "linear_velocity", what, evidence, f'{key}.frame = "unknown"', 1.0)]
+        return [Finding("warning", name, "fits the pose in neither frame", evidence, str(unused), 1.0, ((unused,),))]
     findings = []
     if stated is None:
+        frame = Edit(f"channels.{name}.frame", best.frame)
         what = f"its frame is {best.frame}, and could be used"
-        findings.append(Finding("note", "linear_velocity", what, evidence, f'{key}.frame = "{best.frame}"', 0.3))
+        findings.append(Finding("note", name, what, evidence, str(frame), 0.3))
     elif stated.frame != best.frame and stated.misfit > max(_FITS, 2 * best.misfit):
+        frame = Edit(f"channels.{name}.frame", best.frame)
         what = f"is in the {best.frame} frame, not the {stated.frame}'s"
-        findings.append(Finding("warning", "linear_velocity", what, evidence, f'{key}.frame = "{best.frame}"', 1.0))
-    fit = best if stated is None or findings else stated
-    return (
-        findings
-        + _gain("linear_velocity", fit.gain, source, "m/s", _UNITS)
-        + _delay("linear_velocity", fit.delay, fit.misfit, source)
-    )
+        findings.append(Finding("warning", name, what, evidence, str(frame), 1.0, ((frame,),)))
+    if stated is None:
+        return findings  # what is not used does no harm
+    fit = best if findings else stated
+    return findings + _gain(name, fit, drive.rig, "m/s", _UNITS) + _delay(name, fit, source)
 
 
 def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
@@ -82,14 +100,18 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return []
     source, rate = drive.rig.channels[name], drive.channels[name]
-    recorded = _turn_rate(drive, rate, source)
-    scalar = Channel(name, rate.unit, rate.time, recorded[:, None])
-    fit = _best("", _shifted(path, scalar), path.yaw_rate[None])
-    if fit.misfit > 0.6:
+    if not rate.values[:, -1].any():
+        return [_zero(name)]
+    scalar = Channel(name, rate.unit, rate.time, _turn_rate(drive, rate, source)[:, None])
+    fit = _fit("", _on_path(path, scalar), path.yaw_rate[:, None])
+    if fit is None:
+        return []
+    if fit.misfit > _FOLLOWS:
         evidence = f"RMS difference to d(yaw)/dt over its RMS: {fit.misfit:.2f} at the best gain and delay"
-        how = f"remove [channels.{name}]: the pose is differentiated instead"
-        return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0)]
-    return _gain(name, fit.gain, source, "rad/s", _RATE_UNITS) + _delay(name, fit.delay, fit.misfit, source)
+        removed = Edit(f"channels.{name}", None)
+        how = f"{removed}; the pose is differentiated instead"
+        return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0, ((removed,),))]
+    return _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
 
 
 def _turn_rate(drive: Drive, rate: Channel, source: ChannelSource) -> Float[np.ndarray, " n"]:
@@ -101,76 +123,78 @@ def _turn_rate(drive: Drive, rate: Channel, source: ChannelSource) -> Float[np.n
     return rate.values[:, 2]
 
 
-def _shifted(path: Path, recorded: Channel) -> Float[np.ndarray, "L c n"]:
-    """Components at the path's times, taken later by each lag; NaN outside of the record."""
-    return np.stack(
-        [
-            [np.interp(path.time + lag, recorded.time, c, left=np.nan, right=np.nan) for c in recorded.values.T]
-            for lag in _LAGS
-        ]
-    )
+def _on_path(path: Path, recorded: Channel) -> Float[np.ndarray, "n k"]:
+    """A channel at the path's times, smoothed as the path is; NaN outside of the record and in gaps."""
+    window = max(path.window, 4 * float(np.median(np.diff(recorded.time))))
+    return local_polynomial(recorded.time, recorded.values, path.time, window=window, causal=False)[0]
 
 
-def _world_from_body(drive: Drive, path: Path, shifted: Float[np.ndarray, "L c n"]) -> Float[np.ndarray, "L 2 n"]:
-    """Horizontal world velocity, by the orientation of the moment that each lag assumes it to be of."""
-    if shifted.shape[1] == 3 and "orientation" in drive.channels:
-        orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
-        rotation = rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5))
-        world: np.ndarray = np.einsum("nij,Ljn->Lin", rotation[:, :2], shifted)
-        return world
-    cos, sin = np.cos(path.yaw), np.sin(path.yaw)
-    x, y = shifted[:, 0], shifted[:, 1]
-    return np.stack((cos * x - sin * y, sin * x + cos * y), axis=1)
+def _levelled(drive: Drive, path: Path, recorded: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
+    """Horizontal part of a velocity in the body frame, turned by minus yaw: pitch and roll taken out."""
+    if recorded.shape[1] == 2 or "orientation" not in drive.channels:
+        return recorded[:, :2]
+    orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
+    world = np.einsum("nij,nj->ni", rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5)), recorded)
+    return planar_body_from_world(world[:, :2], path.yaw)
 
 
-def _best(frame: str, sampled: Float[np.ndarray, "L c n"], true: Float[np.ndarray, "c n"]) -> FrameFit:
-    """The lag at which `sampled = gain * true` fits best."""
-    use = np.isfinite(sampled).all(axis=(0, 1)) & np.isfinite(true).all(axis=0)
-    if use.sum() < 40:
-        return FrameFit(frame, np.inf, 1.0, 0.0)
-    sampled, true = sampled[:, :, use], true[:, use]
-    power = np.sum(true**2)
-    gain = np.einsum("Lcn,cn->L", sampled, true) / power
-    rest = np.sum((sampled - gain[:, None, None] * true) ** 2, axis=(1, 2))
-    # Relative to what was recorded, so that a wrong unit does not count as a misfit.
-    misfit = np.sqrt(rest / np.maximum(np.sum(sampled**2, axis=(1, 2)), 1e-12))
-    i = int(misfit.argmin())
-    return FrameFit(frame, float(misfit[i]), float(gain[i]), float(_LAGS[i]))
+def _fit(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
+    """Fit `recorded(t) = gain * true(t - delay)`; None where too little is known or moves."""
+    count = len(true)
+    shifted = np.full((len(_LAGS), *true.shape), np.nan)
+    for lag, row in zip(np.rint(_LAGS / STEP).astype(int), shifted, strict=True):
+        row[max(lag, 0) : count + min(lag, 0)] = true[max(-lag, 0) : count - max(lag, 0)]
+    flat = shifted.transpose(0, 2, 1).reshape(len(_LAGS), -1)
+    everywhere = np.ones(recorded.size, bool)
+    fit = fit_lags(recorded.T.ravel(), np.zeros((recorded.size, 0)), flat, _LAGS, everywhere)
+    if fit is None:
+        return None
+    best = fit.best()
+    delay, delay_sigma = fit.delay(best)
+    misfit = float(np.sqrt(max(1 - fit.r[best] ** 2, 0.0)))
+    return FrameFit(frame, misfit, float(fit.gain[best]), fit.gain_sigma(best), delay, delay_sigma)
 
 
-def _gain(name: str, gain: float, source: ChannelSource, unit: str, units: dict[str, float]) -> list[Finding]:
+def _zero(name: str) -> Finding:
+    removed = Edit(f"channels.{name}", None)
+    how = f"{removed}; the pose is differentiated instead"
+    return Finding("warning", name, "is zero while the vehicle moves", "0 in all samples", how, 1.0, ((removed,),))
+
+
+def _gain(name: str, fit: FrameFit, rig: Rig, unit: str, units: dict[str, float]) -> list[Finding]:
+    source = rig.channels[name]
     findings = []
-    evidence = f"it is {gain:.3g} times the pose's derivative"
-    if gain < -0.5:
-        remedy = f"channels.{name}.sign = {-source.sign}"
-        findings.append(Finding("warning", name, "has the wrong sign", evidence, remedy, 1.0))
-    size = abs(gain)
-    if size < 1e-9:
-        how = f"remove [channels.{name}]: the pose is differentiated instead"
-        return [Finding("warning", name, "is zero while the vehicle moves", evidence, how, 1.0)]
-    if not 0.85 < size < 1.18:
-        # A unit that is stated and should not be is as likely as one that should be and is not.
-        named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}
-        plain = source.unit in units and abs(size * units[source.unit] - 1) < 0.1
-        line = (
-            f'unit = "{min(named)}"'
-            if named
-            else f'unit = "{unit}"'
-            if plain
-            else f"scale = {number(source.scale / size)}"
-        )
-        serious = not 0.67 < size < 1.5
-        findings.append(
-            Finding(
-                "warning" if serious else "note", name, f"is not in {unit}", evidence, f"channels.{name}.{line}", 0.9
-            )
-        )
-    return findings
+    evidence = f"it is {fit.gain:.3g} ± {fit.gain_sigma:.1g} times the pose's derivative"
+    if fit.gain < -SURE * fit.gain_sigma:
+        sign = Edit(f"channels.{name}.sign", -source.sign)
+        findings.append(Finding("warning", name, "has the wrong sign", evidence, str(sign), 1.0, ((sign,),)))
+    size = abs(fit.gain)
+    if 0.85 - SURE * fit.gain_sigma < size < 1.18 + SURE * fit.gain_sigma:
+        return findings
+    # A unit that is stated and should not be is as likely as one that should be and is not.
+    named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}
+    plain = source.unit in units and abs(size * units[source.unit] - 1) < 0.1
+    value = min(named) if named else unit
+    scale = Edit(f"channels.{name}.scale", rounded(source.scale / size))
+    edit = Edit(f"channels.{name}.unit", value) if named or plain else scale
+    cures = ((edit,), *(_other_place(size, rig) if unit == "m/s" else ()))
+    return [*findings, Finding("warning", name, f"is not in {unit}", evidence, str(edit), 0.9, cures)]
 
 
-def _delay(name: str, delay: float, misfit: float, source: ChannelSource) -> list[Finding]:
-    if abs(delay) < 0.12 or misfit > 2 * _FITS:
+def _other_place(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
+    """Edits after which the positions fit a velocity of `size` times their derivative: they may be what is wrong."""
+    source = rig.channels["position"]
+    for unit in ("ft", "cm", "mm"):
+        if not source.unit and abs(size / unit_factor("position", unit) - 1) < 0.1:
+            yield (Edit("channels.position.unit", unit),)
+    yield (Edit("channels.position.scale", rounded(source.scale * size)),)
+
+
+def _delay(name: str, fit: FrameFit, source: ChannelSource) -> list[Finding]:
+    if abs(fit.delay) < _LATE + SURE * fit.delay_sigma or abs(fit.delay) >= _LAGS[-1]:
         return []
-    evidence = f"it fits the pose's derivative best when taken {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'}"
-    remedy = f"channels.{name}.delay = {number(source.delay + delay)}"
-    return [Finding("warning", name, "is late" if delay > 0 else "is early", evidence, remedy, 0.7)]
+    late = fit.delay > 0
+    evidence = f"it fits the pose's derivative best when taken {abs(fit.delay):.2f} ± {fit.delay_sigma:.2f} s "
+    evidence += "later" if late else "earlier"
+    edit = Edit(f"channels.{name}.delay", round(source.delay + fit.delay, 2))
+    return [Finding("warning", name, "is late" if late else "is early", evidence, str(edit), 0.7, ((edit,),))]

@@ -1,21 +1,23 @@
 """A channel: samples of one quantity in SI units at their native stamps, cleaned and converted from a log."""
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
-from jaxtyping import Bool, Float
-from msgspec.structs import replace
+from jaxtyping import Bool, Float, Int
 
 from offpiste.errors import LogError, RigError
+from offpiste.logs.axes import to_z_up
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import ChannelSource, known_channels, unit_factor
 from offpiste.rig.rig import Rig
 
 _FARTHEST: Final = 1.5e7
 """Largest coordinate that is a measurement and no fault [m]; northings of UTM reach 1e7 m."""
-_LARGEST: Final = 1e9
+LARGEST: Final = 1e9
 """The same of all other channels, in their units."""
 _LONGEST: Final = 86400.0
 """Longest recording [s]: stamps that span more are of another unit, or damaged."""
@@ -86,26 +88,48 @@ def read_channel(log: Log, rig: Rig, name: str, source: ChannelSource) -> tuple[
         LogError: the log lacks the topic or field, or its clock is broken.
         RigError: no usable sample.
     """
+    channel, _, notes = read_numbered_channel(log, rig, name, source)
+    return channel, notes
+
+
+def read_numbered_channel(
+    log: Log, rig: Rig, name: str, source: ChannelSource
+) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
+    """The same as `read_channel`, with the number of each sample in the log, from 0."""
     samples = log.read(source.topic, source.fields, stamps=rig.clock.stamps)
-    return _clean(name, source, samples, log.path)
+    order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
+    in_order = Samples(samples.time[order], samples.values[order])
+    channel, numbers, notes = _clean(name, source, in_order, log.path)
+    if rig.motion.axes != "z up":
+        channel = dataclasses.replace(channel, values=to_z_up(name, source, channel.values, rig.motion.axes))
+    return channel, order[numbers], notes
 
 
-def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tuple[Channel, list[str]]:
+def largest(channel: str) -> float:
+    """Largest value of a channel that is a measurement and no fault, in its unit."""
+    return _FARTHEST if known_channels()[channel][0] == "m" else LARGEST
+
+
+def _clean(
+    name: str, source: ChannelSource, samples: Samples, path: Path
+) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
     # Clipped last: an infinite or invalid value is a fault to drop, not a value at the limit.
-    values = convert(name, replace(source, clip=None), samples.values)
+    values = convert(name, msgspec.structs.replace(source, clip=None), samples.values)
     time = samples.time - source.delay
     notes = []
 
     unit = known_channels()[name][0]
     with np.errstate(invalid="ignore"):
-        bad = ~((np.abs(values) <= (_FARTHEST if unit == "m" else _LARGEST)).all(axis=1) & np.isfinite(time))
+        bad = ~((np.abs(values) <= largest(name)).all(axis=1) & np.isfinite(time))
     if source.valid is not None:
         with np.errstate(invalid="ignore"):
             bad |= ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
     if name == "orientation":
         bad |= ~(np.abs(np.linalg.norm(values, axis=1) - 1) < 0.05)
     if bad.any():
-        notes.append(f"{name}: {bad.sum()} of {len(bad)} samples are not finite or not valid and were dropped")
+        where = _first_run(bad)
+        notes.append(f"{name}: {bad.sum()} of {len(bad)} samples are not finite or not valid and were dropped{where}")
+    numbers = np.flatnonzero(~bad)
     time, values = time[~bad], values[~bad]
     if source.clip is not None:
         values = np.clip(values, *source.clip)
@@ -115,7 +139,7 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
         notes.append(
             f"{name}: {(~forward).sum()} of {len(forward)} stamps repeat or go back; those samples were dropped"
         )
-    time, values = time[forward], values[forward]
+    time, values, numbers = time[forward], values[forward], numbers[forward]
 
     if len(time) < 0.5 * len(forward):
         raise LogError(
@@ -129,17 +153,35 @@ def _clean(name: str, source: ChannelSource, samples: Samples, path: Path) -> tu
             where=path,
             how="fix its entry in the rig, or declare it absent",
         )
-    return Channel(name, unit, time, values), notes
+    return Channel(name, unit, time, values), numbers, notes
+
+
+def _first_run(bad: Bool[np.ndarray, " n"]) -> str:
+    """Numbers of the first samples in a row."""
+    first = int(np.argmax(bad))
+    good = np.flatnonzero(~bad[first:])
+    last = first + int(good[0]) - 1 if len(good) else len(bad) - 1
+    more = ", ..." if bad[last + 1 :].any() else ""
+    return f" (sample {first}{more})" if first == last else f" (samples {first} to {last}{more})"
 
 
 def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them."""
+    if name == "orientation":
+        return raw if source.offset == 0 else _turned(raw, source.offset)
     values = raw
     if source.wrap is not None:
         values = np.where(values > source.wrap.above, values - source.wrap.period, values)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
         values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit)
     return values if source.clip is None else np.clip(values, *source.clip)
+
+
+def _turned(quaternion: Float[np.ndarray, "n 4"], angle: float) -> Float[np.ndarray, "n 4"]:
+    """Orientations turned about the body's z axis [rad]: the product with a quaternion (0, 0, sin, cos)."""
+    x, y, z, w = quaternion.T
+    sin, cos = np.sin(angle / 2), np.cos(angle / 2)
+    return np.stack((x * cos + y * sin, y * cos - x * sin, z * cos + w * sin, w * cos - z * sin), axis=1)
 
 
 def _increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

@@ -1,13 +1,15 @@
 """A drive: the channels of one recording, read from a log through a rig."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from offpiste.errors import LogError
-from offpiste.logs.channel import Channel, read_channel, refuse_long
+from offpiste.logs.channel import Channel, read_numbered_channel, refuse_long
 from offpiste.logs.clock_drift import align_clock
-from offpiste.logs.log import Log, open_log
+from offpiste.logs.log import Log
+from offpiste.logs.opening import open_log
+from offpiste.logs.pose_faults import PoseFaults, without_faults
 from offpiste.rig.rig import Rig
 
 
@@ -19,12 +21,14 @@ class Drive:
         name: of the log, without its folder and ending.
         channels: by name; channels that the rig declares absent are not in it.
         notes: samples dropped or repaired on reading, in words.
+        faults: of the pose; `channels` are without the samples that they name.
     """
 
     name: str
     rig: Rig
     channels: dict[str, Channel]
     notes: tuple[str, ...] = ()
+    faults: PoseFaults = field(default_factory=PoseFaults)
 
 
 def read_drive(path: str | Path, rig: Rig) -> Drive:
@@ -40,15 +44,17 @@ def read_drive(path: str | Path, rig: Rig) -> Drive:
 
 def drive_from_log(log: Log, rig: Rig) -> Drive:
     """Read the channels of a rig from a log that is open (see `read_drive`)."""
-    channels: dict[str, Channel] = {}
+    channels, numbers = {}, {}
     notes: list[str] = list(log.warnings)
     for name, source in rig.channels.items():
-        channels[name], added = read_channel(log, rig, name, source)
+        channels[name], numbers[name], added = read_numbered_channel(log, rig, name, source)
         notes += added
+    channels, faults = without_faults(channels, numbers)
+    notes += faults.notes
     if rig.alignment is not None:
         channels, added = align_clock(log, rig, rig.alignment, channels)
         notes += added
-    return Drive(drive_name(log.path), rig, channels, tuple(notes))
+    return Drive(drive_name(log.path), rig, channels, tuple(notes), faults)
 
 
 def drive_name(path: str | Path) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.errors import LogError
-from offpiste.logs.log import Log, open_log
+from offpiste.logs.log import Log
+from offpiste.logs.opening import open_log
 from offpiste.logs.ros.grid_map import MapLayers, layers_from_grid_map
 from offpiste.logs.ros.sensor_messages import points_from_message
 

@@ -5,10 +5,10 @@ that ship, `examples/extending/euroc.py` shows one added from outside.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -31,12 +31,14 @@ class Topic:
         type: message type, or the kind of file.
         count: number of samples.
         fields: names of the numeric fields; empty where they are known only from a message, and there is none.
+        units: of fields, by name, where the log states them beside the names (`offpiste.rig.labels`).
     """
 
     name: str
     type: str
     count: int
     fields: tuple[str, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,9 @@ class RawCloud:
     points: np.ndarray
 
 
+_Raw = TypeVar("_Raw", RawImage, RawCloud)
+
+
 class Log(ABC):
     """A recorded drive; `offpiste.logs.open_log` chooses the format.
 
@@ -92,6 +97,7 @@ class Log(ABC):
         description: the format in messages, e.g. "a KITTI raw drive".
         has_sensors: whether the format can hold images or point clouds.
         has_messages: whether `messages` gives decoded ROS messages.
+        has_clock_unit: whether the rig's clock gives the unit of the stamps.
         has_arrivals: whether samples carry their time of arrival beside their own stamp; `stamps` chooses one.
         warnings: what a damaged or ambiguous log made the reader leave out or guess, in words.
     """
@@ -100,6 +106,7 @@ class Log(ABC):
     has_sensors: ClassVar[bool] = False
     has_messages: ClassVar[bool] = False
     has_arrivals: ClassVar[bool] = False
+    has_clock_unit: ClassVar[bool] = False
     path: Path
     warnings: tuple[str, ...] = ()
 
@@ -124,6 +131,11 @@ class Log(ABC):
     @abstractmethod
     def topics(self) -> dict[str, Topic]:
         """Topics by name."""
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that stamps are read by: of a table, the column that is taken for time, and its unit."""
+        return Clock()
 
     @abstractmethod
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples: ...
@@ -210,6 +222,21 @@ class Log(ABC):
         """
         raise self.no_sensors()
 
+    def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
+        """Those images whose stamps are given, in the order of the file; a format with an index reads no others.
+
+        Args:
+            times: some of `stamps(topic)` [s].
+
+        Raises:
+            LogError: as for `images`.
+        """
+        return _picked(self.images(topic, stamps=stamps), times)
+
+    def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
+        """Those point clouds whose stamps are given (see `images_at`)."""
+        return _picked(self.clouds(topic, stamps=stamps), times)
+
     def no_sensors(self) -> LogError:
         """Error of a log whose format has no images and no clouds."""
         how = f"give {_formats('has_sensors')}"
@@ -223,28 +250,15 @@ class Log(ABC):
         return result
 
 
+def _picked(raw: Iterator[_Raw], times: Float[np.ndarray, " n"]) -> Iterator[_Raw]:
+    wanted, left = set(times.tolist()), len(times)
+    for one in raw:
+        if not left:
+            return
+        if one.time in wanted:
+            left -= 1
+            yield one
+
+
 def _formats(capability: str) -> str:
     return " or ".join(kind.description for _, kind in sorted(LOG_FORMATS.items()) if getattr(kind, capability))
-
-
-def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
-    """Open a recorded drive of any registered format.
-
-    Args:
-        path: file or folder; a message lists the formats when none fits.
-        clock: time column of a table and its unit; without one the column is guessed.
-
-    Raises:
-        LogError: no such path, unknown format, or a file that cannot be read.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise LogError("no such file or folder", where=path)
-    formats = [kind for _, kind in sorted(LOG_FORMATS.items())]
-    # Formats from outside come first, and bags last: a folder of another format may hold a bag as well.
-    shipped = [kind for kind in formats if kind.__module__.startswith("offpiste.")]
-    for kind in (*(kind for kind in formats if kind not in shipped), *reversed(shipped)):
-        if kind.recognises(path):
-            return kind.open(path, clock or Clock())
-    how = f"give {', '.join(kind.description for kind in formats)}"
-    raise LogError("no known log format", where=path, how=how)

@@ -19,6 +19,8 @@ _MOVING = 0.2
 """Speed below which the vehicle is at a standstill [m/s]: noise does not count as path."""
 _SPACING = 0.1
 """Path of which one elevation counts [m]."""
+_STALE = 0.1
+"""Velocities are turned by headings that may be this much older [s]."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,8 @@ class Motion:
 
     Attributes:
         state: targets; where velocities come from the pose, smoothed with zero phase.
-        state_causal: estimated from samples stamped at or before each moment only.
+        state_causal: estimated from samples stamped at or before each moment only; NaN where one of these was dropped
+            as implausible, which is known later only (`offpiste.logs.pose_faults`).
     """
 
     state: Float[np.ndarray, "N 6"]
@@ -152,6 +155,7 @@ def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6
         psi = extrapolated(yaw.latest(at, max_gap=gap), psi_rate, _age(yaw, at))
     else:
         psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=True)
+    covered &= ~drive.faults.touched(at, window + _STALE)
     return np.where(covered[:, None], planar_state(xy, psi, v_world, psi_rate), np.nan)
 
 

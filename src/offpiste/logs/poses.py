@@ -23,12 +23,15 @@ class Poses:
         max_gap: nothing is interpolated between samples further apart [s].
         jumps: last moment before and first moment after each jump [s]; nothing is interpolated between the two, and a
             map from before does not fit after.
+        unknown: last moment before and first moment after runs of implausible samples [s]; nothing is interpolated
+            between the two either.
     """
 
     position: Channel
     orientation: Channel
     max_gap: float
     jumps: Float[np.ndarray, "j 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    unknown: Float[np.ndarray, "u 2"] = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def span(self) -> tuple[float, float]:
@@ -42,7 +45,7 @@ class Poses:
         matrix[:, :3, 3] = self.position.linear(time, max_gap=self.max_gap)
         matrix[:, :3, :3] = rotation_from_quaternion(slerp(self.orientation, time, max_gap=self.max_gap))
         matrix[:, 3, 3] = 1.0
-        for before, after in self.jumps:
+        for before, after in (*self.jumps, *self.unknown):
             matrix[(time > before) & (time < after)] = np.nan
         matrix[~np.isfinite(matrix).all(axis=(1, 2))] = np.nan
         return matrix
@@ -69,7 +72,8 @@ def poses_from_drive(drive: Drive) -> Poses:
             f"{drive.name}: cameras and LiDARs need positions with z, and orientations as quaternions",
             how="give channels.position three fields, and channels.orientation",
         )
-    return Poses(position, orientation, drive.rig.clock.max_gap, find_jumps(position, orientation))
+    jumps = find_jumps(position, orientation)
+    return Poses(position, orientation, drive.rig.clock.max_gap, jumps, drive.faults.unknown())
 
 
 def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) -> Float[np.ndarray, "n 4"]:

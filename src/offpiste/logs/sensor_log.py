@@ -2,11 +2,11 @@
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final, TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from offpiste.errors import LogError
 from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
@@ -68,11 +68,25 @@ class SensorLog:
             LogError: the log is damaged, or a sensor's messages are of no use.
         """
         chosen = (*self.cameras, *self.lidars) if names is None else tuple(names)
-        streams: list[Iterator[Image | Cloud]] = []
-        for name in chosen:
-            result = self._images(self.cameras[name]) if name in self.cameras else self._clouds(self.lidars[name])
-            streams.append(_between(result, start, end))
+        streams = [_between(self._measured(name, None), start, end) for name in chosen]
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
+
+    def picked(self, chosen: Mapping[str, Int[np.ndarray, " n"]]) -> Iterator[Image | Cloud]:
+        """Some images and clouds in the order of their times; where the file has an index, no others are read.
+
+        Args:
+            chosen: by the sensor's name, indices into its `stamps`.
+        """
+        streams = []
+        for name, index in chosen.items():
+            stamps = self._log.stamps(self._sensor(name).source.topic, stamps=self.rig.clock.stamps)
+            streams.append(self._measured(name, stamps[index]))
+        yield from heapq.merge(*streams, key=lambda measured: measured.time)
+
+    def _measured(self, name: str, times: Float[np.ndarray, " n"] | None) -> Iterator[Image | Cloud]:
+        """Of one sensor; of some stamps as recorded, if they are given."""
+        camera = self.cameras.get(name)
+        return self._clouds(self.lidars[name], times) if camera is None else self._images(camera, times)
 
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
         """Times of a sensor's messages in the order of the file [s], without decoding them."""
@@ -118,7 +132,7 @@ class SensorLog:
     def _sensor(self, name: str) -> Camera | Lidar:
         return self.cameras[name] if name in self.cameras else self.lidars[name]
 
-    def _images(self, camera: Camera) -> Iterator[Image]:
+    def _images(self, camera: Camera, times: Float[np.ndarray, " n"] | None) -> Iterator[Image]:
         def convert(raw: RawImage) -> Image | str:
             if raw.pixels is None:
                 return "images cannot be decoded and were dropped"
@@ -129,16 +143,25 @@ class SensorLog:
                 raise LogError(f"{what} {size}", where=self.path, how="give the calibration of these images in the rig")
             return Image(raw.time - camera.source.delay, camera.name, raw.pixels)
 
-        return self._converted(
-            camera.name, self._log.images(camera.source.topic, stamps=self.rig.clock.stamps), convert
+        topic, stamps = camera.source.topic, self.rig.clock.stamps
+        raw = (
+            self._log.images(topic, stamps=stamps)
+            if times is None
+            else self._log.images_at(topic, times, stamps=stamps)
         )
+        return self._converted(camera.name, raw, convert)
 
-    def _clouds(self, lidar: Lidar) -> Iterator[Cloud]:
+    def _clouds(self, lidar: Lidar, times: Float[np.ndarray, " n"] | None) -> Iterator[Cloud]:
         def convert(raw: RawCloud) -> Cloud | str:
             cloud = cloud_from_records(raw, lidar)
             return cloud if len(cloud.points) else "clouds have no usable point and were dropped"
 
-        raw = self._log.clouds(lidar.source.topic, stamps=self.rig.clock.stamps)
+        topic, stamps = lidar.source.topic, self.rig.clock.stamps
+        raw = (
+            self._log.clouds(topic, stamps=stamps)
+            if times is None
+            else self._log.clouds_at(topic, times, stamps=stamps)
+        )
         return self._converted(lidar.name, raw, convert)
 
     def _converted(
@@ -166,14 +189,16 @@ class SensorLog:
             yield converted
 
 
-def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog:
+def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool = False) -> SensorLog:
     """Cameras, LiDARs and poses of a log that is open already.
 
     Args:
         poses: instead of the log's own.
+        rough: accept mountings that are rough guesses (`Mounting.looks`).
 
     Raises:
-        LogError: the log's format has no images or clouds, or it lacks a topic, a calibration or a transform.
+        LogError: the log's format has no images or clouds, or it lacks a topic, a calibration or a transform; or a
+            mounting is a rough guess.
         RigError: the rig names no sensors, or its channels give no full poses.
     """
     if not log.has_sensors:
@@ -194,6 +219,8 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None) -> SensorLog
         raise LogError(
             f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="fix the rig"
         )
+    if not rough:
+        _refuse_rough(log, present)
     transforms = log.transforms(rig.frames.topics)
     cameras = {n: _camera(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
     lidars = {n: _lidar(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
@@ -211,27 +238,43 @@ def _camera(log: Log, rig: Rig, name: str, entry: CameraSource, transforms: list
         raise LogError(what, where=log.path, how=f"give cameras.{name}.intrinsics in the rig")
     else:
         model, camera_from_image = log.camera_model(entry.info, rectified=entry.rectified)
-    mounting = _mounted(log, rig, entry, entry.body_from_camera, transforms)
-    return Camera(name, model, mounting @ camera_from_image, entry)
+    return Camera(name, model, body_from_sensor(log, rig, entry, transforms) @ camera_from_image, entry)
 
 
 def _lidar(log: Log, rig: Rig, name: str, entry: LidarSource, transforms: list[Transform]) -> Lidar:
-    return Lidar(name, _mounted(log, rig, entry, entry.body_from_lidar, transforms), entry)
+    return Lidar(name, body_from_sensor(log, rig, entry, transforms), entry)
 
 
-def _mounted(
-    log: Log,
-    rig: Rig,
-    entry: CameraSource | LidarSource,
-    given: Mounting | None,
-    transforms: list[Transform],
+def _refuse_rough(log: Log, entries: Mapping[str, CameraSource | LidarSource]) -> None:
+    for name, entry in entries.items():
+        given = given_mounting(entry)
+        if given is not None and given.is_rough:
+            how = "run `offpiste inspect LOG --rig RIG --estimate-mountings`, and put its lines into the rig"
+            raise LogError(
+                f"the mounting of '{name}' is a rough guess, looks = \"{given.looks}\"", where=log.path, how=how
+            )
+
+
+def given_mounting(entry: CameraSource | LidarSource) -> Mounting | None:
+    """The mounting that the rig gives for a sensor, if it does."""
+    return entry.body_from_camera if isinstance(entry, CameraSource) else entry.body_from_lidar
+
+
+def body_from_sensor(
+    log: Log, rig: Rig, entry: CameraSource | LidarSource, transforms: Sequence[Transform]
 ) -> Float[np.ndarray, "4 4"]:
+    """The mounting of a sensor, by the rig or else by the log's transforms.
+
+    Raises:
+        LogError: no chain of transforms joins its frame to the body's.
+    """
+    given = given_mounting(entry)
     if given is not None:
-        return given.matrix()
+        return given.matrix(optical=isinstance(entry, CameraSource))
     return between(transforms, rig.frames.body, entry.frame or log.frame(entry.topic), path=log.path)
 
 
-def _between(measured: Iterator[Image] | Iterator[Cloud], start: float, end: float) -> Iterator[Image | Cloud]:
+def _between(measured: Iterator[Image | Cloud], start: float, end: float) -> Iterator[Image | Cloud]:
     for item in measured:
         if item.time > end:
             return

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.mapping.free_space import FreeSpace, FreeSpaceSettings
+from offpiste.mapping.ghosts import GhostFinder, GhostSettings
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
@@ -44,10 +46,17 @@ class FeatureCloud:
 
 @dataclass(frozen=True)
 class MapSettings:
-    """Settings of the voxel map and of the layers made from it."""
+    """Settings of the voxel map and of the layers made from it.
+
+    Attributes:
+        ghosts: which returns are left out as lying below the ground; None: none of them.
+        free_space: how trails of moving things are taken away; None: they stay.
+    """
 
     voxels: VoxelSettings = field(default_factory=VoxelSettings)
     flatten: FlattenSettings = field(default_factory=FlattenSettings)
+    ghosts: GhostSettings | None = field(default_factory=GhostSettings)
+    free_space: FreeSpaceSettings | None = field(default_factory=FreeSpaceSettings)
 
 
 class MapPipeline:
@@ -62,10 +71,15 @@ class MapPipeline:
         settings = settings or MapSettings()
         self.voxel_map = VoxelMap(channels, settings.voxels)
         self._encode = encode
+        self._ghosts = None if settings.ghosts is None else GhostFinder(settings.ghosts)
+        self._free_space = None if settings.free_space is None else FreeSpace(self.voxel_map, settings.free_space)
         self._flattener = Flattener(self.voxel_map, settings.flatten)
 
-    def add(self, cloud: FeatureCloud, vehicle_world: Float[np.ndarray, " 3"]) -> None:
-        """Move the map to the vehicle and put a scan in.
+    def add(self, cloud: FeatureCloud, vehicle_world: Float[np.ndarray, " 3"]) -> Bool[np.ndarray, " N"]:
+        """Move the map to the vehicle and put a scan in, but for its ghosts.
+
+        Returns:
+            which points are ghosts (`ghosts.py`).
 
         Raises:
             ValueError: a vehicle at no finite place; features of another number of channels than the map's.
@@ -76,7 +90,14 @@ class MapPipeline:
             has_feature = np.full(len(cloud.points_world), features is not None)
         if features is not None and self._encode is not None:
             features = self._encoded(features, has_feature)
-        self.voxel_map.insert(cloud.points_world, features, has_feature, cloud.distance)
+        distance, ghosts = cloud.distance, np.zeros(len(cloud.points_world), bool)
+        if self._ghosts is not None:
+            ghosts = self._ghosts.find(cloud.points_world, cloud.sensor_world)
+            distance[ghosts] = np.inf  # which the map leaves out
+        self.voxel_map.insert(cloud.points_world, features, has_feature, distance)
+        if self._free_space is not None:
+            self._free_space.clear(cloud.points_world, cloud.sensor_world, ghosts)
+        return ghosts
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
         """The map as it is now; `out`: layers of this pipeline that are no longer needed, written over."""

@@ -51,9 +51,14 @@ class Keyframe(NamedTuple):
 
 
 class MappedScan(NamedTuple):
-    """A scan as it went into the map, and the keyframes that it was projected onto, if there were any."""
+    """A scan as it went into the map, and the keyframes that it was projected onto, if there were any.
+
+    Attributes:
+        ghosts: points that were left out (`mapping.ghosts`).
+    """
 
     points_world: Float[np.ndarray, "n 3"]
+    ghosts: Bool[np.ndarray, " n"]
     projection: Projection | None
     keyframes: tuple[Keyframe, ...]
 
@@ -123,8 +128,8 @@ class SensorMapper:
         if projection is not None and self._channels:
             features = projection.gather([k.features for k in recent]).astype(np.float32)
             cloud = replace(cloud, features=features, has_feature=projection.seen)
-        self.pipeline.add(cloud, pose[:3, 3])
-        return MappedScan(points, projection, recent)
+        ghosts = self.pipeline.add(cloud, pose[:3, 3])
+        return MappedScan(points, ghosts, projection, recent)
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,7 @@ class Moment:
         vehicle: place of the pose point then [m].
         layers: of the map; written over by the next scan.
         points_world: the scan itself [m].
+        ghosts: points of it that were left out of the map (`mapping.ghosts`).
         projection: the scan in the camera views; None without any.
         views: camera views of the keyframes that it was projected onto.
         features: of their patches.
@@ -150,6 +156,7 @@ class Moment:
     vehicle: Float[np.ndarray, " 3"]
     layers: TerrainLayers
     points_world: Float[np.ndarray, "n 3"]
+    ghosts: Bool[np.ndarray, " n"]
     projection: Projection | None
     views: tuple[CameraView, ...]
     features: tuple[Float32[np.ndarray, "_ _ F"], ...]
@@ -197,7 +204,7 @@ def replay(
             if mapper.is_keyframe(measured, pose) if wanted is None else wanted(measured):
                 mapper.add_image(measured, pose)
             continue
-        points, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
+        points, ghosts, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
         layers = mapper.pipeline.layers(layers)
         measured_until = max(measured_until, measured.end)
         yield Moment(
@@ -207,6 +214,7 @@ def replay(
             vehicle=pose[:3, 3],
             layers=layers,
             points_world=points,
+            ghosts=ghosts,
             projection=projection,
             views=tuple(k.view for k in keyframes),
             features=tuple(k.features for k in keyframes),

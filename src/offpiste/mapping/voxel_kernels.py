@@ -24,9 +24,10 @@ that are occupied; those that have features; slot of the lowest. In an empty col
 LEVELS: Final = 31
 """Levels of a column, as many as a word without its sign has bits; 6.2 m of voxels of 0.2 m."""
 
-X, Y, Z, DISTANCE, FEATURE_DISTANCE, HITS, FEATURE_HITS, _SPARE, FEATURES = range(9)
+X, Y, Z, DISTANCE, FEATURE_DISTANCE, HITS, FEATURE_HITS, PASSED, FEATURES = range(9)
 """Fields of a voxel: x, y from its centre and z from its floor [voxels]; distance from the sensor, and that of the
-features, infinite where there are none [m]; number of observations, and of those with features; the features."""
+features, infinite where there are none [m]; number of observations, and of those with features; times that rays passed
+through it since it was last hit (`free_space.py`); the features."""
 
 EVER, FREED, LOST = range(3)
 """Counts of a part: slots ever used, slots on the stack of those given back, observations that found no slot."""
@@ -125,6 +126,7 @@ def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
     head[OCCUPIED] |= np.int64(1) << up
     seen = voxels.seen[new]
     seen[DISTANCE], seen[FEATURE_DISTANCE], seen[HITS], seen[FEATURE_HITS] = np.inf, np.inf, 0, 0
+    seen[PASSED] = 0
     return new, np.int64(1) << up
 
 
@@ -227,6 +229,7 @@ def insert_points(  # type: ignore[no-untyped-def]
         x, y, z = x - floor_x - 0.5, y - floor_y - 0.5, z - level
         share = one
         seen[HITS] += one
+        seen[PASSED] = 0
         if seen[HITS] > 1:
             share = np.float32(share_of_new(distance[i], seen[DISTANCE], seen[HITS]))
         changed = fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], share)

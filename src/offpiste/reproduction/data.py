@@ -223,6 +223,7 @@ def _extract(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Pa
         device=settings.device,
         snapshots=SnapshotSettings(settings.size.snapshot_seconds),
         processes=min(processes, settings.at_a_time),
+        force=True,
     )
 
 

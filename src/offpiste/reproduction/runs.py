@@ -18,8 +18,9 @@ from offpiste.files import write_bytes
 from offpiste.progress import track
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
 from offpiste.reproduction.steps import Step
+from offpiste.training.fitness import refuse_seen
 from offpiste.training.prediction import MapSource
-from offpiste.training.run import Run, load_run, refuse_seen
+from offpiste.training.run import Run, load_run
 from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train
 

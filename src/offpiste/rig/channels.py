@@ -1,7 +1,7 @@
 """Which topics and fields feed which channel, in what unit, sign and frame, by which clock."""
 
 from collections.abc import Collection, Mapping
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -67,6 +67,9 @@ class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Source of a channel: value = sign * ((raw, unwrapped) * scale + offset), then from `unit`.
+
+    Of an orientation only `offset` counts: the body is turned by it about its z axis, against the frame whose
+    orientation the log has [rad].
 
     Attributes:
         topic: topic, folder or, in a table, "" for the table itself.
@@ -155,6 +158,10 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             )
 
 
+SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units of stamps [s]."""
+
+
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Stamps of a log, and what counts as a gap.
 
@@ -162,12 +169,14 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         stamps: of messages in bags: their headers', or their arrival.
         column: a table's time column.
         unit: of that column: s, ms, us or ns.
+        sort: samples are put in the order of their stamps; otherwise those out of order are dropped.
         max_gap: no interpolation between samples further apart; a drive is cut there [s].
     """
 
     stamps: Literal["header", "receive"] = "header"
     column: str = ""
     unit: Literal["s", "ms", "us", "ns"] = "s"
+    sort: bool = False
     max_gap: float = 0.5
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
-from offpiste.errors import RigError
+from offpiste.errors import RigError, did_you_mean
 from offpiste.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
@@ -79,11 +79,15 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         window: span of pose samples behind one estimate [s].
         slope_length: metres of path over which elevation is fitted for the driven path's slope.
         normals: "driven path" (the stand-in without LiDAR) or "flat".
+        axes: of the log's poses and velocities: "z up" (body x forward, y left, z up), "body down" (body forward,
+            right, down in a world that is z up), "world down" (world north, east, down), or "ned" (both down); they are
+            turned to z up on reading.
     """
 
     window: float = 0.3
     slope_length: float = 6.0
     normals: Literal["driven path", "flat"] = "driven path"
+    axes: Literal["z up", "body down", "world down", "ned"] = "z up"
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -137,21 +141,30 @@ def load_rig(name: str | Path) -> Rig:
     Raises:
         RigError: no such preset or file, not TOML, an unknown or missing key, a wrong type, contradicting channels.
     """
-    path = Path(name)
-    if path.suffix != ".toml" and str(name) in preset_names():
-        text = (resources.files("offpiste.rig") / "presets" / f"{name}.toml").read_text("utf-8")
-        return parse_rig(text, where=str(name))
+    rig = parse_rig(rig_text(name), where=str(name))
+    if _is_preset(name):
+        return rig
+    return msgspec.structs.replace(rig, cameras=beside(rig.cameras, Path(name).resolve().parent))
+
+
+def rig_text(name: str | Path) -> str:
+    """The TOML of a preset or of a rig file.
+
+    Raises:
+        RigError: no such preset or file.
+    """
+    if _is_preset(name):
+        return (resources.files("offpiste.rig") / "presets" / f"{name}.toml").read_text("utf-8")
     try:
-        text = path.read_text("utf-8")
+        return Path(name).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise RigError(
-            "no such rig",
-            where=path,
-            how=f"give a .toml file or one of: {', '.join(preset_names())}; `offpiste inspect LOG --write-rig`"
-            " writes a first one",
-        ) from error
-    rig = parse_rig(text, where=str(path))
-    return msgspec.structs.replace(rig, cameras=beside(rig.cameras, path.resolve().parent))
+        how = f"{did_you_mean(str(name), preset_names())}give a .toml file or one of: {', '.join(preset_names())}"
+        how += "; `offpiste inspect LOG --write-rig my.toml` writes a first one"
+        raise RigError("no such rig", where=name, how=how) from error
+
+
+def _is_preset(name: str | Path) -> bool:
+    return Path(name).suffix != ".toml" and str(name) in preset_names()
 
 
 def parse_rig(text: str, *, where: str) -> Rig:

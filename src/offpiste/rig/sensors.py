@@ -19,6 +19,12 @@ TIME_FIELDS: Final = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """Names that drivers give to the time of a point."""
 
 
+OPTICAL: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation to body axes from those of a camera that looks ahead: z forward, x right, y down."""
+_DIRECTIONS: Final = {"forward": (1, 0), "left": (0, 1), "back": (-1, 0), "right": (0, -1)}
+"""x and y in the body frame."""
+
+
 class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Body frame, and topics with the transforms of a log.
 
@@ -35,20 +41,37 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Mounting of a sensor: `body_from_sensor`.
 
     Attributes:
-        position: in the body frame [m].
+        position: in the body frame [m]; None in a rough guess whose place is not known either.
         orientation: quaternion xyzw; (-0.5, 0.5, -0.5, 0.5) for the optical axes of a camera that looks ahead.
+        looks: instead of `orientation`: a rough guess, which `inspect --estimate-mountings` starts from and nothing
+            else accepts.
     """
 
-    position: tuple[float, float, float]
-    orientation: tuple[float, float, float, float]
+    position: tuple[float, float, float] | None = None
+    orientation: tuple[float, float, float, float] | None = None
+    looks: Literal["", "forward", "left", "back", "right"] = ""
 
-    def matrix(self) -> Float[np.ndarray, "4 4"]:
-        """`body_from_sensor`."""
+    @property
+    def is_rough(self) -> bool:
+        """Whether it is no more than a rough guess."""
+        return bool(self.looks)
+
+    def matrix(self, *, optical: bool = False) -> Float[np.ndarray, "4 4"]:
+        """`body_from_sensor`.
+
+        Args:
+            optical: `looks` is that of a camera: z forward, x right, y down.
+        """
         from offpiste.geometry import rotation_from_quaternion
 
         matrix = np.eye(4)
-        matrix[:3, :3] = rotation_from_quaternion(np.array([self.orientation]))[0]
-        matrix[:3, 3] = self.position
+        if self.orientation is not None:
+            matrix[:3, :3] = rotation_from_quaternion(np.array([self.orientation]))[0]
+        else:
+            x, y = _DIRECTIONS[self.looks]
+            matrix[:2, :2] = [[x, -y], [y, x]]
+            matrix[:3, :3] = matrix[:3, :3] @ (OPTICAL if optical else np.eye(3))
+        matrix[:3, 3] = (0.0, 0.0, 0.0) if self.position is None else self.position
         return matrix
 
 
@@ -171,6 +194,16 @@ def _check_lidar(key: str, lidar: LidarSource) -> None:
 def _check_mounting(key: str, mounting: Mounting | None) -> None:
     if mounting is None:
         return
+    if (mounting.orientation is None) == (not mounting.looks):
+        how = 'give orientation = [x, y, z, w], or a rough guess: looks = "forward"'
+        raise RigError(f"{key} has {'neither orientation nor looks' if not mounting.looks else 'both'}", how=how)
+    if mounting.orientation is None:
+        known = mounting.position is None or np.isfinite(mounting.position).all()
+        if not known:
+            raise RigError(f"{key}.position is not finite", how="give x, y, z [m], or leave it out")
+        return
+    if mounting.position is None:
+        raise RigError(f"{key} has no position", how="give x, y, z [m]")
     if not np.isfinite(mounting.position).all() or not abs(np.linalg.norm(mounting.orientation) - 1) < 0.01:
         raise RigError(f"{key}.orientation is not a unit quaternion", how="give x, y, z, w of length 1")
 

@@ -18,7 +18,7 @@ from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.sensors.imperfections import Imperfections
-from offpiste.simulation.sensors.suite import Sensing, sensor_suite
+from offpiste.simulation.sensors.suite import Sensing, remounted, sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
@@ -116,12 +116,15 @@ class DriveSettings:
         seconds: duration [s]; a drive that rolls over or gets stuck ends early.
         seed: seed of driver, noise and light; the world has its own.
         sensors: "full", "light" or "none".
+        mounting_turn: angle by which each sensor is rotated from its usual mounting, about a random axis of the seed
+            [deg]; the log records the mounting as it is.
     """
 
     world: WorldSettings = field(default_factory=WorldSettings)
     seconds: float = 60.0
     seed: int = 0
     sensors: str = "light"
+    mounting_turn: float = 0.0
     driver: DriverSettings = field(default_factory=DriverSettings)
     imperfections: Imperfections = field(default_factory=Imperfections)
 
@@ -208,8 +211,8 @@ def record(
         commands: the controller's commands are appended to it.
         seen: the world that the sensors and the true map show, where it differs from the one driven in.
     """
-    suite, seen = sensor_suite(settings.sensors), seen or world
-    noise, light = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2))
+    noise, light, mountings = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2, 3))
+    suite, seen = remounted(sensor_suite(settings.sensors), settings.mounting_turn, mountings), seen or world
     sensing = Sensing(seen, suite, light) if suite.cameras or suite.lidars else None
     events: list[tuple[float, str]] = []
     path, speed = array("d"), array("d")  # compact: drives can be long

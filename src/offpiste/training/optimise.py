@@ -22,6 +22,7 @@ from offpiste.progress import track
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
+from offpiste.training.kept_epoch import KeptEpoch
 
 logger = logging.getLogger(__name__)
 
@@ -96,8 +97,11 @@ def run_stage(
     folder: Path,
     record: Record,
     group: Group = ALONE,
-) -> None:
+) -> KeptEpoch:
     """Fit the stage's module and leave its best weights in it and in `<folder>/<stage>.safetensors`.
+
+    Returns:
+        which epoch that was.
 
     The weights that it begins with compete: a network that no epoch improves leaves the physics as it is.
     A finished stage is read back; an interrupted one resumes after its last whole epoch and comes to the same weights
@@ -108,10 +112,11 @@ def run_stage(
     """
     done, running = folder / f"{stage.name}.safetensors", folder / f"{stage.name}.checkpoint.safetensors"
     if done.exists():
-        load_weights(stage.module, load_tensors(done)[0], done)
+        weights, about = load_tensors(done)
+        load_weights(stage.module, weights, done)
         if group.writes:
             running.unlink(missing_ok=True)
-        return
+        return KeptEpoch.of(about, stage.epochs)
     state = _State(stage, config)
     if running.exists():
         state.restore(running)
@@ -121,8 +126,8 @@ def run_stage(
         began = time.perf_counter()
         loss = _train_epoch(stage, state, train, config, epoch, group)
         score = _score(stage, validation, config, group)
-        state.keep_if_best(score)
         state.epoch = epoch + 1
+        state.keep_if_best(score)
         record(
             {
                 "stage": stage.name,
@@ -136,10 +141,12 @@ def run_stage(
         if group.writes:
             state.save(running)
     load_weights(stage.module, state.best, done)
+    kept = KeptEpoch(state.best_epoch, stage.epochs, state.best_score)
     if group.writes:
-        save_tensors(done, state.best, validation_loss=state.best_score)
+        save_tensors(done, state.best, **kept.about())
         running.unlink(missing_ok=True)
     group.together(None)
+    return kept
 
 
 def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group) -> float:
@@ -171,19 +178,22 @@ class _State:
         groups = [(networks, config.learning_rate), (constants, config.constants_learning_rate)]
         self.optimiser = torch.optim.Adam([{"params": p, "lr": lr, "peak": lr} for p, lr in groups if p])
         self.best, self.best_score, self.epoch = self._weights(), math.inf, 0
+        self.best_epoch: int | None = 0
 
     def keep_if_best(self, score: float) -> None:
         if score < self.best_score:
-            self.best, self.best_score = self._weights(), score
+            self.best, self.best_score, self.best_epoch = self._weights(), score, self.epoch
 
     def save(self, path: Path) -> None:
         weights = {"now": self._weights(), "best": self.best}
-        save_checkpoint(path, weights, self.optimiser, epoch=self.epoch, best_score=self.best_score)
+        about = {"epoch": self.epoch, "best_score": self.best_score, "best_epoch": self.best_epoch}
+        save_checkpoint(path, weights, self.optimiser, **about)
 
     def restore(self, path: Path) -> None:
         weights, about = load_checkpoint(path, self.optimiser)
         load_weights(self.module, weights["now"], path)
         self.best, self.best_score, self.epoch = weights["best"], about["best_score"], about["epoch"]
+        self.best_epoch = about.get("best_epoch")
 
     def _weights(self) -> dict[str, Tensor]:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}

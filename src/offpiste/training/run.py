@@ -1,7 +1,7 @@
 """A trained model on disk: what it is, what it was trained on, and its weights."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -18,9 +18,9 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics, Vehicle
 from offpiste.errors import RunError
-from offpiste.shipped import PREFIX, run_folder
+from offpiste.shipped import PREFIX, alike, run_folder
 from offpiste.state import Trajectory
-from offpiste.training.build import build, vehicle_of
+from offpiste.training.build import build
 from offpiste.training.checkpoint import (
     load_json,
     load_tensors,
@@ -30,6 +30,8 @@ from offpiste.training.checkpoint import (
     save_tensors,
 )
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
+from offpiste.training.fitness import refuse_unfit
+from offpiste.training.kept_epoch import KeptEpoch
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
 
@@ -37,7 +39,6 @@ WEIGHTS = "model.safetensors"
 
 SCHEMA = 2
 """Version of a run: of what its files say, and of the physics that its weights belong to."""
-
 
 _MOST_FEATURES: Final = 1 << 16
 """More terrain features than any backbone has."""
@@ -115,7 +116,9 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     folder = run_folder(folder)
     check_device(device)
     if not folder.is_dir():
-        raise RunError("no such folder", where=folder, how="give the folder that `offpiste train` wrote")
+        raise RunError(
+            "no such folder", where=folder, how=f"{alike(folder)}give the folder that `offpiste train` wrote"
+        )
     if (folder / "config.json").exists() and not (folder / "model.json").exists():
         raise RunError("training has not finished", where=folder, how="resume it with `offpiste train --resume`")
     about = load_json(folder / "model.json")
@@ -188,26 +191,32 @@ def _refuse_impossible(stated: _Stated) -> None:
 
 
 def save_run(
-    folder: Path, dynamics: Dynamics, config: TrainConfig, dataset: Dataset, scale: Float[Tensor, " 5"]
+    folder: Path,
+    dynamics: Dynamics,
+    config: TrainConfig,
+    dataset: Dataset,
+    scale: Float[Tensor, " 5"],
+    kept: Mapping[str, KeptEpoch] | None = None,
 ) -> None:
-    """Write model.safetensors and model.json; a run is finished once the latter is there."""
-    save_tensors(folder / WEIGHTS, dynamics.state_dict())
+    """Write model.safetensors and model.json, with the epoch that each stage kept; the latter finishes a run."""
+    # The file of the last stage: a run that is killed here reads it back when it resumes.
+    last = kept["model"].about() if kept and "model" in kept else {}
+    save_tensors(folder / WEIGHTS, dynamics.state_dict(), **last)
     about = {
         "schema": SCHEMA,
         "model": config.model,
         "weights_sha256": sha256_of(folder / WEIGHTS),
         "seed": config.seed,
         "vehicle": asdict(dynamics.vehicle),
-        "loss": {
-            "weights": asdict(config.weights),
-            "scale": dict(zip(COMPONENTS, scale.tolist(), strict=True)),
-        },
+        "loss": {"weights": asdict(config.weights), "scale": dict(zip(COMPONENTS, scale.tolist(), strict=True))},
         "train": asdict(config),
         "dataset": str(dataset.path.resolve()),
         "split": dataset.split.text,
         "seen": seen_stretches(dataset),
         "pca": dataset.pca,
         "features": list(dataset.features),
+        "warnings": list(dataset.findings),
+        "kept": {stage: asdict(epoch) for stage, epoch in (kept or {}).items()},
     }
     save_json(folder / "model.json", about)
 
@@ -234,61 +243,3 @@ def check_device(name: str) -> None:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error
-
-
-def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
-    """Raise if a part of a dataset holds moments that the run was trained or chosen on.
-
-    Raises:
-        RunError: names the drive and the overlap.
-    """
-    number = PARTS.index(part)
-    for drive in dataset.drives:
-        evaluated = drive.rows.time[drive.part == number]
-        for name, first, last in run.seen:
-            if name == drive.name and np.any((evaluated >= first) & (evaluated <= last)):
-                raise RunError(
-                    f"was trained on {last - first:.0f} s of the {part} part of drive '{name}'",
-                    where=run.folder,
-                    how="evaluate it on the dataset and split it was trained with, or on another drive",
-                )
-
-
-def refuse_unfit(run: Run, dataset: Dataset) -> None:
-    """Raise if a run's features or channels are not those of a dataset.
-
-    Raises:
-        RunError: says what it was trained with.
-    """
-    needed, given = run.dynamics.vehicle, vehicle_of(dataset)
-    reads = run.dynamics.encoder is not None
-    if reads and needed.features != given.features:
-        raise RunError(
-            f"reads {needed.features} terrain features; the dataset has {given.features}",
-            where=run.folder,
-            how="evaluate it on a dataset that was extracted with the same --features",
-        )
-    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
-        raise RunError(
-            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
-            where=run.folder,
-            how="evaluate it on a dataset that was extracted with the PCA of its training",
-        )
-    if reads and run.features and run.features != dataset.features:
-        raise RunError(
-            f"reads the terrain features {_listed(run.features)}; the dataset has {_listed(dataset.features)}",
-            where=run.folder,
-            how="evaluate it on a dataset with the same",
-        )
-    for kind in ("control", "actuators"):
-        if getattr(needed, kind) != getattr(given, kind):
-            raise RunError(
-                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
-                f"{', '.join(getattr(given, kind)) or 'none'}",
-                where=run.folder,
-                how="evaluate it on a dataset whose rig has the same channels",
-            )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")

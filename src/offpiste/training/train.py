@@ -14,6 +14,8 @@ from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
 from offpiste.dataset.feature_sets import Draw, hindsight
+from offpiste.dataset.log_findings import warning_line
+from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
@@ -26,6 +28,7 @@ from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
+from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
@@ -74,8 +77,14 @@ def train(
     if tensorboard and group.writes:
         record = also_tensorboard(record, folder / "tensorboard")
 
+    if group.writes:
+        _warn_beforehand(dataset, validation)
+    kept: dict[str, KeptEpoch] = {}
+
     def fit(stage: Stage) -> None:
-        run_stage(stage, windows, validation, config, folder, record, group)
+        kept[stage.name] = run_stage(stage, windows, validation, config, folder, record, group)
+        if group.writes:
+            _log_kept(stage.name, kept[stage.name])
 
     reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(config.device)
     if vehicle.actuators:
@@ -104,9 +113,27 @@ def train(
     if any(p.requires_grad for p in dynamics.parameters()):
         fit(rolled_out("model", dynamics, config.epochs, draw))
     if group.writes:
-        save_run(folder, dynamics, config, dataset, scale)
-        logger.info(f"{folder}: each stage kept its best epoch by validation")
+        save_run(folder, dynamics, config, dataset, scale, kept)
     return dynamics
+
+
+def _log_kept(stage: str, kept: KeptEpoch) -> None:
+    logger.info(kept.line(stage))
+    for doubt in kept.doubts(stage):
+        logger.warning(doubt)
+
+
+def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
+    """Log what speaks against a dataset before time is spent on it."""
+    if (line := warning_line(dataset.findings)) is not None:
+        logger.warning(line)
+    if (line := split_warning(dataset)) is not None:
+        logger.warning(line)
+    elif len(validation) < FEW_WINDOWS:
+        logger.warning(
+            f"the validation part has only {len(validation)} windows, by which epochs are chosen: "
+            "extract more or longer drives, or choose another --split"
+        )
 
 
 def _unrecorded(line: dict[str, Any]) -> None:
@@ -177,6 +204,10 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
         result = load_json(path)
         for key in ("train", "dataset", "split"):
             if result.get(key) != described[key]:
+                before, now = result.get(key), described[key]
+                if isinstance(before, dict) and isinstance(now, dict):
+                    other = [name for name in now if before.get(name) != now[name]]
+                    key = ", ".join(f"{name} {before.get(name)} then, {now[name]} now" for name in other)
                 raise RunError(
                     f"was begun with other settings ({key})",
                     where=folder,

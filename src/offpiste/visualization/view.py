@@ -15,7 +15,8 @@ from matplotlib.lines import Line2D
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.errors import DatasetError, LogError, RigError
-from offpiste.logs.log import Log, open_log
+from offpiste.logs.log import Log
+from offpiste.logs.opening import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain, png
 from offpiste.report.page import Page, Picture, Section, write_page

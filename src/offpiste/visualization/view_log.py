@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from offpiste.errors import LogError, RigError, is_installed
 from offpiste.files import write_bytes
+from offpiste.inspection.map_health import check_map_health, find_pits, map_health
+from offpiste.inspection.sensor_samples import gather
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
@@ -100,6 +102,10 @@ def view_log(
     write_bytes(written[0], png(draw_sensors(stamps_of(sensors), stretch)))
     reach = MapperSettings().map.voxels
     known = drive.poses[np.isfinite(drive.poses).all(axis=(1, 2)), :2, 3]
+    health = map_health(sensors.lidars, gather(sensors, {}), sensors.poses)
+    logger.info(f"  first minute: {health}")
+    for finding in check_map_health(health):
+        logger.info(f"  {finding.severity}: {finding.where}: {finding.what}; {finding.remedy}")
     mosaic = Mosaic(known.min(axis=0) - reach.reach - 1, known.max(axis=0) + reach.reach + 1, reach.size)
     album = Album(times_between(drive.start, drive.end), drive.limits, len(sensors.cameras))
     with _recording(drive, out / "drive.rrd" if rrd else None) as recorder:
@@ -186,8 +192,10 @@ def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None
     look, channels = (extractor.extract, extractor.channels) if extractor else (_blind, 0)
     played = replay(log, cameras, look, channels, start=drive.start - EARLIER, end=drive.end)
     moment, before = None, np.full(3, np.inf)
+    returns = ghosts = 0
     for moment in track(played, "playing back", total=drive.scans):
         album.add(moment)
+        returns, ghosts = returns + len(moment.ghosts), ghosts + int(moment.ghosts.sum())
         if not np.linalg.norm(moment.vehicle - before) < MOSAIC_METRES:
             before = moment.vehicle.copy()
             mosaic.add(moment.layers)
@@ -198,6 +206,10 @@ def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None
     mosaic.add(moment.layers)
     if recorder is not None:
         recorder.add_map(moment)
+    pits = int(find_pits(moment.layers.elevation).sum())
+    logger.info(
+        f"  {ghosts / max(returns, 1):.3%} of the returns below the ground left out; {pits} pits in the last map"
+    )
     return moment
 
 

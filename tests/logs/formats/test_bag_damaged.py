@@ -103,7 +103,7 @@ def test_empty_and_wrong_files(tmp_path: Path, ending: str) -> None:
     with pytest.raises(LogError, match=rf"a\{ending}: the file is empty; record or copy it again"):
         BagLog(path)
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
-    with pytest.raises(LogError, match=rf"a\{ending}: not a {ending} file; give it the ending of its format"):
+    with pytest.raises(LogError, match=rf"a\{ending}: not a {ending} file; it is damaged, or of another format"):
         BagLog(path)
 
 

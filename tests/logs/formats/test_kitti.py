@@ -148,3 +148,18 @@ def test_the_real_drive_has_poses_that_move_as_its_velocities_say(real):
 
 def test_the_real_drives_sensors_stop_before_its_poses(real):
     assert real.coverage() == ("image_02: stops 3.4 s before the poses", "velodyne: stops 3.4 s before the poses")
+
+
+def test_a_link_to_a_drive_finds_the_days_calibration(tmp_path, data_folder):
+    link = tmp_path / "linked_sync"
+    link.symlink_to(data_folder / DRIVE)
+    assert len(KittiLog(link).transforms([])) == len(KittiLog(data_folder / DRIVE).transforms([]))
+    # A link may also lie beside the calibration, and lead to where there is none.
+    elsewhere, day = tmp_path / "elsewhere", tmp_path / "day"
+    drive = made_up(day)
+    elsewhere.mkdir()
+    drive.rename(elsewhere / "drive_sync")
+    (day / "drive_sync").symlink_to(elsewhere / "drive_sync")
+    assert len(KittiLog(day / "drive_sync").transforms([])) == 2
+    with pytest.raises(LogError, match="no calibration file; put the day's calibration files into the folder above"):
+        KittiLog(elsewhere / "drive_sync").transforms([])

@@ -67,7 +67,7 @@ def test_dart_has_two_columns_of_time(data_folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["t", "T", "time", "Time [s]", "timestamp", "stamp_ns", "sec", "secs", "t [s]", "field.header.timestamp", "%time"],
+    ["t", "T", "time", "Time [s]", "timestamp", "stamp_n", "sec", "secs", "t [s]", "field.header.timestamp", "%time"],
 )
 def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
     log = table(tmp_path, f"throttle,section,steer,{name}\n9,9,9,1\n9,9,9,2\n")

@@ -28,6 +28,7 @@ _OXTS: Final = (
 # fmt: on
 """Columns of an OXTS row (dataformat.txt of the data set)."""
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_CAMERAS: Final = "calib_cam_to_cam.txt"
 _EARTH_RADIUS: Final = 6378137.0
 """Radius of the devkit's sphere [m]."""
 
@@ -49,7 +50,7 @@ class KittiLog(Log):
     has_sensors = True
 
     def __init__(self, path: Path) -> None:
-        self.path, self._day = path, path.resolve().parent
+        self.path, self._day = path, _day_of(path)
         self._topics = {"oxts": Topic("oxts", "OXTS rows", len(self.files("oxts")), (*_OXTS, *_POSE))}
         for folder in sorted(path.iterdir()):
             if folder.name.startswith(("image_", "velodyne_points")) and (folder / "data").is_dir():
@@ -166,7 +167,7 @@ class KittiLog(Log):
             yield RawCloud(float(time), topic, points)
 
     def _cameras(self) -> dict[str, Float[np.ndarray, " n"]]:
-        return _calibration(self._day / "calib_cam_to_cam.txt")
+        return _calibration(self._day / _CAMERAS)
 
     def _projection(self, topic: str) -> Float[np.ndarray, "3 4"]:
         return _numbers(self._cameras(), f"P_rect_{topic[-2:]}", (3, 4))
@@ -186,6 +187,15 @@ def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
     position = np.stack((east, north, altitude), axis=1)
     orientation = Rotation.from_euler("ZYX", np.column_stack((yaw, pitch, roll))).as_quat()
     return np.column_stack((position - position[0], orientation))
+
+
+def _day_of(drive: Path) -> Path:
+    """The folder of a drive's day: the one above it that holds calibration files.
+
+    A link to a drive may lie beside them, or lead to where they are.
+    """
+    above, linked = drive.absolute().parent, drive.resolve().parent
+    return next((day for day in (above, linked) if (day / _CAMERAS).is_file()), linked)
 
 
 def _row(path: Path) -> Float[np.ndarray, " 30"]:
@@ -218,7 +228,7 @@ def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
     try:
         lines = path.read_text("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        how = "put the day's calibration files into the folder above the drive"
+        how = "put the day's calibration files into the folder above the drive, or above the link to it"
         raise LogError("no calibration file", where=path, how=how) from error
     result = {}
     for line in lines:

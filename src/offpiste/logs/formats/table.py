@@ -15,9 +15,7 @@ from jaxtyping import Float
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
-
-_SECONDS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Units of time per second."""
+from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_of
 
 _TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time")
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -28,30 +26,38 @@ class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
     The separator of a CSV (comma, semicolon, tab, bar) is guessed. Empty cells are NaN; a cell that is no number in a
-    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps.
+    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps. A
+    row of units below the header is read as such.
 
     Args:
         path: `.csv` or `.parquet`.
         clock_column: the column of stamps; "" to guess it from the names, of several the most steadily rising one.
-        clock_unit: its unit: s, ms, us or ns; a column of dates needs none.
+        clock_unit: its unit: s, ms, us or ns; "" as the header says, else s. A column of dates needs none.
 
     Raises:
         LogError: the file is empty, damaged, or has no such clock column or unit.
     """
 
     description = "a table (.csv, .parquet)"
+    has_clock_unit = True
 
-    def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "s") -> None:
-        if clock_unit not in _SECONDS:
-            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one of: {', '.join(_SECONDS)}")
-        self.path, self._per_second = path, _SECONDS[clock_unit]
+    def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "") -> None:
+        if clock_unit and clock_unit not in SECONDS:
+            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one of: {', '.join(SECONDS)}")
+        self.path = path
         self._is_csv = path.suffix.lower() == ".csv"
         notes: list[str] = []
-        self._table = _read_csv(path, notes) if self._is_csv else _read_parquet(path)
+        self._units: dict[str, str] = {}
+        self._table = _read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
         self._columns = tuple(name for name in self._table.column_names if self._is_numeric(name))
+        self._rows_of_units = int(bool(self._units))
+        self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
+        self._unit = clock_unit
         self._clock = clock_column or self._guess_clock(notes)
         if self._clock and self._clock not in self._table.column_names:
             raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {self._listing()}")
+        if not clock_unit and self.clock.unit != "s":
+            notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
         self.warnings = tuple(notes)
 
     @staticmethod
@@ -62,13 +68,19 @@ class TableLog(Log):
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
         """A table whose time is the clock's column."""
-        return cls(path, clock_column=clock.column, clock_unit=clock.unit)
+        guess_unit = not clock.column and clock.unit == Clock().unit
+        return cls(path, clock_column=clock.column, clock_unit="" if guess_unit else clock.unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
         """One topic: the table itself."""
         kind = "CSV table" if self._is_csv else "Parquet table"
-        return {"": Topic("", kind, self._table.num_rows, self._columns)}
+        return {"": Topic("", kind, self._table.num_rows, self._columns, self._units)}
+
+    @property
+    def clock(self) -> Clock:
+        """The column of stamps and its unit."""
+        return Clock(column=self._clock, unit=self._unit_of_stamps(self._clock))  # type: ignore[arg-type]
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         if not self._clock:
@@ -97,6 +109,9 @@ class TableLog(Log):
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
 
+    def _unit_of_stamps(self, name: str) -> str:
+        return self._unit or time_unit(self._units.get(name, "")) or "s"
+
     def _share_rising(self, name: str) -> float:
         try:
             return float(np.mean(np.diff(self._stamps(name)) > 0)) if self._table.num_rows > 1 else 0.0
@@ -110,14 +125,14 @@ class TableLog(Log):
             dates = _dates(column)
             if dates is not None:
                 return dates
-        return self._numbers(name) / (1.0 if _has_time_unit(column.type) else self._per_second)
+        return self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
         column = self._table[name]
         if pa.types.is_string(column.type):
             return self._parsed(name)
         if _has_time_unit(column.type):
-            return _floats(column.cast(pa.int64())) / _SECONDS[column.type.unit]
+            return _floats(column.cast(pa.int64())) / SECONDS[column.type.unit]
         return _floats(column)
 
     def _parsed(self, name: str) -> Float[np.ndarray, " n"]:
@@ -132,8 +147,9 @@ class TableLog(Log):
             if cell is None:
                 continue
             if (number := _number(cell)) is None:
+                line = row + 1 + self._rows_of_units
                 raise LogError(
-                    f"row {row + 1} below the header, column '{name}': '{cell[:40]}' is not a number",
+                    f"row {line} below the header, column '{name}': '{cell[:40]}' is not a number",
                     where=self.path,
                     how="fix or empty that cell",
                 )
@@ -189,11 +205,15 @@ def _read_parquet(path: Path) -> pa.Table:
     return table
 
 
-def _read_csv(path: Path, notes: list[str]) -> pa.Table:
-    """All columns as text: what a column is, and which cell is wrong, is decided from the text."""
-    header, first_row = _first_lines(path)
+def _read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
+    """All columns as text: what a column is, and which cell is wrong, is decided from the text.
+
+    Args:
+        notes, units: filled with what was guessed, and with a row of units below the header.
+    """
+    header, *rows = _first_lines(path)
     delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
-    comma = delimiter == ";" and re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", first_row) is not None
+    comma = delimiter == ";" and any(re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", row) for row in rows)
     if delimiter != ",":
         decimals = ", decimals by ','" if comma else ""
         notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab"))
@@ -201,10 +221,11 @@ def _read_csv(path: Path, notes: list[str]) -> pa.Table:
     _check_columns(path, names)
     if all(_number(name) is not None for name in names):
         raise LogError("no header line", where=path, how="write the names of the columns into the first line")
+    units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
     try:
         table = pa_csv.read_csv(
             path,
-            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=1),
+            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=2 if units else 1),
             parse_options=pa_csv.ParseOptions(delimiter=delimiter),
             convert_options=pa_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
@@ -221,23 +242,38 @@ def _read_csv(path: Path, notes: list[str]) -> pa.Table:
     return table
 
 
-def _first_lines(path: Path) -> tuple[str, str]:
+def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
+    """Units by column, where the row below the header holds units; empty where it holds data.
+
+    It has no number but 1 (no unit), and at least half of its cells that are not empty are units.
+    """
+    said = [cell for cell in cells if cell.strip()]
+    units = [unit_of(cell) for cell in said]
+    is_data = len(cells) != len(names) or any(_number(cell) is not None and cell.strip() != "1" for cell in said)
+    if is_data or not any(units) or 2 * sum(unit is not None for unit in units) < len(said):
+        return {}
+    return {name: unit for name, cell in zip(names, cells, strict=True) if (unit := unit_of(cell))}
+
+
+def _first_lines(path: Path) -> list[str]:
+    """The header and up to two rows."""
     try:
         with path.open("rb") as file:
-            lines = file.readline(1 << 20), file.readline(1 << 20)
+            lines = [file.readline(1 << 20) for _ in range(3)]
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
     if not lines[0].strip():
         raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
     try:
-        header, first_row = (line.decode("utf-8-sig").rstrip("\r\n") for line in lines)
+        text = [line.decode("utf-8-sig").rstrip("\r\n") for line in lines[:2]]
+        text.append(lines[2].decode("utf-8", "replace").rstrip("\r\n"))
     except UnicodeDecodeError as error:
         raise LogError("the text is not UTF-8", where=path, how="save it as UTF-8") from error
-    if "\0" in header:
+    if "\0" in text[0]:
         raise LogError("not a text file", where=path, how="save it as UTF-8 text with a header line")
     if not lines[1]:
         raise LogError("no row below the header", where=path, how="record or export it again")
-    return header, first_row
+    return text
 
 
 def _check_columns(path: Path, names: list[str]) -> None:

@@ -232,7 +232,11 @@ def _check_beginning(path: Path) -> None:
         raise LogError("the file is empty", where=path, how="record or copy it again")
     if not head.startswith(MAGIC[path.suffix]):
         true = next((suffix for suffix, magic in MAGIC.items() if head.startswith(magic)), "")
-        how = f"it is a {true} file: rename it" if true else "give it the ending of its format"
+        how = (
+            f"it is a {true} file: rename it"
+            if true
+            else "it is damaged, or of another format: copy it again, or give it the ending of its format"
+        )
         raise LogError(f"not a {path.suffix} file", where=path, how=how)
 
 

@@ -89,6 +89,22 @@ def sensor_suite(profile: str) -> SensorSuite:
     return PROFILES[profile]()
 
 
+def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> SensorSuite:
+    """The sensors where they are, each rotated by an angle [deg] about a random axis of its own."""
+
+    def rotated(pose: Pose) -> Pose:
+        axis = rng.standard_normal(3)
+        turn = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
+        return Pose(pose.position, (turn * Rotation.from_quat(pose.orientation)).as_quat())
+
+    if degrees == 0:
+        return suite
+    return SensorSuite(
+        tuple(replace(camera, body_from_camera=rotated(camera.body_from_camera)) for camera in suite.cameras),
+        tuple(replace(lidar, body_from_lidar=rotated(lidar.body_from_lidar)) for lidar in suite.lidars),
+    )
+
+
 def mounted(
     position: tuple[float, float, float], *, yaw: float = 0.0, pitch: float = 0.0, optical: bool = False
 ) -> Pose:

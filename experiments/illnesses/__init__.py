@@ -1,0 +1,1 @@
+"""Logs with known truth, healthy and ill, on which `offpiste inspect` is scored."""

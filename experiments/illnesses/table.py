@@ -1,0 +1,157 @@
+"""Tables of many scores: what is found and cured at which strength, false alarms, and what is left after cures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.illnesses.effect import UNREADABLE
+from experiments.illnesses.score import IllnessScore, Score
+
+_COSTLY = 0.05
+"""Cost from which on an illness matters: 5 % of the error after five seconds."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A score of one illness, with the case that it is from; only cases with a single illness."""
+
+    score: Score
+    ill: IllnessScore
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    if count == 0:
+        return 0.0, 1.0
+    z, share = 1.96, hits / count
+    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def share(hits: int, count: int) -> str:
+    """A share with its interval, in words."""
+    if count == 0:
+        return "-"
+    low, high = wilson(hits, count)
+    return f"{hits}/{count} = {hits / count:.0%} ({low:.0%} to {high:.0%})"
+
+
+def report(scores: Sequence[Score]) -> str:
+    """The whole report as Markdown."""
+    healthy = [s for s in scores if not s.illnesses]
+    sick = [s for s in scores if s.illnesses]
+    single = [Row(s, s.illnesses[0]) for s in sick if len(s.illnesses) == 1]
+    parts = [
+        "# What `inspect` finds in logs with known truth",
+        f"{len(scores)} logs: {len(healthy)} healthy, {len(single)} with one illness, {len(sick) - len(single)} with"
+        " two or three. Intervals are Wilson's 95 %.",
+        _totals(healthy, sick, single),
+        *_table_of(single),
+        *_behaviours(healthy),
+        *_listed("False alarms on healthy logs", [(s, f) for s in healthy for f in s.false_alarms]),
+        *_listed("False alarms on sick logs", [(s, f) for s in sick for f in s.false_alarms]),
+        *_listed("Illnesses not found, that cost at least 5 %", _missed(single)),
+        *_listed("Wrong first cures", [(r.score, _finding_of(r)) for r in single if r.ill.first_cure == "wrong"]),
+        *_listed("Failures of inspect", [(s, s.error.strip().splitlines()[-1]) for s in scores if s.error]),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _totals(healthy: Sequence[Score], sick: Sequence[Score], single: Sequence[Row]) -> str:
+    costly = [r for r in single if _costs(r.score)]
+    curable = [r for r in costly if r.ill.curable]
+    after = [s.after for s in sick if all(i.curable for i in s.illnesses) and s.after is not None]
+    well = sum(cost < _COSTLY for cost in after)
+    several = [(s, i) for s in sick if len(s.illnesses) > 1 for i in s.illnesses]
+    lines = [
+        "| measure | share (95 % interval) |",
+        "|---|---|",
+        f"| healthy logs with a false alarm | {share(sum(bool(s.false_alarms) for s in healthy), len(healthy))} |",
+        f"| single illnesses that cost 5 % or more, found | {share(sum(r.ill.found for r in costly), len(costly))} |",
+        f"| single illnesses of any cost, found | {share(sum(r.ill.found for r in single), len(single))} |",
+        f"| of costly and curable ones, right first cure | {share(_right(curable), len(curable))} |",
+        f"| of several at once, found | {share(sum(i.found for _, i in several), len(several))} |",
+        f"| sick logs with a false alarm | {share(sum(bool(s.false_alarms) for s in sick), len(sick))} |",
+        f"| curable logs within 5 % of healthy after all cures | {share(well, len(after))} |",
+        f"| failures of inspect | {share(sum(bool(s.error) for s in (*healthy, *sick)), len(healthy) + len(sick))} |",
+    ]
+    return "\n".join(lines)
+
+
+def _right(rows: Sequence[Row]) -> int:
+    return sum(row.ill.first_cure == "right" for row in rows)
+
+
+def _table_of(single: Sequence[Row]) -> list[str]:
+    keys = sorted({(r.ill.kind, r.ill.name, r.ill.strength) for r in single})
+    lines = [
+        "## By illness and strength",
+        "Cost: median increase of a quick model's error after 5 s. Logs with a single illness. Cured: the first cure of"
+        " the first finding brings the rows back; after: median cost after all cures.",
+        "\n".join(
+            [
+                "| kind | illness | strength | logs | cost | found | noted | cured | after | other alarms |",
+                "|---|---|---|---|---|---|---|---|---|---|",
+                *(_line(key, [r for r in single if (r.ill.kind, r.ill.name, r.ill.strength) == key]) for key in keys),
+            ]
+        ),
+    ]
+    return lines if single else []
+
+
+def _line(key: tuple[str, str, float], rows: Sequence[Row]) -> str:
+    kind, name, strength = key
+    cost, after = _percent([r.score.cost for r in rows]), _percent([r.score.after for r in rows])
+    cured = f"{_right(rows)}/{len(rows)}" if rows[0].ill.curable else ""
+    found, noted = sum(r.ill.found for r in rows), sum(r.ill.noted and not r.ill.found for r in rows)
+    alarms = sum(bool(r.score.false_alarms) for r in rows)
+    return (
+        f"| {kind} | {name} | {strength:g} | {len(rows)} | {cost} | {found}/{len(rows)} | {noted} | {cured} | {after} |"
+        f" {alarms} |"
+    )
+
+
+def shown(cost: float | None) -> str:
+    """A cost in words."""
+    return "not known" if cost is None else "unreadable" if cost >= UNREADABLE else f"{cost:+.0%}"
+
+
+def _percent(values: Sequence[float | None]) -> str:
+    """Median of costs."""
+    known = [value for value in values if value is not None]
+    return shown(float(np.median(known)) if known else None)
+
+
+def _costs(score: Score) -> bool:
+    return score.cost is not None and score.cost >= _COSTLY
+
+
+def _behaviours(healthy: Sequence[Score]) -> list[str]:
+    kinds = sorted({s.behaviour for s in healthy} | {h for s in healthy for h in s.harmless})
+    lines = ["| healthy behaviour or harmless change | logs with a false alarm |", "|---|---|"]
+    for kind in kinds:
+        rows = [s for s in healthy if s.behaviour == kind or kind in s.harmless]
+        lines.append(f"| {kind} | {share(sum(bool(s.false_alarms) for s in rows), len(rows))} |")
+    return ["## Healthy logs", "\n".join(lines)] if healthy else []
+
+
+def _missed(single: Sequence[Row]) -> list[tuple[Score, str]]:
+    return [
+        (r.score, f"{r.ill.name} ({r.ill.strength:g}), cost {_percent([r.score.cost])}")
+        for r in single
+        if not r.ill.found and _costs(r.score)
+    ]
+
+
+def _finding_of(row: Row) -> str:
+    about = [f for f in row.score.findings if not f.startswith("note")]
+    return f"{row.ill.name} ({row.ill.strength:g}): {about[0] if about else ''}"
+
+
+def _listed(title: str, entries: Sequence[tuple[Score, str]]) -> list[str]:
+    if not entries:
+        return []
+    lines = [f"- {s.seed} ({s.behaviour}, {s.storage}): {text}" for s, text in sorted(entries, key=lambda e: e[1])]
+    return [f"## {title}", "\n".join(lines)]

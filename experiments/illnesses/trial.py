@@ -1,0 +1,137 @@
+"""The command that scores `offpiste inspect` on simulated logs with known truth.
+
+Each seed is one log: a drive of a vehicle drawn at random on the proving ground (no cameras, no LiDAR), recorded by a
+logger drawn at random, healthy or with one to three illnesses at graded strength.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import tyro
+
+from experiments.illnesses.cases import Patient, patient
+from experiments.illnesses.formats import formats_for, stored
+from experiments.illnesses.illness import ILLNESSES
+from experiments.illnesses.score import Score, score
+from experiments.illnesses.table import report, shown
+from offpiste.errors import OffpisteError
+from offpiste.files import check_folder, write_text
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.render import render
+from offpiste.parallel import run_all
+from offpiste.progress import show
+
+
+@dataclass(frozen=True)
+class Illnesses:
+    """Score inspect on simulated logs.
+
+    Attributes:
+        out: folder of results: a JSON line for each log, and report.md; what is there is not done again.
+        logs: number of logs.
+        seed: of the first log; the others follow.
+        illness: illnesses to choose from, one a log; all, and some healthy logs, if none is given.
+        healthy: healthy logs only.
+        processes: logs at a time.
+        files: share of the logs that are written to a file and read again.
+        cache: folder of simulated drives; OUT/drives if not given.
+        only: run the log of this seed alone, and print its truth and the inspection.
+        list: print the names of the illnesses.
+    """
+
+    out: Path = Path("illnesses")
+    logs: int = 200
+    seed: int = 1
+    illness: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = ()
+    healthy: bool = False
+    processes: int = 1
+    files: float = 0.2
+    cache: Path | None = None
+    only: int | None = None
+    list: bool = False
+
+    def run(self) -> str | None:
+        """Run the logs that are missing, and report."""
+        if self.list:
+            return "\n".join(f"{one.kind}: {name}: {', '.join(map(str, one.strengths))} {one.unit}"
+                             for name, one in ILLNESSES.items())  # fmt: skip
+        check_folder(self.out)
+        for name in self.illness:
+            ILLNESSES[name]
+        if self.only is not None:
+            self._show(self.only)
+            return None
+        seeds = range(self.seed, self.seed + self.logs)
+        done = self._done()
+        missing = [seed for seed in seeds if seed not in done]
+        failed = run_all(partial(_work, self), missing, self.processes, "illnesses")
+        if failed:
+            raise OffpisteError(f"{len(failed)} of {len(missing)} logs could not be made", where=self.out)
+        scores = [one for seed, one in sorted(self._done().items()) if seed in seeds]
+        text = report(scores)
+        write_text(self.out / "report.md", text)
+        return text
+
+    @property
+    def drives(self) -> Path:
+        """Folder of simulated drives."""
+        return self.cache or self.out / "drives"
+
+    def patient(self, seed: int) -> Patient:
+        """The case of a seed."""
+        return patient(seed, self.drives, names=self.illness, healthy=self.healthy)
+
+    def _done(self) -> dict[int, Score]:
+        """Scores by seed; a line that an interruption cut off is left out."""
+        path = self.out / "scores.jsonl"
+        scores: dict[int, Score] = {}
+        for line in path.read_text("utf-8").splitlines() if path.exists() else ():
+            try:
+                one = msgspec.json.decode(line, type=Score)
+            except msgspec.DecodeError:
+                continue
+            scores[one.seed] = one
+        return scores
+
+    def _show(self, seed: int) -> None:
+        one = self.patient(seed)
+        result = _scored(self, one)
+        show("truth: " + (", ".join(map(str, one.given)) or "healthy"))
+        show(f"{result.body}, {result.behaviour}, {result.storage}; channels: {', '.join(one.case.rig.channels)}")
+        if result.error:
+            show(result.error)
+            return
+        show(render(inspect_log(one.case.log, one.case.rig)))
+        cost, after = (shown(value) for value in (result.cost, result.after))
+        show(f"cost {cost}, after cures {after}, distance {result.distance:.3f}")
+        for ill in result.illnesses:
+            show(f"{ill.name}: found {ill.found}, noted {ill.noted}, first cure {ill.first_cure or '-'}")
+        for alarm in result.false_alarms:
+            show(f"false alarm: {alarm}")
+
+
+def _scored(settings: Illnesses, one: Patient) -> Score:
+    random = np.random.default_rng([one.seed, 0xF11E])
+    if random.random() >= settings.files:
+        return score(one, one.case.log, storage="memory")
+    storage = str(random.choice(formats_for(one.case)))
+    with TemporaryDirectory(prefix="illnesses-") as folder:
+        case, log = stored(one.case, storage, Path(folder))
+        return score(replace(one, case=case), log, storage=storage)
+
+
+def _work(settings: Illnesses, seed: int, progress: Callable[[float], None]) -> str:
+    one = settings.patient(seed)
+    result = _scored(settings, one)
+    settings.out.mkdir(parents=True, exist_ok=True)
+    # One write of whole lines, so that processes do not mix them.
+    with (settings.out / "scores.jsonl").open("ab", buffering=0) as file:
+        file.write(msgspec.json.encode(result) + b"\n")
+    what = ", ".join(f"{i.name} ({i.strength:g}) {'found' if i.found else 'MISSED'}" for i in result.illnesses)
+    return f"{seed}: {what or 'healthy'}; cost {shown(result.cost)}; {len(result.false_alarms)} false alarms"

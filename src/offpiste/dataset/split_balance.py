@@ -1,0 +1,169 @@
+"""Whether the parts of a split drive alike: their windows, speeds and turning, and a split whose parts do."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.conventions import DT, MIN_EVALUATION_SPEED
+from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.window_starts import evaluation_starts
+from offpiste.errors import DatasetError
+
+LEAST_WINDOWS: Final = 200
+"""Least windows of a part: fewer cover some ten seconds of driving."""
+MOST_APART: Final = 0.6
+"""Largest Kolmogorov-Smirnov distance between the speeds of training and of another part. The recorded
+drives reach 0.6 in their default split; a part that stands still while training drives reaches 0.8 and more."""
+MEDIANS: Final = 1.5
+"""Least ratio of the median speeds for which that distance counts: small parts scatter."""
+MOST_RATIO: Final = 2.5
+"""Largest ratio of the median speeds at the starts of windows, and ..."""
+MOST_TURNING: Final = 5.0
+"""... of the 90 % quantiles of their turn rates."""
+_STANDING: Final = 0.3
+"""Speeds below this count as standing still [m/s]."""
+_PERIODS: Final = (120, 180, 240, 300)
+"""Interleaved blocks that are tried [s]."""
+_FOLDS: Final = 5
+"""Folds that are tried beside blocks."""
+_SIZES: Final = (20, 30, 50, 75, 100)
+"""Squares that are tried [m]."""
+_LEAST_TURN: Final = 0.05
+"""Turn rates below this count as straight on [rad/s]."""
+
+
+@dataclass(frozen=True)
+class PartFacts:
+    """What is driven in one part of a dataset.
+
+    Attributes:
+        windows: above `MIN_EVALUATION_SPEED`.
+        moving: time above that speed [s].
+        speed: of its complete rows, sorted [m/s].
+        start_speed: median at the starts of windows [m/s]; NaN without any.
+        turning: 90 % quantile of the turn rate there [rad/s]; NaN without any.
+    """
+
+    name: str
+    windows: int
+    moving: float
+    speed: Float[np.ndarray, " n"]
+    start_speed: float
+    turning: float
+
+    @property
+    def median(self) -> float:
+        """Median speed of its rows [m/s]."""
+        return float(np.median(self.speed))
+
+    @property
+    def words(self) -> str:
+        """In a few words."""
+        return f"{self.name} {self.windows} windows, median speed {self.median:.1f} m/s, {self.moving:.0f} s moving"
+
+
+def part_facts(dataset: Dataset) -> tuple[PartFacts, ...]:
+    """What is driven in each part that has rows; a drive too short for a split is all training."""
+    wanted = [part for part in PARTS if part not in empty_parts(dataset.split)]
+    return tuple(facts for part in wanted if len((facts := _facts(dataset, part)).speed))
+
+
+def _facts(dataset: Dataset, part: str) -> PartFacts:
+    speeds, starts, turns = [], [], []
+    for drive in dataset.drives:
+        mine = drive.part == PARTS.index(part)
+        rows = drive.rows
+        speed = np.hypot(rows.state[:, 3], rows.state[:, 4])
+        first = evaluation_starts(rows, mine, dataset.min_hindsight)
+        speeds.append(speed[mine & rows.valid])
+        starts.append(speed[first])
+        turns.append(np.abs(rows.state[first, 5]))
+    speed, start, turn = (np.concatenate(each) for each in (speeds, starts, turns))
+    return PartFacts(
+        part,
+        len(start),
+        float((speed > MIN_EVALUATION_SPEED).sum() * DT),
+        np.sort(speed),
+        float(np.median(start)) if len(start) else np.nan,
+        float(np.quantile(turn, 0.9)) if len(turn) else np.nan,
+    )
+
+
+def apart(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
+    """Kolmogorov-Smirnov distance between two sorted samples: 0 alike, 1 nothing in common."""
+    if not len(one) or not len(other):
+        return 1.0
+    at = np.concatenate((one, other))
+    shares = (np.searchsorted(each, at, side="right") / len(each) for each in (one, other))
+    return float(np.abs(np.subtract(*shares)).max())
+
+
+def complaints(facts: Sequence[PartFacts]) -> Iterator[str]:
+    """What is wrong with parts, in words."""
+    train = facts[0]
+    for part in facts:
+        if part.windows < LEAST_WINDOWS:
+            yield f"{part.name} has {part.windows} windows above {MIN_EVALUATION_SPEED} m/s"
+    for part in facts[1:]:
+        shifted = apart(train.speed, part.speed) > MOST_APART and _ratio(train.median, part.median, _STANDING) > MEDIANS
+        if shifted or _ratio(train.start_speed, part.start_speed, MIN_EVALUATION_SPEED) > MOST_RATIO:
+            yield f"{part.name} drives at a median of {part.median:.1f} m/s, train at {train.median:.1f} m/s"
+        elif _ratio(train.turning, part.turning, _LEAST_TURN) > MOST_TURNING:
+            yield f"{part.name} turns at {part.turning:.2f} rad/s (90 %), train at {train.turning:.2f} rad/s"
+
+
+def _ratio(one: float, other: float, least: float) -> float:
+    """The larger over the smaller of two numbers; 1 where one is not known."""
+    low, high = sorted(max(value, least) for value in (one, other))
+    return high / low if np.isfinite(low * high) else 1.0
+
+
+def unlikeness(facts: Sequence[PartFacts]) -> float:
+    """Largest distance between the speeds of training and of another part, to compare splits."""
+    return max((apart(facts[0].speed, part.speed) for part in facts[1:]), default=0.0)
+
+
+def candidates(split: Split) -> Iterator[Split]:
+    """Other splits of the same kind; interleaved blocks and folds for blocks."""
+    if split.kind == "blocks":
+        shares = ",".join(f"{share:g}" for share in split.fractions)
+        texts = [f"blocks:{shares}@{period}" for period in _PERIODS]
+        texts += [f"fold:{number}/{_FOLDS}" for number in range(_FOLDS)] if all(split.fractions) else []
+    elif split.kind == "fold":
+        texts = [f"fold:{number}/{split.fold[1]}" for number in range(split.fold[1])]
+    else:
+        texts = [f"places:{size}" for size in _SIZES] if split.kind == "places" else []
+    for text in texts:
+        try:
+            other = parse_split(text)
+        except DatasetError:  # blocks too short for this share
+            continue
+        if other != split:
+            yield other
+
+
+def better_split(dataset: Dataset) -> tuple[Split, tuple[PartFacts, ...]] | None:
+    """The split of the same kind whose parts are most alike, and its parts; None where all have something wrong."""
+    parts = len(PARTS) - len(empty_parts(dataset.split))
+    found = [(split, part_facts(dataset.relabelled(split))) for split in candidates(dataset.split)]
+    good = [(split, facts) for split, facts in found if len(facts) == parts and not list(complaints(facts))]
+    return min(good, key=lambda each: unlikeness(each[1])) if good else None
+
+
+def split_warning(dataset: Dataset) -> str | None:
+    """What is wrong with a dataset's split and which one is better, in one line; None where nothing is wrong."""
+    facts = part_facts(dataset)
+    wrong = list(complaints(facts)) if len(facts) > 1 else []
+    if not wrong:
+        return None
+    line = f"the parts of the split {dataset.split.text} are unlike each other: {'; '.join(wrong)}"
+    better = better_split(dataset)
+    if better is None:
+        how = "give some drives to other parts" if dataset.split.kind == "drives" else "give --split drives:FILE"
+        return f"{line}; record more driving, or {how}"
+    split, parts = better
+    return f"{line}; better: --split {split.text} ({'; '.join(part.words for part in parts[1:])})"

@@ -1,0 +1,203 @@
+"""Estimate of a camera's mounting from a rough guess: how features move in its images, against how the poses move.
+
+Points that two images share (SIFT, Lowe 2004) must lie on the epipolar lines that the poses and the mounting give. That
+shows two axes wherever the vehicle drives on (the direction of travel in the image) and the third wherever it turns
+or rocks. All rotations within 45 degrees of the guess are tried; a robust fit refines the best. Once squares of images
+can be found where the LiDAR's points predict them, the fine fit takes over (`camera.check_camera`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from offpiste.inspection.lidar import differentiated
+from offpiste.inspection.misfit import LEAST_PAIRS, Misfit, Pair, Parameters, fit_misfit, turned
+from offpiste.inspection.sensor_samples import Grey, SmallCamera, pairs
+from offpiste.logs.poses import Poses
+
+_FEATURES: Final = 1500
+"""Most features of an image."""
+_CONTRAST: Final = 0.01
+"""Least contrast of a feature; OpenCV's default of 0.04 leaves few on sand."""
+_RATIO: Final = 0.75
+"""Largest ratio of the distances to the best and to the next feature (Lowe 2004)."""
+_LEAST: Final = 15
+"""Fewer matches than this are no pair."""
+_BASELINE: Final = 0.3
+"""Shorter ways between two images show no direction [m]."""
+_WIDE: Final = np.deg2rad(45.0)
+"""Furthest rotation from the guess that is tried [rad]."""
+_COARSE: Final = np.deg2rad(5.0)
+"""Spacing of the rotations that are tried [rad]."""
+_SAMPLE: Final = 600
+"""Matches by which rotations are compared."""
+_TRUNCATED: Final = np.deg2rad(1.0)
+"""Matches further from their line than this count as this far [rad]."""
+_STARTS: Final = 5
+_PRIOR: Final = np.array([*np.deg2rad([30.0, 30.0, 30.0]), 0.1])
+"""Standard deviations of the fit's prior [rad, rad, rad, s]."""
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Directions in which two images see the same points.
+
+    Attributes:
+        times: of the two images [s].
+        one, other: unit vectors in the camera's frame.
+    """
+
+    times: tuple[float, float]
+    one: Float[np.ndarray, "n 3"]
+    other: Float[np.ndarray, "n 3"]
+
+
+def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
+    """Features that neighbouring images share."""
+    sift = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
+    mask = camera.free.astype(np.uint8) * 255
+    inverse = np.linalg.inv(camera.rectifier.pinhole.matrix)
+    found: dict[int, tuple[Float[np.ndarray, "n 3"], np.ndarray]] = {}
+    result = []
+    for couple in pairs([image.time for image in images]):
+        for k in couple:
+            if k not in found:
+                points, described = sift.detectAndCompute(images[k].pixels, mask)
+                pixels = np.array([(*point.pt, 1.0) for point in points]).reshape(-1, 3)
+                rays = pixels @ inverse.T
+                found[k] = (
+                    rays / np.linalg.norm(rays, axis=1, keepdims=True),
+                    described if described is not None else np.zeros((0, 128), np.float32),
+                )
+        (one, first), (other, second) = (found[k] for k in couple)
+        if min(len(one), len(other)) < _LEAST:
+            continue
+        best = cv2.BFMatcher().knnMatch(first, second, k=2)
+        kept = [match[0] for match in best if len(match) == 2 and match[0].distance < _RATIO * match[1].distance]
+        # A feature that several claim is none of theirs.
+        claims = np.bincount([match.trainIdx for match in kept], minlength=len(other))
+        index = np.array([(m.queryIdx, m.trainIdx) for m in kept if claims[m.trainIdx] == 1], np.int64).reshape(-1, 2)
+        if len(index) >= _LEAST:
+            times = images[couple[0]].time, images[couple[1]].time
+            result.append(Matches(times, one[index[:, 0]], other[index[:, 1]]))
+    return result
+
+
+def epipolar_angles(
+    matches: Matches, body_from_camera: Float[np.ndarray, "4 4"], poses: Poses, parameters: Parameters
+) -> Float[np.ndarray, " n"]:
+    """Angles of the second directions from the epipolar planes of the first [rad]; NaN where no pose is known.
+
+    A match whose point would lie behind the cameras has the angle from the first direction, as if it did not move.
+    """
+    mounting = turned(body_from_camera, parameters)
+    one, other = poses.at(np.array(matches.times) - parameters[3])
+    relative = (
+        np.linalg.inv(other @ mounting) @ one @ mounting if np.isfinite(one + other).all() else np.full((4, 4), np.nan)
+    )
+    return _angles(relative[None, :3, :3], relative[None, :3, 3], matches.one, matches.other)[0]
+
+
+def _angles(
+    turn: Float[np.ndarray, "k 3 3"],
+    way: Float[np.ndarray, "k 3"],
+    one: Float[np.ndarray, "n 3"],
+    other: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "k n"]:
+    here = one @ turn.transpose(0, 2, 1)
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    normal = np.cross(way[:, None], here)
+    size = np.linalg.norm(normal, axis=2)
+    angle = np.arcsin(np.clip(np.einsum("kni,ni->kn", normal, other) / (size + 1e-9), -1, 1))
+    # Positive depth: the second direction leaves the first towards the way, seen in their common plane.
+    across = np.cross(here, other)
+    ahead = np.einsum("kni,kni->kn", np.cross(other, way[:, None]), across) > 0
+    moved = np.arcsin(np.clip(np.linalg.norm(across, axis=2), 0, 1))
+    return np.where(ahead | (moved < np.deg2rad(0.2)), angle, np.copysign(np.maximum(moved, np.abs(angle)), angle))
+
+
+def candidates(
+    camera: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses, rng: np.random.Generator
+) -> list[Parameters]:
+    """Rotations from the guess that fit the matches best, at most `_STARTS`, each with a delay of zero."""
+    steps = np.arange(-_WIDE, _WIDE + 1e-6, _COARSE)
+    turns = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    turns = turns[np.linalg.norm(turns, axis=1) <= _WIDE + 1e-6]
+    mounting = np.tile(camera, (len(turns), 1, 1))
+    mounting[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix() @ camera[:3, :3]
+    inverse = np.linalg.inv(mounting)
+    cost = np.zeros(len(turns))
+    few = matches[:: max(1, len(matches) // 12)]
+    for one in few:
+        pose = poses.at(np.array(one.times))
+        relative = inverse @ np.linalg.inv(pose[1]) @ pose[0] @ mounting
+        chosen = rng.permutation(len(one.one))[: _SAMPLE // len(few)]
+        angle = _angles(relative[:, :3, :3], relative[:, :3, 3], one.one[chosen], one.other[chosen])
+        cost += np.minimum(np.abs(angle), _TRUNCATED).mean(axis=1)
+    order: list[int] = []
+    for k in np.argsort(cost):
+        if all(np.linalg.norm(turns[k] - turns[m]) > 2.5 * _COARSE for m in order):
+            order.append(int(k))
+        if len(order) == _STARTS:
+            break
+    return [np.append(turns[k], 0.0) for k in order]
+
+
+def estimate_rotation(
+    guess: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses, *, seed: int = 0
+) -> tuple[Float[np.ndarray, "4 4"], Misfit] | str:
+    """Mounting of a camera by the motion in its images; or in words why the drive does not show it.
+
+    Args:
+        guess: `body_from_camera`; its rotation may be off by some 40 degrees.
+
+    Returns:
+        `body_from_camera`, where the place is the guess's, and the misfit of the fit, whose scale is an angle [rad].
+    """
+    moving = [one for one in matches if _baseline(one, poses) > _BASELINE]
+    if len(moving) < LEAST_PAIRS:
+        return "too few pairs of its images share features while the vehicle moves"
+    results = []
+    for start in candidates(guess, moving, poses, np.random.default_rng(seed)):
+        # Linear near the candidate, so that a rotation of tens of degrees stays one.
+        mounting = turned(guess, start)
+
+        def compare(now: Parameters, at: Float[np.ndarray, "4 4"] = mounting) -> list[Pair]:
+            return [_compared(one, at, poses, now) for one in moving]
+
+        misfit = fit_misfit(compare, prior=_PRIOR, rounds=10)
+        if misfit is not None:
+            results.append((turned(mounting, misfit.parameters), misfit))
+    if not results:
+        return "too few pairs of its images share features while the vehicle moves"
+    return min(results, key=lambda one: _cost(moving, one[0], poses, one[1].parameters[3]))
+
+
+def median_angle(
+    matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float = 0.0
+) -> float:
+    """Median angle of matches from their epipolar planes [rad]; NaN without any."""
+    parameters = np.array([0.0, 0.0, 0.0, late])
+    angles = [epipolar_angles(one, mounting, poses, parameters) for one in matches]
+    return float(np.nanmedian(np.abs(np.concatenate(angles)))) if angles else np.nan
+
+
+def _compared(matches: Matches, mounting: Float[np.ndarray, "4 4"], poses: Poses, now: Parameters) -> Pair:
+    return differentiated(lambda p: epipolar_angles(matches, mounting, poses, p), now)
+
+
+def _cost(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float) -> float:
+    parameters = np.array([0.0, 0.0, 0.0, late])
+    angles = np.concatenate([epipolar_angles(one, mounting, poses, parameters) for one in matches])
+    return float(np.minimum(np.abs(angles[np.isfinite(angles)]), _TRUNCATED).mean())
+
+
+def _baseline(matches: Matches, poses: Poses) -> float:
+    place = poses.at(np.array(matches.times))[:, :3, 3]
+    distance = float(np.linalg.norm(place[1] - place[0]))
+    return distance if np.isfinite(distance) else 0.0

@@ -1,0 +1,190 @@
+"""Checks of the heading against the course: mirrored, in another unit, turned; or places with swapped axes."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.geometry import rotation_from_quaternion
+from offpiste.inspection.driven_path import STEP, Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import SURE, fit_lags, jackknife
+from offpiste.logs.drive import Drive
+from offpiste.logs.motion import heading
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.rig import Rig
+
+_TOGETHER: Final = 0.8
+"""Resultant of angles that agree: a circular spread of some 40 degrees."""
+_TURNED: Final = np.deg2rad(10.0)
+"""Least turn of the heading against the course that is reported [rad]."""
+_STRAIGHT: Final = 0.3
+"""Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
+_ONE_WAY: Final = 0.7
+"""Resultant of headings above which a vehicle drives to and fro in one direction."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the pose: edits of the rig, and how course and heading agree with them.
+
+    Attributes:
+        together: resultant of course minus heading while moving, from 0 to 1; backward counts as forward.
+        offset, offset_sigma: mean of course minus heading where the vehicle drives straight [rad].
+    """
+
+    edits: tuple[Edit, ...]
+    together: float
+    offset: float
+    offset_sigma: float
+
+
+def heading_fits(path: Path) -> bool:
+    """Whether the heading follows the course, so that turning and steering can be checked by it."""
+    moving = _moving(path)
+    if not moving.any():
+        return True
+    return _agreement(_course(path) - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
+
+
+def check_course(drive: Drive, path: Path) -> list[Finding]:
+    """Heading against the direction of travel."""
+    if _moving(path).sum() < 40:
+        return []
+    name = "yaw" if "yaw" in drive.channels else "orientation"
+    plain, *others = readings(drive, path)
+    if plain.together > _TOGETHER:
+        if abs(plain.offset) > _TURNED + SURE * plain.offset_sigma:
+            return [_turned(name, plain, drive.rig)]
+        return []
+    better = [other for other in others if other.together > max(_TOGETHER, plain.together + 0.1)]
+    better.sort(key=lambda other: (len(_with_offset(name, other, drive.rig)), -other.together))
+    cures = tuple(_with_offset(name, other, drive.rig) for other in better)
+    what = "the heading does not follow the course"
+    evidence = f"they agree to {plain.together:.2f} (1: always, 0: never)"
+    if not cures:
+        how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
+        return [Finding("warning", name, what, evidence, how, 1.0)]
+    evidence += f", and to {better[0].together:.2f} with the remedy"
+    return [Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)]
+
+
+def readings(drive: Drive, path: Path) -> Iterator[Reading]:
+    """All ways to read the pose that a rig can state, the present one first."""
+    moving = _moving(path)
+    straight = _straight(path, moving)
+    course = _course(path)
+    yaw = drive.rig.channels.get("yaw")
+    raw = heading(drive) if yaw is None else drive.channels["yaw"]
+    units: dict[str, float] = {"": 1.0}
+    if yaw is not None:
+        now = yaw.unit or "rad"
+        units |= {unit: unit_factor("yaw", unit) / unit_factor("yaw", now) for unit in ("rad", "deg") if unit != now}
+    for swap, sign, (unit, factor) in product((False, True), (1, -1) if yaw else (1,), units.items()):
+        # Degrees read as radians were unwrapped at the wrong turn: from the samples, not from the path.
+        turned = np.interp(path.time, raw.time, np.unwrap(sign * factor * raw.values[:, 0]))
+        edits = [Edit("channels.position.fields", _swapped(drive.rig))] if swap else []
+        edits += [Edit("channels.yaw.sign", -yaw.sign)] if yaw and sign < 0 else []
+        edits += [Edit("channels.yaw.unit", unit)] if unit else []
+        difference = (np.pi / 2 - course if swap else course) - turned
+        agreement = _agreement(difference, turned, moving, straight)
+        yield Reading(tuple(edits), agreement, *_offset(difference, straight))
+
+
+def _swapped(rig: Rig) -> list[str]:
+    x, y, *z = rig.channels["position"].fields
+    return [y, x, *z]
+
+
+def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
+    """The edits of a reading, and the one that takes its offset out."""
+    if abs(reading.offset) < _TURNED:
+        return reading.edits
+    source = rig.channels[name]
+    stated = {edit.key: edit.value for edit in reading.edits}
+    if name == "orientation":
+        per_unit = 1.0
+    else:
+        sign = stated.get("channels.yaw.sign", source.sign)
+        per_unit = sign * unit_factor("yaw", stated.get("channels.yaw.unit", source.unit))
+    half = np.pi / abs(per_unit)
+    turn = np.remainder(source.offset + reading.offset / per_unit + half, 2 * half) - half
+    return (*reading.edits, Edit(f"channels.{name}.offset", rounded(float(turn))))
+
+
+def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
+    evidence = f"{np.degrees(reading.offset):.0f} ± {np.degrees(reading.offset_sigma):.0f} degrees where it drives "
+    evidence += "straight"
+    cure = _with_offset(name, reading, rig)
+    how = ", ".join(map(str, cure))
+    backwards = abs(reading.offset) > np.radians(150)  # whether it reverses is known by what else follows from it
+    how += "; or it drives backwards" if backwards else ""
+    what = "the heading is turned against the course"
+    return Finding("warning", name, what, evidence, how, 0.8, (cure,), sure=not backwards)
+
+
+def leans_inward(drive: Drive, path: Path) -> bool:
+    """Whether the body surely leans into its curves, as no four-wheeled vehicle does: the axes may point down."""
+    if "orientation" not in drive.channels:
+        return False
+    orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
+    rotation = rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5))
+    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
+    aside = (path.forward * path.yaw_rate)[None]
+    fit = fit_lags(roll, np.ones((len(roll), 1)), aside, np.zeros(1), _moving(path))
+    return fit is not None and float(fit.r[0]) < -max(0.2, SURE * fit.r_sigma(0))
+
+
+def _moving(path: Path) -> Bool[np.ndarray, " n"]:
+    moving: np.ndarray = np.isfinite(path.yaw) & (path.speed > max(0.3, 0.3 * path.cruise))
+    return moving
+
+
+def _course(path: Path) -> Float[np.ndarray, " n"]:
+    """Direction of travel [rad]."""
+    return np.asarray(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
+
+
+def _straight(path: Path, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """The moving rows whose course turns least: a vehicle that slides or drifts there does so briefly."""
+    course = _course(path)
+    rows = 5
+    ahead, behind = np.roll(course, -rows), np.roll(course, rows)
+    rate = np.abs(np.angle(np.exp(1j * (ahead - behind)))) / (2 * rows * STEP)
+    rate[:rows] = rate[len(rate) - rows :] = np.inf
+    with np.errstate(invalid="ignore"):
+        limit = np.nanquantile(np.where(moving, rate, np.nan), _STRAIGHT)
+        return np.asarray(moving & (rate <= limit))
+
+
+def _agreement(
+    difference: Float[np.ndarray, " n"], yaw: Float[np.ndarray, " n"], moving: np.ndarray, straight: np.ndarray
+) -> float:
+    """How far course and heading agree: where it drives straight, if it does so in many directions, or else anywhere.
+
+    A vehicle that drifts goes elsewhere than it heads, but hardly where its course is straight.
+    """
+    overall = _together(difference[moving])
+    many = straight.sum() > 3 / STEP and _together(yaw[straight]) < _ONE_WAY
+    return max(overall, _together(difference[straight])) if many else overall
+
+
+def _together(difference: Float[np.ndarray, " n"]) -> float:
+    """Length of the mean of exp(i difference); backward stretches count as forward."""
+    return float(np.sqrt(np.abs(np.nanmean(np.exp(2j * difference)))))
+
+
+def _offset(difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"]) -> tuple[float, float]:
+    """Mean angle of some rows, and its standard deviation by a jackknife over blocks of 5 s [rad]."""
+    at = np.flatnonzero(rows & np.isfinite(difference))
+    if not len(at):
+        return 0.0, np.inf
+    turns = np.exp(1j * difference[at])
+    blocks = [turns[at // round(5 / STEP) == block].sum() for block in np.unique(at // round(5 / STEP))]
+    total = np.sum(blocks)
+    left_out = np.angle((total - np.array(blocks)) / total) if len(blocks) > 1 else np.zeros(1)
+    return float(np.angle(total)), jackknife(left_out)

@@ -1,0 +1,253 @@
+"""Channels of a first rig: which guesses it takes, with units, scales and signs by names and numbers."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import OffpisteError
+from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
+from offpiste.inspection.signals import find_wrap
+from offpiste.logs.log import Log
+from offpiste.rig.channels import Wrap, unit_factor
+from offpiste.rig.edits import number
+from offpiste.rig.labels import channel_unit
+
+_POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
+_VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
+_COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+_WIDEST: Final = 1.05
+"""Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
+
+
+_STEEPEST: Final = 1.4
+"""Largest `max_steer` that is drafted [rad]."""
+
+Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
+"""Guesses of channels of one number, and their values."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A channel of a first rig.
+
+    Attributes:
+        lines: TOML besides topic and fields.
+        comment: why it was chosen.
+        max_angle: of road wheels at a steering command of 1 [rad], where this channel says so; else 0.
+    """
+
+    guess: Guess
+    lines: tuple[str, ...]
+    comment: str
+    max_angle: float = 0.0
+
+
+def draft_channels(log: Log, frame: str) -> dict[str, Entry]:
+    """Entries by channel, the pose's first.
+
+    Args:
+        frame: of the linear velocity.
+    """
+    guesses = guess_channels(log)
+    entries = _pose(log, guesses, frame)
+    pose_topic = entries["position"].guess.topic if "position" in entries else ""
+    scalars: Scalars = {}
+    for guess in guesses:
+        channel = "steer" if guess.channel == "steer_angle" and _is_command(guess) else guess.channel
+        if channel in scalars or channel in (*entries, *_VECTORS):
+            continue
+        if channel == "yaw" and ("orientation" in entries or "position" not in entries):
+            continue
+        if channel == "yaw_rate" and "angular_velocity" in entries:
+            continue
+        if channel == "wheel_speed" and guess.rank > 1 and guess.topic != pose_topic:
+            continue
+        values = field_values(log, guess)
+        if values is not None and np.ptp(values) > 0:
+            scalars[channel] = guess, values[:, 0]
+    plain = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
+    return entries | plain | _signed_pedal(scalars) | _steering(scalars)
+
+
+def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
+    """Finite rows of a guess's fields, None where they cannot be read."""
+    try:
+        values = log.read(guess.topic, guess.fields).values
+    except OffpisteError:
+        return None
+    values = values[np.isfinite(values).all(axis=1)]
+    return values if len(values) > 1 else None
+
+
+def _pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
+    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log."""
+    best: dict[str, Guess] = {}
+    best_score = (0, 0)
+    channels_of = by_topic(guesses)
+    for topic in (name for name in log.topics if name in channels_of):
+        channels = channels_of[topic]
+        if "position" not in channels or not {"orientation", "yaw"} & set(channels):
+            continue
+        moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(field_values(log, g))}
+        score = (sum(c in _POSE for c in moving), log.topics[topic].count)
+        if "position" in moving and score > best_score:
+            best, best_score = moving, score
+    entries: dict[str, Entry] = {}
+    for channel in _POSE:
+        if channel not in best:
+            continue
+        guess = best[channel]
+        lines, comment = _unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"
+        if channel == "linear_velocity":
+            lines += (f'frame = "{frame}"',)
+            comment += "" if frame == "unknown" else "; frame by the pose"
+        elif channel == "angular_velocity":
+            lines, comment = (*lines, 'frame = "body"'), comment + "; frame as in REP 103"
+        elif channel == "yaw" and not guess.unit and (values := field_values(log, guess)) is not None:
+            lines += _degrees(values[:, 0])
+        entries[channel] = Entry(guess, lines, comment)
+    return entries
+
+
+def _unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
+    """The unit that the log states, where it is one of the channel's and not offpiste's own."""
+    unit = channel_unit(channel, guess.unit)
+    return (f'unit = "{unit}"',) if unit else ()
+
+
+def _degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
+    """The unit of an angle that no radians would be."""
+    return ('unit = "deg"',) if np.ptp(values) > 20 and np.abs(values).max() <= 361 else ()
+
+
+def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entry:
+    """Scale and wrap from the numbers: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
+    lines: list[str] = []
+    comment = "GUESSED by its name"
+    wrap = find_wrap(values)
+    if wrap is not None:
+        lines.append(f"wrap = {{ above = {number(wrap.above)}, period = {wrap.period} }}")
+        values = _unwrap(values, wrap)
+    low, high = np.percentile(values, (0.5, 99.5))
+    largest = max(-low, high)
+    stated = _unit_line(channel, guess)
+    if stated and (channel not in ("throttle", "brake", "steer") or largest > 1.05):
+        lines += stated
+        comment += " and unit"
+    elif channel in ("throttle", "brake") and not (low >= -0.05 and 0.05 < high <= 1.05):
+        scale = 1 / max(high - low, 1e-9)
+        lines += [f"scale = {number(scale)}", f"offset = {number(-low * scale)}", "clip = [0.0, 1.0]"]
+        comment += f"; scaled from {low:.4g}..{high:.4g} to 0..1"
+    elif channel == "steer" and largest > 1.05:
+        lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
+        comment += f"; scaled by its largest value, {largest:.4g}"
+    elif channel == "engine_rpm" and high > 20 and not guess.unit:
+        lines.append('unit = "rev/min"')
+    elif channel == "yaw" and not guess.unit:
+        lines += _degrees(values)
+    return Entry(guess, tuple(lines), comment)
+
+
+def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
+    """Throttle and brake where one column holds both, the brake below zero; nothing where it does not."""
+    if "throttle" not in scalars:
+        return {}
+    guess, values = scalars["throttle"]
+    if find_wrap(values) is not None or not is_signed(values):
+        return {}
+    low, high = np.percentile(values, (0.5, 99.5))
+    largest = max(-low, high)
+    scaled = _unit_line("throttle", guess) if largest > 1.05 else ()
+    if not scaled and largest > 1.05:
+        scaled = (f"scale = {number(1 / largest)}",)
+    comment = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g}: "
+    entries = {"throttle": Entry(guess, (*scaled, "clip = [0.0, 1.0]"), comment + "what is above zero")}
+    if "brake" not in scalars:
+        lines = (*scaled, "sign = -1", "clip = [0.0, 1.0]")
+        entries["brake"] = Entry(guess, lines, comment + "what is below zero brakes")
+    return entries
+
+
+def is_signed(values: Float[np.ndarray, " n"]) -> bool:
+    """Whether a pedal's numbers go both ways from zero: often near it, and not at rest at the lower end."""
+    low, high = np.percentile(values, (0.5, 99.5))
+    largest = max(-low, high)
+    if min(-low, high) < 0.05 * largest:
+        return False
+    near = float(np.mean(np.abs(values) <= 0.05 * largest))
+    at_low = float(np.mean(values <= low + 0.02 * largest))
+    evenly = 0.1 * largest / (high - low)
+    return bool(near >= evenly / 4 and at_low < 0.3)
+
+
+def _steering(scalars: Scalars) -> dict[str, Entry]:
+    """Commands and angles of the steering: an angle that is the only steering stands for its command, too."""
+    steer, angle = scalars.get("steer"), scalars.get("steer_angle")
+    if angle is not None and not _angle_factor(*angle):  # of the steering wheel
+        steer, angle = steer or angle, None
+    command = steer or angle
+    if command is None:
+        return {}
+    commanded = _angle_factor(*command) if _is_angle(command[0]) else 0.0
+    if commanded and angle is None and not _is_command(command[0]):
+        angle = steer
+    entries = {}
+    if commanded:
+        entries["steer"] = _from_angle(*command, commanded, measured=command is angle)
+    else:
+        entries["steer"] = _scalar("steer", *command)
+    if angle is not None:
+        factor = _angle_factor(*angle)
+        unit = channel_unit("steer_angle", angle[0].unit) if angle[0].unit else "deg" if factor != 1 else ""
+        lines = (f'unit = "{unit}"',) if unit else ()
+        entries["steer_angle"] = Entry(angle[0], lines, "GUESSED by its name and numbers: an angle of the road wheels")
+        if not commanded:
+            stated = _largest(angle[1]) * factor / min(_largest(command[1]), 1.0)
+            entries["steer"] = replace(
+                entries["steer"], max_angle=float(f"{stated:.4g}") if stated < _STEEPEST else 0.0
+            )
+    return entries
+
+
+def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:
+    """A steering command from an angle: 1 at its largest, which is the vehicle's `max_steer`."""
+    max_angle = float(f"{_largest(values) * factor:.4g}")
+    lines = (f"scale = {number(factor / max_angle)}", "clip = [-1.0, 1.0]")
+    comment = f"GUESSED: an angle over max_steer, {'1' if factor == 1 else f'{factor:.4g}'} / {max_angle:g}"
+    comment += "; no command is recorded, and the angle stands for it" if measured else ""
+    return Entry(guess, lines, comment, max_angle)
+
+
+def _is_angle(guess: Guess) -> bool:
+    return guess.channel == "steer_angle" or bool(guess.unit and channel_unit("steer_angle", guess.unit) is not None)
+
+
+def _is_command(guess: Guess) -> bool:
+    return any(_COMMANDED.search(name) for name in (guess.topic, *guess.fields))
+
+
+def _largest(values: Float[np.ndarray, " n"]) -> float:
+    """Largest absolute value, spikes left out."""
+    usual, largest = float(np.percentile(np.abs(values), 99)), float(np.abs(values).max())
+    return largest if largest < 1.2 * usual else usual
+
+
+def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
+    """Factor to radians of an angle of the road wheels; 0 where it is too large to be one."""
+    if guess.unit:
+        factors = [unit_factor("steer_angle", channel_unit("steer_angle", guess.unit) or "")]
+    else:
+        factors = [1.0, unit_factor("steer_angle", "deg")]
+    return next((factor for factor in factors if 0 < _largest(values) * factor <= _WIDEST), 0.0)
+
+
+def _unwrap(values: Float[np.ndarray, " n"], wrap: Wrap) -> Float[np.ndarray, " n"]:
+    return np.where(values > wrap.above, values - wrap.period, values)
+
+
+def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
+    return values is not None and bool(np.ptp(values, axis=0).max() > 0)

@@ -1,0 +1,73 @@
+"""Mass and wheel positions that a first rig makes up: recognised as such, and noted until they are measured."""
+
+from typing import Final
+
+import numpy as np
+
+from offpiste.errors import OffpisteError
+from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Finding
+from offpiste.logs.drive import drive_from_log
+from offpiste.logs.log import Log
+from offpiste.rig.rig import Rig, Vehicle
+
+MASS: Final = 1000.0
+"""Mass of a small car [kg]."""
+WHEELS: Final = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
+"""Its wheels, from its middle [m]."""
+GUESSED: Final = "GUESSED"
+"""What `vehicle.source` begins with until it names a source."""
+_WHEELBASES: Final = (0.05, 8.0)
+"""Wheelbases that a vehicle can have [m]."""
+_CLEAR: Final = 0.8
+"""Least correlation of the yaw rate with what speed and steering angle make of it."""
+
+
+def estimated_wheelbase(log: Log, rig: Rig) -> float:
+    """Wheelbase by yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses alone [m].
+
+    Returns:
+        0 where the rig has no steering angle, or the vehicle does not clearly follow it.
+    """
+    if "steer_angle" not in rig.channels:
+        return 0.0
+    try:
+        drive = drive_from_log(log, rig)
+        path = driven_path(drive)
+    except OffpisteError:
+        return 0.0
+    angle = drive.channels["steer_angle"].linear(path.time, max_gap=rig.clock.max_gap)[:, 0]
+    turning = path.forward * np.tan(angle)
+    rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
+    if rows.sum() < 40 or np.ptp(turning[rows]) == 0 or np.ptp(path.yaw_rate[rows]) == 0:
+        return 0.0
+    if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
+        return 0.0
+    wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
+    return wheelbase if _WHEELBASES[0] < wheelbase < _WHEELBASES[1] else 0.0
+
+
+def wheels_of(wheelbase: float) -> tuple[tuple[float, float], ...]:
+    """Wheels of a small car, scaled to a wheelbase [m]."""
+    scale = wheelbase / (WHEELS[0][0] - WHEELS[2][0])
+    return tuple((float(f"{x * scale:.3g}"), float(f"{y * scale:.3g}")) for x, y in WHEELS)
+
+
+def check_draft_values(rig: Rig) -> list[Finding]:
+    """A note while mass or wheel positions are those of a first rig: no log shows them, and models depend on them."""
+    vehicle = rig.vehicle
+    left = _left(vehicle)
+    if not left:
+        return []
+    evidence = f"{' and '.join(left)}; vehicle.source: {vehicle.source or 'none'}"
+    remedy = "measure them, correct [vehicle], and say in vehicle.source where the numbers come from"
+    return [Finding("note", "vehicle", "mass and wheel positions are still those of the draft", evidence, remedy, 0.5)]
+
+
+def _left(vehicle: Vehicle) -> list[str]:
+    """What may still be made up."""
+    guessed = vehicle.source.startswith(GUESSED)
+    as_drafted = not vehicle.source and vehicle.mass == MASS and vehicle.wheel_positions == WHEELS
+    if not guessed and not as_drafted:
+        return []
+    return [f"mass = {vehicle.mass:g} kg", f"a wheelbase of {vehicle.wheelbase:.3g} m"]

@@ -1,0 +1,101 @@
+"""All checks of a log's channels, as one rig reads them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from offpiste.errors import OffpisteError
+from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
+from offpiste.inspection.course import check_course
+from offpiste.inspection.driven_path import MOVING, Path, driven_path
+from offpiste.inspection.findings import Finding, is_fatal, ranked
+from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit
+from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
+from offpiste.inspection.stamps import check_spans
+from offpiste.logs.drive import drive_from_log
+from offpiste.logs.log import Log
+from offpiste.rig.channels import Clock
+from offpiste.rig.rig import Rig
+
+_LEAST_DRIVING = 6.0
+"""A window and its history take 5.2 s; less driving than this holds none to learn from [s]."""
+_LEAST_CRUISE = 0.2
+"""A log that never moves faster was not driven [m/s]."""
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What the checks found with one rig.
+
+    Attributes:
+        findings: the worst first.
+        recorded: the topics, as recorded.
+        path: the driven path; None where none can be estimated.
+    """
+
+    findings: tuple[Finding, ...]
+    recorded: dict[str, Recorded]
+    path: Path | None
+
+
+def examine(log: RememberedLog, rig: Rig | None, *, given: bool) -> Examination:
+    """Run every check of the channels.
+
+    Args:
+        rig: None where none could be drafted: then topics are checked only.
+        given: whether the rig is given, not drafted.
+    """
+    log = log.by(rig.clock) if rig else log
+    recorded, findings = read_topics(log, rig.clock if rig else Clock())
+    topics = Topics(recorded, rig, given=given)
+    if given:
+        findings = [f for f in findings if f.where in {name or "table" for name in topics.used}]
+    for check in TOPIC_CHECKS:
+        findings += check(topics)
+    path = None
+    if rig is not None and not is_fatal(findings):
+        more, path = _check_driving(log, topics, rig)
+        findings += more
+    return Examination(ranked(findings), recorded, path)
+
+
+def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], Path | None]:
+    """Findings on the pose, and on channels against the driven path; and the path, where there is one."""
+    pose = rig.channels["position"].topic
+    findings = check_spans(topics.inspected, pose, used=topics.given) if pose in topics.inspected else []
+    tilted = _check_orientation(topics.recorded, rig)
+    findings += tilted
+    try:
+        drive = drive_from_log(log, rig)
+        path = driven_path(drive)
+    except OffpisteError as error:
+        return [*findings, Finding("fatal", "log", error.what, "on reading it", error.how, 1.0)], None
+    unfit = check_position_unit(drive, path) or _check_amount(path)
+    if unfit:
+        return findings + unfit, path
+    origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
+    posed = check_pose(drive, path, origin) + check_course(drive, path)
+    findings += posed
+    if not is_fatal(tilted + posed):
+        motion = motion_of(topics, drive, path)
+        for check in MOTION_CHECKS:
+            findings += check(motion)
+    return findings, path
+
+
+def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
+    source = rig.channels.get("orientation")
+    if source is None or source.topic not in recorded or not set(source.fields) <= set(recorded[source.topic].fields):
+        return []
+    r = recorded[source.topic]
+    return check_orientation(r.values[:, [r.fields.index(field) for field in source.fields]], rig)
+
+
+def _check_amount(path: Path) -> list[Finding]:
+    """A finding if there is too little driving to learn from."""
+    if path.driving >= _LEAST_DRIVING and path.cruise >= _LEAST_CRUISE:
+        return []
+    evidence = f"{path.driving:.1f} s faster than {MOVING} m/s, {path.distance:.1f} m, 95 % of the speeds below "
+    evidence += f"{path.cruise:.2f} m/s"
+    what = "hardly moves" if path.driving < 1 else "is driven for too short a time"
+    return [Finding("fatal", "position", what, evidence, "record more driving, or fix channels.position", 1.0)]

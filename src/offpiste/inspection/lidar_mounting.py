@@ -1,0 +1,259 @@
+"""Estimate of a LiDAR's mounting from a rough guess: the ground levels it, the driven path turns it, a fit refines it.
+
+Roll and pitch: the ground around the vehicle is level in the body frame, on average over the drive. Yaw: scans taken
+some metres apart fall onto each other if, and only if, the mounting's heading fits the direction in which the poses
+move; the full circle is searched. From the best headings on, points are fitted to planes (`lidar.check_lidar`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from offpiste.inspection.lidar import check_lidar
+from offpiste.inspection.misfit import Misfit, turned
+from offpiste.inspection.sensor_samples import Grey, Scan, pairs
+from offpiste.logs.measurements import Lidar
+from offpiste.logs.poses import Poses
+
+GROUND: Final = np.deg2rad(1.0)
+"""Standard deviation of the ground's slope, seen from the body, from level: camber, load, springs [rad]."""
+_LEVEL: Final = np.cos(np.deg2rad(40.0))
+"""A plane that is steeper than this under the guess is not the ground."""
+_THICK: Final = 0.1
+"""Points this close to a plane belong to it [m]."""
+_AROUND: Final = 15.0
+"""Distance within which the ground is taken for a plane [m]."""
+_SHARE: Final = 0.25
+"""Share of the points around the vehicle that the ground has at least."""
+_PLANES: Final = 200
+"""Planes that are tried in a scan."""
+_PATH: Final = (2.0, 8.0)
+"""Distance driven between two scans that show the heading [m]."""
+_COUPLES: Final = 8
+"""Pairs of scans that show the heading."""
+_HEADINGS: Final = 72
+"""Headings that are tried, all around."""
+_STARTS: Final = 3
+"""Most headings from which the fit starts."""
+_DISTINCT: Final = 0.5
+"""Headings whose cost is above the least by this share of the way to the median are no candidates."""
+_TURNING: Final = np.deg2rad(3.0)
+"""Turn between the scans of a pair from which they show where the LiDAR is [rad]."""
+_HELD: Final = 0.1
+"""Share of its prior that roll keeps where the drive does not show it."""
+_TRUNCATED: Final = 1.0
+"""Distances beyond this count as this [m]."""
+_PRIOR: Final = np.array([GROUND, GROUND, np.deg2rad(30.0), 0.1, 0.5, 0.5])
+"""Standard deviations of the fit's prior: roll and pitch about level, yaw, delay, place x and y [rad, s, m]."""
+
+
+@dataclass(frozen=True)
+class LidarMounting:
+    """A LiDAR's mounting as estimated.
+
+    Attributes:
+        body_from_lidar: z of its place is the guess's.
+        misfit: of the fit's last step: its sigma is that of roll, pitch, yaw [rad], delay [s], x and y [m].
+        runner_up: residual of the best other heading over that of the chosen one; infinite where there is none.
+        tilt: median angle between the scans' ground and its mean [rad]; NaN where no ground was found.
+    """
+
+    body_from_lidar: Float[np.ndarray, "4 4"]
+    misfit: Misfit
+    runner_up: float
+    tilt: float
+
+
+def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> LidarMounting | str:
+    """Mounting of a LiDAR from a rough guess; or in words why the drive does not show it.
+
+    Args:
+        lidar: with the guess: its up should be right to some 30 degrees; its heading does not matter.
+        scans: without points of the vehicle itself, which the guess may not tell from others (`beyond`).
+    """
+    rng = np.random.default_rng(seed)
+    normals = [n for scan in scans[:: max(1, len(scans) // 30)] if (n := ground(scan, lidar, rng)) is not None]
+    level, tilt = (
+        (_levelled(lidar, np.array(normals)), _scatter(np.array(normals))) if len(normals) >= 5 else (lidar, np.nan)
+    )
+    couples = _couples(scans, poses)
+    if len(couples) < 3:
+        return "the vehicle hardly moves while it measures: its heading is not observable"
+    fitted = [_fitted(level, heading, scans, poses) for heading in headings(level, scans, couples, poses, rng)]
+    results = sorted((one for one in fitted if one is not None), key=lambda one: one[1].scale)
+    if not results:
+        return "too few of its points lie on planes that two scans share"
+    (start, _), *others = results
+    apart = [m.scale for s, m in others if _between(s, start) > np.deg2rad(10)]
+    # About the levelled mounting at the found heading, so that the prior holds level what the drive does not show.
+    upright = _headed(level, start)
+    misfit = _refined(upright, scans, poses, GROUND if np.isfinite(tilt) else np.deg2rad(30.0))
+    if misfit is None:
+        return "too few of its points lie on planes that two scans share"
+    return LidarMounting(
+        turned(upright.body_from_lidar, misfit.parameters), misfit, min(apart, default=np.inf) / misfit.scale, tilt
+    )
+
+
+def ground(scan: Scan, lidar: Lidar, rng: np.random.Generator) -> Float[np.ndarray, " 3"] | None:
+    """Normal of the ground around a LiDAR in its own frame, upwards under the guess; None where there is no plane.
+
+    The plane with most points among those through three points at random (RANSAC, Fischler and Bolles, 1981), then
+    their principal axes.
+    """
+    points = scan.points[np.linalg.norm(scan.points, axis=1) < _AROUND]
+    if len(points) < 200:
+        return None
+    points = points[rng.permutation(len(points))[:3000]]
+    corner = points[rng.integers(0, len(points), (_PLANES, 3))]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    up = lidar.body_from_lidar[2, :3]
+    normal *= np.sign(normal @ up)[:, None]
+    offset = np.einsum("ni,ni->n", normal, corner[:, 0])
+    # Level under the guess, and below the sensor.
+    possible = (normal @ up > _LEVEL) & (offset < -0.2)
+    if not possible.any():
+        return None
+    normal, offset = normal[possible], offset[possible]
+    votes = (np.abs(points @ normal.T - offset) < _THICK).sum(axis=0)
+    best = int(votes.argmax())
+    if votes[best] < _SHARE * len(points):
+        return None
+    inside = points[np.abs(points @ normal[best] - offset[best]) < 2 * _THICK]
+    axis = np.linalg.eigh(np.cov(inside.T))[1][:, 0]
+    return np.asarray(axis * np.sign(axis @ up))
+
+
+def headings(
+    lidar: Lidar,
+    scans: Sequence[Scan],
+    couples: Sequence[tuple[int, int]],
+    poses: Poses,
+    rng: np.random.Generator,
+) -> list[float]:
+    """Yaws by which a levelled LiDAR should be turned, the likeliest first, at most `_STARTS` [rad]."""
+    chosen = {i: rng.permutation(len(scans[i].points))[:600] for i, _ in couples}
+    thinned = {j: rng.permutation(len(scans[j].points))[:5000] for _, j in couples}
+    tried = np.linspace(-np.pi, np.pi, _HEADINGS, endpoint=False)
+    cost = np.zeros(_HEADINGS)
+    for k, yaw in enumerate(tried):
+        parameters = np.array([0.0, 0.0, yaw, 0.0])
+        for i, j in couples:
+            there = scans[j].in_world(lidar.body_from_lidar, poses, parameters, thinned[j])
+            here = scans[i].in_world(lidar.body_from_lidar, poses, parameters, chosen[i])
+            there, here = (points[np.isfinite(points).all(axis=1)] for points in (there, here))
+            if len(there) and len(here):
+                distance, _ = cKDTree(there).query(here, distance_upper_bound=_TRUNCATED)
+                cost[k] += float(np.minimum(distance, _TRUNCATED).mean())
+    lowest = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
+    floor, ceiling = float(cost.min()), float(np.median(cost))
+    lowest = lowest[cost[lowest] < floor + _DISTINCT * (ceiling - floor)]
+    return [float(tried[k]) for k in lowest[np.argsort(cost[lowest])][:_STARTS]]
+
+
+def _fitted(
+    level: Lidar, yaw: float, scans: Sequence[Scan], poses: Poses
+) -> tuple[Float[np.ndarray, "4 4"], Misfit] | None:
+    """A first fit on few pairs from a heading: the mounting, and its misfit."""
+    start = turned(level.body_from_lidar, np.array([0.0, 0.0, yaw, 0.0]))
+    few = [_thinned(scan) for scan in _some(scans)]
+    misfit = check_lidar(replace(level, body_from_lidar=start), few, poses, prior=_PRIOR[:4], rounds=4)
+    return None if misfit is None else (turned(start, misfit.parameters), misfit)
+
+
+def _refined(upright: Lidar, scans: Sequence[Scan], poses: Poses, known: float) -> Misfit | None:
+    """The last fit, of all pairs: the place as well where the vehicle turns; without turns, roll is that of the ground.
+
+    Args:
+        known: standard deviation of roll and pitch beforehand [rad].
+    """
+    prior = np.concatenate(([known, known], _PRIOR[2:]))
+    if mean_turn(poses, scans) > _TURNING:
+        first = check_lidar(upright, scans, poses, prior=prior[:4])
+        start = None if first is None else np.append(first.parameters, [0.0, 0.0])
+        return None if first is None else check_lidar(upright, scans, poses, prior=prior, start=start)
+    # A wrong roll moves scans against each other by roll times turn: below the errors of the poses.
+    prior[0] *= _HELD
+    misfit = check_lidar(upright, scans, poses, prior=prior[:4])
+    return None if misfit is None else replace(misfit, sigma=np.append(known, misfit.sigma[1:]))
+
+
+def mean_turn(poses: Poses, measured: Sequence[Scan] | Sequence[Grey]) -> float:
+    """Root mean square of the vehicle's turn between the measurements of pairs [rad]; 0 without pairs."""
+    times = [one.time for one in measured]
+    couples = np.array(list(pairs(times))).reshape(-1, 2)
+    pose = poses.at(np.array(times))[:, :3, :3]
+    cosine = (np.einsum("nij,nij->n", pose[couples[:, 0]], pose[couples[:, 1]]) - 1) / 2
+    angle = np.arccos(np.clip(cosine[np.isfinite(cosine)], -1, 1))
+    return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
+
+
+def _thinned(scan: Scan, count: int = 6000) -> Scan:
+    every = max(1, len(scan.points) // count)
+    return replace(scan, which=scan.which[::every], points=scan.points[::every])
+
+
+def _some(scans: Sequence[Scan], count: int = 8) -> list[Scan]:
+    """Scans of pairs that are spread over the drive."""
+    couples = list(pairs([scan.time for scan in scans]))
+    kept = {k for i, j in couples[:: max(1, len(couples) // count)] for k in (i, j)}
+    return [scans[k] for k in sorted(kept)]
+
+
+def _couples(scans: Sequence[Scan], poses: Poses) -> list[tuple[int, int]]:
+    """Pairs of scans between which the vehicle has driven some metres, spread over the drive."""
+    if not scans:
+        return []
+    place = poses.at(np.array([scan.time for scan in scans]))[:, :2, 3]
+    result = []
+    for i in range(len(scans)):
+        distance = np.linalg.norm(place[i + 1 : i + 6] - place[i], axis=1)
+        fits = np.flatnonzero((distance > _PATH[0]) & (distance < _PATH[1]))
+        if len(fits):
+            result.append((i, i + 1 + int(fits[-1])))
+    return result[:: max(1, len(result) // _COUPLES)][:_COUPLES]
+
+
+def _levelled(lidar: Lidar, normals: Float[np.ndarray, "n 3"]) -> Lidar:
+    """The guess, turned by the least angle that makes the ground level."""
+    up = lidar.body_from_lidar[:3, :3] @ _middle(normals)
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    turn = axis / max(sine, 1e-12) * np.arctan2(sine, up[2])
+    return replace(lidar, body_from_lidar=turned(lidar.body_from_lidar, np.append(turn, 0.0)))
+
+
+def _middle(normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
+    """Direction with the least sum of distances, nearly: the mean of the half that is nearest to the median."""
+    median = np.median(normals, axis=0)
+    near = np.argsort(np.linalg.norm(normals - median, axis=1))[: max(3, len(normals) // 2)]
+    middle = normals[near].mean(axis=0)
+    return np.asarray(middle / np.linalg.norm(middle))
+
+
+def _scatter(normals: Float[np.ndarray, "n 3"]) -> float:
+    return float(np.median(np.arccos(np.clip(normals @ _middle(normals), -1, 1))))
+
+
+def _headed(level: Lidar, mounting: Float[np.ndarray, "4 4"]) -> Lidar:
+    """A levelled LiDAR, turned about the vertical to look as a mounting does."""
+    relative = Rotation.from_matrix(mounting[:3, :3] @ level.body_from_lidar[:3, :3].T)
+    yaw = relative.as_euler("ZYX")[0]
+    return replace(level, body_from_lidar=turned(level.body_from_lidar, np.array([0.0, 0.0, yaw, 0.0])))
+
+
+def _between(one: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]) -> float:
+    """Angle between two mountings [rad]."""
+    return float(Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude())
+
+
+def beyond(scan: Scan, near: float) -> Scan:
+    """A scan without the points nearer than this [m]."""
+    kept = np.linalg.norm(scan.points, axis=1) > near
+    return replace(scan, which=scan.which[kept], points=scan.points[kept])

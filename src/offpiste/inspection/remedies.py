@@ -1,0 +1,158 @@
+"""Which cure explains most: every cure is applied in memory and the log examined again before it is advised.
+
+Findings propose edits of the rig; a few more are tried that no single finding shows (swapped columns, a whole topic
+that is late). The one that leaves least is taken, the findings that it silences count as of the same cause, and the
+search continues with the cured rig. A cure that does not help, or after which something is worse, is not advised.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+from offpiste.errors import OffpisteError
+from offpiste.inspection.findings import Finding, ranked
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import Rig
+
+Examine = Callable[[Rig], tuple[Finding, ...]]
+"""Findings of a log as a rig reads it."""
+Cure = tuple[Edit, ...]
+
+_WEIGHTS: Final = {"fatal": 100.0, "warning": 1.0, "note": 0.05}
+_PER_EDIT: Final = 0.1
+"""One thing more that is wrong must pay by silencing this much."""
+_LEAST_GAIN: Final = 0.4
+"""A cure must silence this much to be advised."""
+_ROUNDS: Final = 6
+_MOST: Final = 16
+"""Most cures that are tried in a round."""
+
+
+def explain(findings: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Finding, ...]:
+    """Findings by their causes, in the order in which to cure them.
+
+    Args:
+        examine: findings with another rig.
+
+    Returns:
+        For each cause its worst finding, with the cure that was applied and checked as its remedy, and what else it
+        silences; then what is left, without cures that were tried in vain. Findings that show only once others are
+        cured are among them.
+    """
+    left, current = tuple(findings), rig
+    causes: list[Finding] = []
+    for _ in range(_ROUNDS):
+        best = _best_cure(left, current, examine)
+        if best is None:
+            break
+        cure, after = best
+        causes.append(_cause(cure, left, after))
+        left, current = after, edited(current, cure)
+    kept = ranked(_checked(finding, left, current, examine) for finding in left)
+    # What makes a log unusable and has no cure comes first.
+    fatal = [finding for finding in kept if finding.severity == "fatal"]
+    return (*fatal, *causes, *(finding for finding in kept if finding.severity != "fatal"))
+
+
+def badness(findings: Sequence[Finding]) -> float:
+    """How bad findings are together."""
+    return sum((_WEIGHTS[f.severity] * (1 + (f.score if f.severity == "warning" else 0)) for f in findings), 0.0)
+
+
+def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cure, tuple[Finding, ...]] | None:
+    """The cure after which least is left, and what is; None where none is worth it."""
+    serious = [finding for finding in left if finding.severity != "note"]
+    if not serious:
+        return None
+    best, least = None, badness(left) - _LEAST_GAIN
+    for cure in _distinct(serious, rig):
+        try:
+            after = examine(edited(rig, cure))
+        except OffpisteError:
+            continue  # an edit that this rig does not allow
+        remains = badness(after) + _PER_EDIT * _size(cure, rig)
+        if remains < least - 1e-9:
+            best, least = (cure, after), remains
+    return best
+
+
+def _size(cure: Cure, rig: Rig) -> int:
+    """Number of things that a cure says are wrong: entries, of which one kind for all channels of a topic is one."""
+    things = set()
+    for edit in cure:
+        table, _, entry = edit.key.rpartition(".")
+        channel = rig.channels.get(table.removeprefix("channels."))
+        things.add((table if channel is None else channel.topic, entry))
+    return len(things)
+
+
+def _distinct(findings: Sequence[Finding], rig: Rig) -> list[Cure]:
+    """Cures to try, the findings' own first."""
+    cures = dict.fromkeys(cure for finding in findings for cure in finding.cures)
+    cures |= dict.fromkeys(_hypotheses(findings, rig))
+    return [*cures][:_MOST]
+
+
+def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
+    """Causes that no single finding shows."""
+    delays = [e for f in findings for cure in f.cures[:1] for e in cure if e.key.endswith(".delay")]
+    if len(delays) > 1:
+        yield tuple(delays)
+        shifts = [float(e.value) - rig.channels[e.key.split(".")[1]].delay for e in delays]
+        topic = rig.channels["position"].topic
+        pose = [n for n, source in rig.channels.items() if n in ("orientation", "yaw") or source.topic == topic]
+        if all(shift < 0 for shift in shifts) or all(shift > 0 for shift in shifts):
+            middle = sorted(shifts)[len(shifts) // 2]
+            yield tuple(Edit(f"channels.{n}.delay", round(rig.channels[n].delay - middle, 2)) for n in pose)
+    places = {finding.where.split(" ")[0] for finding in findings}
+    position = rig.channels["position"]
+    if places & {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}:
+        x, y, *z = position.fields
+        yield (Edit("channels.position.fields", [y, x, *z]),)
+    if {"throttle", "brake"} <= places and {"throttle", "brake"} <= set(rig.channels):
+        yield _swapped("throttle", "brake", rig)
+
+
+def _swapped(one: str, other: str, rig: Rig) -> Cure:
+    """The edits that exchange where two channels come from."""
+    first, second = rig.channels[one], rig.channels[other]
+    return tuple(
+        Edit(f"channels.{name}.{key}", value)
+        for name, source in ((one, second), (other, first))
+        for key, value in (("topic", source.topic), ("fields", list(source.fields)))
+    )
+
+
+def _cause(cure: Cure, before: Sequence[Finding], after: Sequence[Finding]) -> Finding:
+    """The worst of the findings that a cure silences, the one that proposed it if that is as bad, with the others."""
+    gone = [f for f in before if (f.where, f.what) not in {(g.where, g.what) for g in after} and f.severity != "note"]
+    own = [f for f in before if cure in f.cures]
+    worst = ranked(gone or own)[0] if gone or own else before[0]
+    head = next((f for f in own if f.severity == worst.severity), worst)
+    also = tuple(f"{f.where} {f.what}" for f in gone if f is not head)
+    tail = head.remedy.partition("; ")[2] if head.cures[:1] == (cure,) else ""
+    remedy = ", ".join(map(str, cure)) + (f"; {tail}" if tail else "")
+    return replace(head, remedy=remedy, cures=(cure,), also=also)
+
+
+def _checked(finding: Finding, left: Sequence[Finding], rig: Rig, examine: Examine) -> Finding:
+    """A finding without those of its cures after which something is worse; a note if it was not sure without one."""
+    harmless = tuple(cure for cure in finding.cures if not _harms(cure, left, rig, examine))
+    if harmless == finding.cures:
+        return finding
+    if harmless:
+        return replace(finding, remedy=", ".join(map(str, harmless[0])), cures=harmless)
+    how = "no entry of the rig is sure to cure it: look at the data around it, or leave the channel out"
+    severity = finding.severity if finding.sure else "note"
+    return replace(finding, severity=severity, remedy=how, cures=())
+
+
+def _harms(cure: Cure, left: Sequence[Finding], rig: Rig, examine: Examine) -> bool:
+    """Whether a cure makes things worse, or leaves what a warning proposed it for."""
+    try:
+        after = examine(edited(rig, cure))
+    except OffpisteError:
+        return True
+    before, now = (badness([f for f in each if f.severity != "note"]) for each in (left, after))
+    wanted = any(cure in f.cures and f.severity != "note" for f in left)
+    return now > before - (_LEAST_GAIN if wanted else 0.0)

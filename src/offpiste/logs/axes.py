@@ -1,0 +1,36 @@
+"""Poses and velocities of logs whose z points down, turned to z up: half a turn about the x axis of world or body."""
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.rig.channels import ChannelSource
+
+_HALF_TURN = np.array([1.0, -1.0, -1.0])
+
+
+def to_z_up(name: str, source: ChannelSource, values: Float[np.ndarray, "n k"], axes: str) -> Float[np.ndarray, "n k"]:
+    """Values of a channel in a world and a body whose z axes point up.
+
+    Args:
+        axes: as the rig's `motion.axes` says them: "body down", "world down" or "ned"; "z up" changes nothing.
+    """
+    world, body = axes in ("world down", "ned"), axes in ("body down", "ned")
+    if name == "orientation":
+        return _turned(values, world=world, body=body)
+    if name in ("yaw", "yaw_rate"):
+        return -values if world else values
+    in_world = name == "position" or (name in ("linear_velocity", "angular_velocity") and source.frame == "world")
+    in_body = name in ("linear_velocity", "angular_velocity") and source.frame == "body"
+    if (in_world and world) or (in_body and body):
+        return values * _HALF_TURN[: values.shape[1]]
+    return values
+
+
+def _turned(quaternion: Float[np.ndarray, "n 4"], *, world: bool, body: bool) -> Float[np.ndarray, "n 4"]:
+    """Orientations xyzw with i multiplied from the left (world) and from the right (body)."""
+    x, y, z, w = quaternion.T
+    if world:
+        x, y, z, w = w, -z, y, -x
+    if body:
+        x, y, z, w = w, z, -y, -x
+    return np.stack((x, y, z, w), axis=1)

@@ -1,0 +1,50 @@
+"""Opening a log of any format."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+
+from offpiste.errors import LogError
+from offpiste.logs.log import LOG_FORMATS, Log
+from offpiste.rig.channels import Clock
+
+_LISTED = 5
+"""How many logs of a folder a message names."""
+
+
+def _logs_in(folder: Path, formats: Sequence[type[Log]]) -> list[Path]:
+    """Logs of any format directly in a folder."""
+    inside = sorted(path for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
+    return [path for path in inside if any(kind.recognises(path) for kind in formats)]
+
+
+def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
+    """Open a recorded drive of any registered format.
+
+    Args:
+        path: file or folder; a message lists the formats when none fits.
+        clock: time column of a table and its unit; without one the column is guessed.
+
+    Raises:
+        LogError: no such path, unknown format, or a file that cannot be read.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise LogError("no such file or folder", where=path)
+    formats = [kind for _, kind in sorted(LOG_FORMATS.items())]
+    # Formats from outside come first, and bags last: a folder of another format may hold a bag as well.
+    shipped = [kind for kind in formats if kind.__module__.startswith("offpiste.")]
+    for kind in (*(kind for kind in formats if kind not in shipped), *reversed(shipped)):
+        if kind.recognises(path):
+            return kind.open(path, clock or Clock())
+    inside = _logs_in(path, formats)
+    if inside:
+        more = f" and {len(inside) - _LISTED} more" if len(inside) > _LISTED else ""
+        names = ", ".join(log.name for log in inside[:_LISTED])
+        raise LogError(
+            f"a folder of logs: {names}{more}",
+            where=path,
+            how=f"give one of them: offpiste inspect {quote(str(inside[0]))}",
+        )
+    how = f"give {', '.join(kind.description for kind in formats)}"
+    raise LogError("no known log format", where=path, how=how)

@@ -1,0 +1,165 @@
+"""Faults of a drive's pose: runs of samples that no vehicle makes, which are dropped, and jumps that last."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from offpiste.logs.channel import Channel
+from offpiste.logs.plausibility import Plausible, plausible_headings, plausible_positions
+
+POSE: Final = ("position", "orientation", "yaw")
+"""Channels whose samples are compared with what a vehicle can do."""
+_NAMED: Final = 3
+"""Runs that a note names."""
+
+
+@dataclass(frozen=True)
+class DroppedRun:
+    """Neighbouring samples of a channel that no vehicle makes, and that were dropped.
+
+    Attributes:
+        first, last: their numbers in the log, from 0.
+        start, end: their stamps [s].
+        after, until: stamps of the samples before and after them that were kept [s]; infinite where there is none.
+        since: from the channel's first sample to `start` [s].
+        off: how far the worst one lies from where the vehicle was [m or rad].
+    """
+
+    channel: str
+    first: int
+    last: int
+    start: float
+    end: float
+    after: float
+    until: float
+    since: float
+    off: float
+
+
+@dataclass(frozen=True)
+class PoseJump:
+    """A step of the pose that no vehicle makes and that lasts, as where SLAM or GPS corrects it.
+
+    Attributes:
+        sample: number in the log of the first sample after it, from 0.
+        time: its stamp [s].
+        since: from the channel's first sample [s].
+    """
+
+    channel: str
+    sample: int
+    time: float
+    since: float
+
+
+@dataclass(frozen=True)
+class PoseFaults:
+    """What is implausible about a drive's pose.
+
+    Attributes:
+        dropped: runs of samples that were dropped.
+        jumps: that remain.
+        hopeless: channels of which so much is implausible that nothing was dropped.
+    """
+
+    dropped: tuple[DroppedRun, ...] = ()
+    jumps: tuple[PoseJump, ...] = ()
+    hopeless: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> list[str]:
+        """What was dropped, a line for each channel."""
+        lines = []
+        for name in dict.fromkeys(run.channel for run in self.dropped):
+            runs = [run for run in self.dropped if run.channel == name]
+            named = ", ".join(_words(run) for run in runs[:_NAMED])
+            more = f" and {len(runs) - _NAMED} more runs" if len(runs) > _NAMED else ""
+            lines.append(f"{name}: {named}{more} off the path of any vehicle; dropped")
+        for name in self.hopeless:
+            lines.append(f"{name}: moves as no vehicle does for most of the drive; nothing was dropped")
+        return lines
+
+    def touched(self, at: Float[np.ndarray, " N"], memory: float) -> Bool[np.ndarray, " N"]:
+        """Moments at which someone who remembers the last `memory` seconds would have read a dropped sample."""
+        result = np.zeros(len(at), bool)
+        for run in self.dropped:
+            result |= (at >= run.start) & (at < run.until + memory)
+        return result
+
+    def unknown(self) -> Float[np.ndarray, "u 2"]:
+        """Last kept sample before and first after each dropped run: between them the pose is not known [s]."""
+        return np.array([(run.after, run.until) for run in self.dropped]).reshape(-1, 2)
+
+
+def without_faults(
+    channels: Mapping[str, Channel], numbers: Mapping[str, Int[np.ndarray, " n"]]
+) -> tuple[dict[str, Channel], PoseFaults]:
+    """Channels without the samples of the pose that no vehicle makes, and what was found.
+
+    The whole drive is used: which samples are corrupt is known after the fact only. What must not depend on the future
+    reads `PoseFaults.touched`.
+
+    Args:
+        numbers: of each channel's samples in the log.
+    """
+    result, dropped, jumps, hopeless = dict(channels), [], [], []
+    for name in POSE:
+        if name not in channels:
+            continue
+        channel = channels[name]
+        plausible = plausible_positions if name == "position" else plausible_headings
+        found = plausible(channel.time, channel.values)
+        hopeless += [name] * found.hopeless
+        if not found.keep.all():
+            result[name] = replace(channel, time=channel.time[found.keep], values=channel.values[found.keep])
+            dropped += _runs(channel, numbers[name], found)
+        origin = float(channel.time[0])
+        for at in found.jumps:
+            time = float(channel.time[at])
+            jumps.append(PoseJump(name, int(numbers[name][at]), time, time - origin))
+    return result, PoseFaults(tuple(dropped), tuple(jumps), tuple(hopeless))
+
+
+def _runs(channel: Channel, numbers: Int[np.ndarray, " n"], found: Plausible) -> list[DroppedRun]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([True], found.keep, [True])).astype(int)))
+    time = np.concatenate(([-np.inf], channel.time, [np.inf]))
+    return [
+        DroppedRun(
+            channel.name,
+            int(numbers[first]),
+            int(numbers[end - 1]),
+            float(channel.time[first]),
+            float(channel.time[end - 1]),
+            float(time[first]),
+            float(time[end + 1]),
+            float(channel.time[first] - channel.time[0]),
+            _off(channel, first, end),
+        )
+        for first, end in edges.reshape(-1, 2).tolist()
+    ]
+
+
+def _off(channel: Channel, first: int, end: int) -> float:
+    """Largest distance of a run from the nearer of the samples around it."""
+    away = []
+    for beside in (first - 1, end):
+        if 0 <= beside < len(channel.values):
+            apart = channel.values[first:end] - channel.values[beside]
+            if channel.name == "yaw":
+                apart = (apart + np.pi) % (2 * np.pi) - np.pi
+            elif channel.name == "orientation":
+                cosine = np.abs(channel.values[first:end] @ channel.values[beside])
+                apart = 2 * np.arccos(np.clip(cosine, 0, 1))[:, None]
+            away.append(np.linalg.norm(apart, axis=1))
+    return float(np.min(away, axis=0).max())
+
+
+def _words(run: DroppedRun) -> str:
+    unit = "m" if run.channel == "position" else "rad"
+    end = run.since + run.end - run.start
+    if run.first == run.last:
+        return f"sample {run.first} ({run.since:.2f} s) lies {run.off:.3g} {unit}"
+    return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) lie {run.off:.3g} {unit}"

@@ -1,0 +1,300 @@
+"""Numbers and stamps of all topics of an indexed MCAP file in one pass, without decoding message by message.
+
+Each chunk is decompressed once. Its message index says where messages begin; those of a topic whose layout stays the
+same (no text or sequence changes its length) are read as columns of a byte matrix. Of images and clouds nothing is
+read but the stamp. Whatever does not fit is left to the plain reader, `BagLog._messages`, which is the reference.
+"""
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from rosbags.interfaces import Connection, Nodetype
+from rosbags.rosbag2 import Reader as Rosbag2
+from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
+from rosbags.typesys.store import Typestore
+
+from offpiste.errors import LogError
+from offpiste.logs.ros.bag_files import field_getter, reported, typestore_of
+
+_LARGEST: Final = 4096
+"""Messages that are longer have no numbers that are kept: images, clouds, maps [bytes]."""
+_ENTRIES: Final = 8
+"""Arrays with more entries (covariances) are not kept; they are read again where they are asked for."""
+_AHEAD: Final = 4
+"""Chunks that are decompressed at the same time."""
+_HEAD: Final = 31
+"""Bytes of a message record before its data: opcode, length, channel, sequence, two times."""
+_TYPES: Final = {
+    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
+    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of a message are, as long as texts and sequences keep their lengths.
+
+    Attributes:
+        size: of the message [bytes].
+        lengths: place and value of every length of a text or sequence.
+        fields: place and type of every number that is kept, by its path.
+    """
+
+    size: int
+    lengths: tuple[tuple[int, int], ...]
+    fields: dict[str, tuple[int, str]]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Numbers of a topic in the order of arrival.
+
+    Attributes:
+        arrival, stamp: by the recorder's clock, and by the header, 0 where it has none [ns].
+        fields, values: one column each; none for messages that are long or change their layout.
+    """
+
+    arrival: Int[np.ndarray, " n"]
+    stamp: Int[np.ndarray, " n"]
+    fields: tuple[str, ...]
+    values: Float[np.ndarray, "n k"]
+
+    def seconds(self, stamps: str) -> Float[np.ndarray, " n"]:
+        """Times by "header" or "receive" [s], rounded as `stamp_of` does."""
+        chosen = np.where(self.stamp != 0, self.stamp, self.arrival) if stamps == "header" else self.arrival
+        return np.array([time / 10**9 for time in chosen.tolist()])
+
+
+@dataclass
+class _Topic:
+    """What is gathered of a connection while chunks go by."""
+
+    store: Typestore
+    msgtype: str
+    headed: bool
+    layout: Layout | None = None
+    regular: bool = True
+    arrival: list[np.ndarray] = field(default_factory=list)
+    stamp: list[np.ndarray] = field(default_factory=list)
+    values: list[np.ndarray] = field(default_factory=list)
+
+
+def columns_of(reader: object, path: Path) -> dict[int, Columns]:
+    """Columns by a connection's id of an opened file; none for formats other than MCAP, and for damaged files."""
+    files = [reader.storage] if isinstance(reader, Rosbag2) else []
+    if not files or not isinstance(files[0], McapReader):
+        return {}
+    try:
+        with reported(path, "cannot be read by columns"):
+            return read_columns(files[0], files[0].connections, lambda connection: typestore_of(connection, path))
+    except LogError:  # damage is the plain reader's to name, and to read around
+        return {}
+
+
+def read_columns(
+    reader: McapReader, connections: Sequence[Connection], store_of: Callable[[Connection], Typestore]
+) -> dict[int, Columns]:
+    """Columns by a connection's id; connections that cannot be read so are left out.
+    On a damaged file errors of rosbags, lz4 and zstd pass through; the plain reader names the place.
+    """
+    topics = {c.id: topic for c in connections if (topic := _topic(c, store_of)) is not None}
+    if not reader.chunks or not topics:
+        return {}
+    for chunk, data in _chunks(reader.path, sorted(reader.chunks, key=lambda one: one.chunk_start_offset)):
+        for channel, index in chunk.items():
+            if channel in topics:
+                _gather(topics[channel], data, index)
+    result = {}
+    for connection in connections:
+        topic = topics.get(connection.id)
+        if topic is not None and topic.arrival and sum(map(len, topic.arrival)) == connection.msgcount:
+            result[connection.id] = _joined(topic)
+    return result
+
+
+def _topic(connection: Connection, store_of: Callable[[Connection], Typestore]) -> _Topic | None:
+    if getattr(connection.ext, "serialization_format", "") != "cdr":
+        return None
+    try:
+        store = store_of(connection)
+        fields = store.get_msgdef(connection.msgtype).fields
+    except LogError:  # the plain reader says what is wrong with a definition
+        return None
+    names = [name for name, _ in fields]
+    headed = bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
+    if "header" in names and not (headed and names[0] == "header"):
+        return None
+    return _Topic(store, connection.msgtype, headed)
+
+
+_Index = dict[int, Int[np.ndarray, "_ 2"]]
+
+
+def _chunks(path: Any, chunks: Sequence[ChunkInfo]) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
+    """Message index and content of every chunk, some decompressed ahead by threads."""
+    with Path(str(path)).open("rb") as file, ThreadPoolExecutor(2) as pool:
+
+        def load(chunk: ChunkInfo) -> tuple[_Index, Any]:
+            file.seek(chunk.chunk_start_offset)
+            record = file.read(chunk.chunk_length + chunk.message_index_length)
+            index = _message_index(memoryview(record)[chunk.chunk_length :])
+            return index, pool.submit(_content, record, chunk)
+
+        waiting = iter(chunks)
+        ahead = [load(chunk) for chunk in islice(waiting, _AHEAD)]
+        while ahead:
+            index, content = ahead.pop(0)
+            data = content.result()
+            ahead += [load(chunk) for chunk in islice(waiting, 1)]
+            yield index, data
+
+
+def _content(record: bytes, chunk: ChunkInfo) -> UInt8[np.ndarray, " n"]:
+    (crc,) = struct.unpack_from("<I", record, 9 + 24)
+    begin = 9 + 40 + len(chunk.compression)
+    packed = record[begin : begin + chunk.compressed_size]
+    return np.frombuffer(decompress(packed, chunk.compression, chunk.uncompressed_size, crc), np.uint8)
+
+
+def _message_index(records: memoryview) -> _Index:
+    """Time of arrival [ns] and place in the chunk of the messages of each channel, in the order of arrival."""
+    result: _Index = {}
+    at = 0
+    while at + 9 <= len(records):
+        opcode, length = struct.unpack_from("<BQ", records, at)
+        if opcode == 0x07:
+            channel, size = struct.unpack_from("<HI", records, at + 9)
+            entries = np.frombuffer(records[at + 15 : at + 15 + size], "<i8").reshape(-1, 2)
+            if len(entries):
+                result[channel] = entries[np.lexsort((entries[:, 1], entries[:, 0]))]
+        at += 9 + length
+    return result
+
+
+def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray, "m 2"]) -> None:
+    begin = index[:, 1] + _HEAD
+    size = _numbers(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
+    topic.arrival.append(index[:, 0].copy())
+    head = _rows(data, begin, 12) if topic.headed else None
+    if head is not None and (size.min() < 12 or not (head[:, 1] == 1).all()):
+        raise ValueError("messages without a little-endian header")
+    topic.stamp.append(np.zeros(len(index), np.int64) if head is None else _stamps(head))
+    if not topic.regular:
+        return
+    if topic.layout is None:
+        first = data[begin[0] : begin[0] + size[0]].tobytes()
+        topic.layout = None if len(first) > _LARGEST else layout(topic.store, topic.msgtype, first)
+    known = topic.layout
+    topic.regular = known is not None and bool((size == known.size).all())
+    if known is None or not topic.regular:
+        return
+    rows = _rows(data, begin, known.size)
+    topic.regular = all((_numbers(rows, at, "u4") == value).all() for at, value in known.lengths)
+    if not topic.regular:
+        return
+    topic.values.append(np.zeros((len(rows), len(known.fields))))
+    for column, (at, kind) in zip(topic.values[-1].T, known.fields.values(), strict=True):
+        column[:] = _numbers(rows, at, kind)
+
+
+def _joined(topic: _Topic) -> Columns:
+    arrival, stamp = np.concatenate(topic.arrival), np.concatenate(topic.stamp)
+    order = np.argsort(arrival, kind="stable")
+    fields = tuple(topic.layout.fields) if topic.regular and topic.layout is not None else ()
+    values = np.concatenate(topic.values) if fields else np.zeros((len(arrival), 0))
+    if not (np.diff(order) == 1).all():
+        arrival, stamp, values = arrival[order], stamp[order], values[order]
+    return Columns(arrival, stamp, fields, values)
+
+
+def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int) -> UInt8[np.ndarray, "m k"]:
+    return np.asarray(data[begin[:, None] + np.arange(size)])
+
+
+def _numbers(rows: UInt8[np.ndarray, "m k"], at: int, kind: str) -> np.ndarray:
+    width = int(kind[1])
+    return np.ascontiguousarray(rows[:, at : at + width]).view(f"<{kind}")[:, 0]
+
+
+def _stamps(head: UInt8[np.ndarray, "m k"]) -> Int[np.ndarray, " m"]:
+    seconds, rest = _numbers(head, 4, "i4").astype(np.int64), _numbers(head, 8, "u4").astype(np.int64)
+    return seconds * 10**9 + rest
+
+
+def layout(store: Typestore, msgtype: str, raw: bytes) -> Layout | None:
+    """Layout of a topic by its first message in CDR; None where it is not what the plain decoder reads."""
+    if len(raw) < 4 or raw[1] != 1:
+        return None
+    walk = _Walk(raw)
+    try:
+        with reported(Path(), "no layout"):
+            _walk(store, msgtype, walk, "")
+            message = store.deserialize_cdr(raw, msgtype)
+        fields = {path: place for path, place in walk.fields.items() if place is not None}
+        row = np.frombuffer(raw, np.uint8)[None]
+        for path, (at, kind) in fields.items():
+            if not np.array_equal(_numbers(row, at, kind)[0], field_getter(path)(message), equal_nan=True):
+                return None
+    except LogError:  # whatever is damaged or unusual is the plain decoder's
+        return None
+    return Layout(len(raw), tuple(walk.lengths), fields)
+
+
+@dataclass
+class _Walk:
+    raw: bytes
+    at: int = 4
+    lengths: list[tuple[int, int]] = field(default_factory=list)
+    fields: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def align(self, width: int) -> None:
+        self.at += -(self.at - 4) % width
+
+    def length(self) -> int:
+        self.align(4)
+        (value,) = struct.unpack_from("<I", self.raw, self.at)
+        self.lengths.append((self.at, value))
+        self.at += 4
+        return int(value)
+
+    def number(self, kind: str, path: str) -> None:
+        width = int(kind[1])
+        self.align(width)
+        if path:
+            self.fields[path] = self.at, kind
+        self.at += width
+
+
+def _walk(store: Typestore, msgtype: str, walk: _Walk, prefix: str | None) -> None:
+    """Move along a message; a `prefix` of None keeps no field."""
+    entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
+    for name, (kind, detail) in entries:
+        path = None if prefix is None else prefix + name
+        if kind in (Nodetype.BASE, Nodetype.NAME):
+            _one(store, kind, detail, walk, path)
+            continue
+        (inner, element), size = detail
+        count = size if kind == Nodetype.ARRAY else walk.length()
+        if count > _LARGEST:
+            raise ValueError("too long")
+        for k in range(count):
+            kept = inner == Nodetype.BASE and path is not None and count <= _ENTRIES
+            _one(store, inner, element, walk, f"{path}[{k}]" if kept else None)
+
+
+def _one(store: Typestore, kind: Nodetype, detail: Any, walk: _Walk, path: str | None) -> None:
+    if kind == Nodetype.NAME:
+        header = detail == "std_msgs/msg/Header"
+        _walk(store, detail, walk, None if path is None or header else f"{path}.")
+    elif detail[0] == "string":
+        length = walk.length()
+        walk.at += length
+    else:
+        walk.number(_TYPES[detail[0]], path or "")

@@ -1,0 +1,159 @@
+"""Edits of a rig by the paths of its entries: what a cure of a log changes."""
+
+from collections.abc import MutableMapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import InlineTable, Item, Table, Whitespace
+
+from offpiste.errors import RigError
+from offpiste.rig.rig import Rig, check_rig, parse_rig
+
+
+@dataclass(frozen=True)
+class Edit:
+    """One entry of a rig, set or removed.
+
+    Attributes:
+        key: the entry's path, e.g. "channels.steer.sign".
+        value: as TOML holds it; None removes the entry.
+    """
+
+    key: str
+    value: Any
+
+    def __hash__(self) -> int:
+        """By what it says: values may be lists."""
+        return hash(str(self))
+
+    def __str__(self) -> str:
+        """The edit as a line that a person can type: `channels.steer.sign = -1`, `remove channels.yaw_rate`."""
+        return f"remove {self.key}" if self.value is None else f"{self.key} = {toml_value(self.value)}"
+
+
+def edited(rig: Rig, edits: Sequence[Edit]) -> Rig:
+    """The rig with some entries set or removed.
+
+    Raises:
+        RigError: the edited rig is not one that could be read from a file.
+    """
+    entries = msgspec.to_builtins(rig)
+    for edit in edits:
+        *tables, last = edit.key.split(".")
+        table = entries
+        for name in tables:
+            table[name] = dict(table.get(name) or {})
+            table = table[name]
+        if edit.value is None:
+            table.pop(last, None)
+        else:
+            table[last] = edit.value
+    try:
+        changed = msgspec.convert(entries, type=Rig)
+    except msgspec.ValidationError as error:
+        raise RigError(str(error), where=rig.name, how=f"not a possible edit: {', '.join(map(str, edits))}") from error
+    check_rig(changed)
+    return changed
+
+
+def absent(channel: str, rig: Rig) -> tuple[Edit, ...]:
+    """The edits that take a channel out of a rig and declare it absent."""
+    return Edit(f"channels.{channel}", None), Edit("absent", [*rig.absent, channel])
+
+
+def rounded(value: float) -> float:
+    """A number of four digits: a rig line needs no more."""
+    return float(f"{value:.4g}")
+
+
+def edited_text(text: str, edits: Sequence[Edit]) -> str:
+    """The text of a rig with some entries set or removed; comments and the order of the rest stay as they are.
+
+    Raises:
+        RigError: the text is not TOML, or the edited one is no rig.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except TOMLKitError as error:
+        raise RigError(f"not valid TOML: {error}", how="fix the line that is named") from error
+    for edit in edits:
+        *tables, last = edit.key.split(".")
+        table: MutableMapping[str, Any] = document
+        for name in tables:
+            if not isinstance(table.get(name), MutableMapping):
+                # Only entries of tables in one line are in one line.
+                _set(table, name, tomlkit.inline_table() if isinstance(table, InlineTable) else tomlkit.table())
+            table = table[name]
+        if edit.value is not None:
+            _set(table, last, _item(edit.value, inline=len(tables) != 1))
+        elif last in table:
+            _remove(table, last)
+    changed = document.as_string()
+    parse_rig(changed, where="the edited rig")
+    return changed
+
+
+def _item(value: Any, *, inline: bool) -> Item:
+    """A value as a node of a document; a dictionary is a table of its own, or one in one line."""
+    if not isinstance(value, dict):
+        return tomlkit.item(list(value) if isinstance(value, tuple) else value)
+    table: InlineTable | Table = tomlkit.inline_table() if inline else tomlkit.table()
+    for key, entry in value.items():
+        table.append(key, _item(entry, inline=True))
+    return table
+
+
+def _set(table: MutableMapping[str, Any], key: str, item: Item) -> None:
+    """Set an entry; a new one comes before the blank lines and comments that lead to the next table."""
+    if key in table or not isinstance(table, Table):
+        table[key] = item
+        return
+    end = _end(table)
+    tail = _without_tail(end)
+    if isinstance(item, Table):
+        end.append((None, Whitespace("\n")))
+    table.append(key, item)
+    (item if isinstance(item, Table) else table).value.body.extend(tail)
+
+
+def _remove(table: MutableMapping[str, Any], key: str) -> None:
+    """Remove an entry; the comments that follow a table lead to the next one, and stay."""
+    body = table.value.body if isinstance(table, Table) else getattr(table, "body", [])
+    number = next((n for n, (name, _) in enumerate(body) if name is not None and name.key == key), 0)
+    before = [item for _, item in body[:number] if isinstance(item, Table)]
+    if isinstance(table[key], Table) and before:
+        _end(before[-1]).extend(_without_tail(_end(table[key])))
+    del table[key]
+
+
+def _end(table: Table) -> list[tuple[Any, Item]]:
+    """What a table ends with: its own entries, or those of the last table in it."""
+    inner = [child for _, child in table.value.body if isinstance(child, Table)]
+    return _end(inner[-1]) if inner else table.value.body
+
+
+def _without_tail(body: list[tuple[Any, Item]]) -> list[tuple[Any, Item]]:
+    """Remove what follows a table's entries from its first blank line on; returns it."""
+    entries = max((number for number, (key, _) in enumerate(body, start=1) if key is not None), default=0)
+    blank = (number for number in range(entries, len(body)) if isinstance(body[number][1], Whitespace))
+    first = next(blank, len(body))
+    tail, body[first:] = body[first:], []
+    return tail
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it: texts, numbers, booleans, lists, and tables in one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml_value(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(entry) for entry in value) + "]"
+    return msgspec.json.encode(value, enc_hook=lambda number: number.item()).decode()  # of NumPy
+
+
+def number(value: float) -> str:
+    """A number as a rig line takes it: four digits, always a float."""
+    text = f"{value:.4g}"
+    return text if any(c in text for c in ".en") else f"{text}.0"

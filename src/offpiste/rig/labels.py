@@ -1,0 +1,112 @@
+"""Labels of columns and fields: the name and the unit in `x(m)`, `vx [m/s]`, `steer_deg`, `speedKmh`, `time_us`."""
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from offpiste.errors import RigError
+from offpiste.rig.channels import known_channels, unit_factor
+
+SECONDS: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Units of time per second."""
+
+_SPELLINGS: Final[dict[str, str]] = {
+    "s": "s sec secs second seconds",
+    "ms": "ms msec msecs millis millisecond milliseconds",
+    "us": "us µs μs usec usecs micros microsecond microseconds",
+    "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
+    "m": "m meter meters metre metres",
+    "cm": "cm",
+    "mm": "mm",
+    "ft": "ft feet",
+    "rad": "rad rads radian radians",
+    "deg": "deg degs degree degrees ° º",
+    "mrad": "mrad",
+    "m/s": "m/s m_s mps m/sec m*s^-1 m·s-1 ms-1 ms^-1 m.s-1",
+    "km/h": "km/h km_h kmh kph kmph",
+    "mph": "mph",
+    "kn": "kn knot knots kts",
+    "rad/s": "rad/s rad_s radps rad/sec rad*s^-1 rad.s-1",
+    "deg/s": "deg/s deg_s degps dps deg/sec °/s º/s",
+    "rev/min": "rev/min rpm 1/min",
+    "percent": "percent pct %",
+    "permille": "permille ‰",
+    "1": "1 - none unitless",
+}
+"""Units as rigs take them, and how logs spell them."""
+_OTHERS: Final = (
+    "m/s^2 m/s2 m/s² m/s/s m_s2 mps2 g rad/s^2 rad/s2 rad/s² deg/s^2 n nm n*m v mv a ma w pa kpa bar psi c °c hz"
+)
+"""Units of what no channel holds."""
+
+_UNITS: Final = {spelling: unit for unit, all_of in _SPELLINGS.items() for spelling in all_of.split()}
+_BRACKETED: Final = {**_UNITS, **{unit: unit for unit in _OTHERS.split()}}
+_AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {"m_s2": "m/s2", "mps2": "m/s2"}
+_BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
+_WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
+_SUFFIX: Final = re.compile(
+    r"^(.*?[^\W_])(?:[_\s-]+("
+    + "|".join(re.escape(s) for s in sorted(_AFTER, key=len, reverse=True))
+    + r")|\s*([%‰°º]))$"
+)
+_NAMES: Final = {"rpm"}
+"""Units that name a quantity by themselves, and stay a part of its name."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """What a column's header says.
+
+    Attributes:
+        name: without the unit, in lower case, words joined by `_` where they were by a capital: `posX` is `pos_x`.
+        unit: as rigs take it, e.g. "deg", "km/h" or, of time, "us"; "" where the header says none.
+    """
+
+    name: str
+    unit: str = ""
+
+
+def parse_label(header: str) -> Label:
+    """Name and unit of a column or field; brackets that hold no known unit stay a part of the name."""
+    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", header.strip()).lower()
+    # `x[m]`, then `x / m` and `x, m`, then `x_m`.
+    if (match := _BRACKET.match(text)) and match[1]:
+        name, inside = match[1], next(group for group in match.groups()[1:] if group is not None)
+        if (unit := unit_of(inside)) is not None:
+            return Label(name.strip(" /,"), unit)
+    if (match := _WORDED.match(text)) and (unit := unit_of(match[2])) is not None:
+        return Label(match[1].strip(), unit)
+    if match := _SUFFIX.match(text):
+        spelling = match[2] or match[3]
+        return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
+    return Label(text)
+
+
+def is_array_entry(field: str) -> bool:
+    """Whether a field is an entry of an array, `data[3]`; a bracket with a unit is none."""
+    return re.search(r"\[\d+\]$", field) is not None
+
+
+def unit_of(text: str) -> str | None:
+    """The unit that a cell or a bracket names, as rigs take it; None where it is no unit, "" where it is empty."""
+    spelled = re.sub(r"\s+", "", text.strip().strip("[](){}").lower())
+    if spelled in ("", "1", "-", "none", "unitless"):
+        return ""
+    return _BRACKETED.get(spelled)
+
+
+def channel_unit(channel: str, unit: str) -> str | None:
+    """What a rig says of a unit for a channel: "" for offpiste's own, None where the unit does not measure it."""
+    own = known_channels()[channel][0]
+    if unit == "ms" and own == "m/s":
+        unit = "m/s"  # as in `speed_ms`
+    try:
+        unit_factor(channel, unit)
+    except RigError:
+        return None
+    return "" if unit == own else unit
+
+
+def time_unit(unit: str) -> str:
+    """A unit of time as a clock takes it; "" for any other."""
+    return unit if unit in SECONDS else ""

@@ -1,0 +1,110 @@
+"""Whether a run may be evaluated on a dataset: one that it has not seen, with the features and channels it reads."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset
+from offpiste.dynamics import Dynamics
+from offpiste.errors import RunError
+from offpiste.shipped import PREFIX, named
+from offpiste.training.build import vehicle_of
+
+
+@runtime_checkable
+class TrainedRun(Protocol):
+    """What is compared with a dataset: a part of `training.run.Run`."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it was read from."""
+        ...
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """The model."""
+        ...
+
+    @property
+    def pca(self) -> str | None:
+        """Digest of the PCA whose features it reads."""
+        ...
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Names of the features that it reads."""
+        ...
+
+    @property
+    def seen(self) -> tuple[tuple[str, float, float], ...]:
+        """Drives and their stretches that it was trained or chosen on [s]."""
+        ...
+
+
+def refuse_seen(run: TrainedRun, dataset: Dataset, part: str) -> None:
+    """Raise if a part of a dataset holds moments that the run was trained or chosen on.
+
+    Raises:
+        RunError: names the drive and the overlap.
+    """
+    number = PARTS.index(part)
+    for drive in dataset.drives:
+        evaluated = drive.rows.time[drive.part == number]
+        for name, first, last in run.seen:
+            if name == drive.name and np.any((evaluated >= first) & (evaluated <= last)):
+                raise RunError(
+                    f"was trained on {last - first:.0f} s of the {part} part of drive '{name}'",
+                    where=run.folder,
+                    how="evaluate it on the dataset and split it was trained with, or on another drive",
+                )
+
+
+def _extracted_with(run: TrainedRun) -> str:
+    """The option of `extract` that gives the features that a run reads."""
+    if run.pca is None:
+        return "the same --features"
+    name = named(run.folder)
+    return f"--pca {name.rpartition('/')[0]}" if name.startswith(PREFIX) else "--pca and the PCA of its training"
+
+
+def refuse_unfit(run: TrainedRun, dataset: Dataset) -> None:
+    """Raise if a run's features or channels are not those of a dataset.
+
+    Raises:
+        RunError: says what it was trained with.
+    """
+    needed, given = run.dynamics.vehicle, vehicle_of(dataset)
+    reads = run.dynamics.encoder is not None
+    if reads and needed.features != given.features:
+        raise RunError(
+            f"reads {needed.features} terrain features; the dataset has {given.features}",
+            where=named(run.folder),
+            how=f"use a dataset that was extracted with {_extracted_with(run)}",
+        )
+    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
+        raise RunError(
+            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
+            where=named(run.folder),
+            how="evaluate it on a dataset that was extracted with the PCA of its training",
+        )
+    if reads and run.features and run.features != dataset.features:
+        raise RunError(
+            f"reads the terrain features {_listed(run.features)}; the dataset has {_listed(dataset.features)}",
+            where=named(run.folder),
+            how="evaluate it on a dataset with the same",
+        )
+    for kind in ("control", "actuators"):
+        if getattr(needed, kind) != getattr(given, kind):
+            raise RunError(
+                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
+                f"{', '.join(getattr(given, kind)) or 'none'}",
+                where=named(run.folder),
+                how="evaluate it on a dataset whose rig has the same channels",
+            )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")

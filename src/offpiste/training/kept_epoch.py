@@ -1,0 +1,52 @@
+"""The epoch that a stage of training keeps, and what to doubt about it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+FEW_WINDOWS: Final = 200
+"""Validation windows below which the choice of an epoch is a matter of chance: 200 overlapping ones are some 10 s."""
+
+
+@dataclass(frozen=True)
+class KeptEpoch:
+    """The epoch of the least validation loss.
+
+    Attributes:
+        epoch: its number from 1; 0: the weights that the stage began with. None of runs that did not note it.
+        epochs: of the stage.
+        validation_loss: of that epoch; None of runs that did not note it.
+    """
+
+    epoch: int | None
+    epochs: int
+    validation_loss: float | None
+
+    @classmethod
+    def of(cls, about: dict[str, Any], epochs: int) -> "KeptEpoch":
+        """From what a stage's file says beside its weights."""
+        epoch, loss = about.get("kept_epoch"), about.get("validation_loss")
+        return cls(None if epoch is None else int(epoch), epochs, None if loss is None else float(loss))
+
+    def about(self) -> dict[str, Any]:
+        """What a stage's file says beside its weights."""
+        return {"validation_loss": self.validation_loss, "kept_epoch": self.epoch}
+
+    def line(self, stage: str) -> str:
+        """In words."""
+        loss = "validation not noted" if self.validation_loss is None else f"validation {self.validation_loss:.4f}"
+        if self.epoch is None:
+            return f"{stage}: kept its best epoch, {loss}"
+        if self.epoch == 0:
+            return f"{stage}: kept the weights that it began with, {loss}: no epoch of {self.epochs} was better"
+        return f"{stage}: kept epoch {self.epoch} of {self.epochs}, {loss}"
+
+    def doubts(self, stage: str) -> Iterator[str]:
+        """What speaks against it."""
+        if self.epoch == self.epochs > 1:
+            yield f"{stage}: the kept epoch is the last one: it may not have converged; train again with more epochs"
+        elif self.epoch == 1 and self.epochs > 1:
+            yield (
+                f"{stage}: the kept epoch is the first one: validation may be unlike training, or the learning rate "
+                "too high"
+            )

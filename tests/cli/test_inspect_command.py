@@ -1,0 +1,63 @@
+"""`offpiste inspect` names the command that comes next, and writes rigs to edit."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from test_draft_tables import POSE, written
+
+from offpiste.cli import main
+from offpiste.rig.rig import rig_text
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    columns = {**POSE, "throttle": ("pedal", 1.0), "delta": ("angle", 1.0)}
+    return str(written(tmp_path / "first drive.csv", columns))
+
+
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as exit_:
+        main(list(words))
+    return int(exit_.value.code or 0)
+
+
+def test_each_command_leads_to_the_next(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    my, dataset = str(tmp_path / "my.toml"), str(tmp_path / "dataset.zarr")
+    commands = [["inspect", log]]
+    for expected in (["--write-rig", "my.toml"], ["--rig", my], ["--rig", my, "--out", "dataset.zarr"]):
+        assert run(*commands[-1]) == 0
+        following = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: "))
+        assert following[0] == "offpiste"
+        assert following[2:] == [log, *expected]
+        commands.append([{"my.toml": my, "dataset.zarr": dataset}.get(word, word) for word in following[1:]])
+    assert run(*commands[-1]) == 0
+    assert Path(dataset).is_dir()
+
+
+def test_json_is_nothing_but_json(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("inspect", log, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["usable"]
+
+
+def test_a_given_rig_is_written_with_its_comments(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    old, new = tmp_path / "old.toml", tmp_path / "new.toml"
+    run("inspect", log, "--write-rig", str(old))
+    old.write_text("# ours\n" + old.read_text("utf-8"), "utf-8")
+    assert run("inspect", log, "--rig", str(old), "--write-rig", str(new)) == 0
+    assert new.read_text("utf-8") == old.read_text("utf-8")
+    assert capsys.readouterr().out.splitlines()[-1].endswith(f"--rig {new}")
+    assert run("inspect", log, "--rig", str(old), "--write-rig", str(new)) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert rig_text("dart").startswith("# DART")
+
+
+def test_a_folder_of_logs_names_them(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(6):
+        (tmp_path / f"drive {number}.csv").write_bytes(Path(log).read_bytes())
+    assert run("inspect", str(tmp_path)) == 1
+    error = capsys.readouterr().err
+    assert "a folder of logs: drive 0.csv, drive 1.csv" in error
+    assert "and 2 more" in error
+    assert error.rstrip().endswith(f"offpiste inspect {shlex.quote(str(tmp_path / 'drive 0.csv'))}")

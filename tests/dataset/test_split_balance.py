@@ -1,0 +1,90 @@
+"""Parts of a split are compared: a part that stands or has few windows is complained of, and a better split exists."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import ks_2samp
+
+from factories import circle_rows, small_rig
+from offpiste.dataset.resample import Rows
+from offpiste.dataset.split_balance import apart, better_split, complaints, part_facts, split_warning
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, StoredDrive
+
+
+def at_speed(speed: np.ndarray, turning: np.ndarray | None = None) -> Rows:
+    """A drive with these speeds [m/s] and turn rates [rad/s]."""
+    rows = circle_rows(len(speed), seed=0)
+    state = np.zeros_like(rows.state)
+    state[:, 3], state[:, 5] = speed, 0 if turning is None else turning
+    state[:, 0] = np.cumsum(speed) * 0.02
+    return replace(rows, state=state, state_causal=state.copy(), valid=np.ones(len(speed), bool))
+
+
+def dataset(rows: Rows, split: str = "blocks:0.7,0.1,0.2") -> Dataset:
+    parsed = parse_split(split)
+    part = parsed.label("drive", rows.state[:, :2] + rows.origin)
+    return Dataset(Path("memory"), small_rig(), parsed, (StoredDrive("drive", rows, part, ()),))
+
+
+def wandering(count: int, seed: int = 0) -> np.ndarray:
+    return 5 + 2 * np.sin(np.arange(count) * 0.02 / 7 + np.random.default_rng(seed).uniform(0, 6))
+
+
+def test_parts_that_drive_alike_are_fine() -> None:
+    assert split_warning(dataset(at_speed(wandering(20000)))) is None
+
+
+def test_parts_that_stand_still_are_complained_of_and_interleaved_blocks_are_proposed() -> None:
+    speed = wandering(30000)
+    speed[21000:] = np.where(np.arange(9000) % 3000 < 400, 3.0, 0.0)
+    data = dataset(at_speed(speed))
+    line = split_warning(data) or ""
+    assert "validation drives at a median of 0.0 m/s, train at" in line
+    assert "; better: --split " in line
+    proposed = line.split("--split ")[1].split(" ")[0]
+    assert split_warning(data.relabelled(parse_split(proposed))) is None
+
+
+def test_the_best_of_the_candidates_is_the_most_alike() -> None:
+    speed = wandering(60000)
+    speed[42000:] = 0.0
+    data = dataset(at_speed(speed))
+    better = better_split(data)
+    assert better is not None
+    split, facts = better
+    assert split.kind in ("blocks", "fold")
+    assert not list(complaints(facts))
+
+
+def test_a_drive_that_stands_nearly_always_has_no_better_split() -> None:
+    speed = np.zeros(20000)
+    speed[:1500] = 5.0
+    line = split_warning(dataset(at_speed(speed))) or ""
+    assert "validation has 0 windows above 1.5 m/s" in line
+    assert line.endswith("; record more driving, or give --split drives:FILE")
+
+
+def test_turning_in_one_part_only_is_complained_of() -> None:
+    turning = np.where(np.arange(20000) < 14000, 0.4 * np.sin(np.arange(20000) / 300), 0.0)
+    said = list(complaints(part_facts(dataset(at_speed(wandering(20000), turning)))))
+    assert [line.split(" turns")[0] for line in said] == ["validation", "test"]
+
+
+def test_a_part_that_the_split_leaves_out_or_that_has_no_row_is_not_compared() -> None:
+    rows = at_speed(wandering(20000))
+    assert [part.name for part in part_facts(dataset(rows, "blocks:0.8,0,0.2"))] == ["train", "test"]
+    assert split_warning(dataset(at_speed(wandering(900)))) is None
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_the_distance_is_that_of_kolmogorov_and_smirnov(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one, other = (np.sort(rng.normal(rng.uniform(0, 2), 1, int(rng.integers(1, 50))).round(1)) for _ in range(2))
+    assert apart(one, other) == pytest.approx(ks_2samp(one, other).statistic)
+    assert apart(one, np.zeros(0)) == 1.0

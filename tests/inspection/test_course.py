@@ -1,0 +1,67 @@
+"""Headings against courses: turned, drifting, mirrored; the lean of the body."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.course import check_course, heading_fits, leans_inward
+from offpiste.inspection.driven_path import driven_path
+from offpiste.logs.drive import drive_from_log
+from offpiste.rig.edits import Edit, edited
+
+CLEAN = drive_log(seconds=60)
+
+
+def _turned(angle: np.ndarray | float, log: MemoryLog = CLEAN, *, roll: np.ndarray | float = 0.0) -> MemoryLog:
+    """The log with its heading turned by an angle, and the body rolled by another [rad]."""
+    _, odom = log.data["odom"]
+    yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) + angle
+    roll = np.broadcast_to(roll, yaw.shape)
+    columns = {
+        "qx": np.cos(yaw / 2) * np.sin(roll / 2),
+        "qy": np.sin(yaw / 2) * np.sin(roll / 2),
+        "qz": np.sin(yaw / 2) * np.cos(roll / 2),
+        "qw": np.cos(yaw / 2) * np.cos(roll / 2),
+    }
+    for field, values in columns.items():
+        log = log.change("odom", field, lambda _, values=values: values)
+    return log
+
+
+@pytest.mark.parametrize("degrees", [25.0, -90.0, 140.0])
+def test_a_turned_heading_is_turned_back(degrees: float) -> None:
+    log = _turned(np.radians(degrees))
+    drive = drive_from_log(log, rig())
+    (finding,) = check_course(drive, driven_path(drive))
+    ((edit,),) = finding.cures
+    assert edit.key == "channels.orientation.offset"
+    assert edit.value == pytest.approx(-np.radians(degrees), abs=0.03)
+    cured = drive_from_log(log, edited(rig(), [edit]))
+    assert check_course(cured, driven_path(cured)) == []
+
+
+def test_a_drift_in_the_curves_is_no_fault() -> None:
+    path = driven_path(drive_from_log(CLEAN, rig()))
+    rate = np.interp(CLEAN.data["odom"][0], path.time, np.nan_to_num(path.yaw_rate))
+    drifting = drive_from_log(_turned(np.clip(3.0 * rate, -1.2, 1.2)), rig())
+    assert heading_fits(driven_path(drifting))
+    assert check_course(drifting, driven_path(drifting)) == []
+
+
+def test_bodies_lean_out_of_their_curves() -> None:
+    path = driven_path(drive_from_log(CLEAN, rig()))
+    aside = np.interp(CLEAN.data["odom"][0], path.time, np.nan_to_num(path.forward * path.yaw_rate))
+    outward, inward = (drive_from_log(_turned(0.0, roll=sign * 0.03 * aside), rig()) for sign in (1, -1))
+    assert not leans_inward(outward, driven_path(outward))
+    assert leans_inward(inward, driven_path(inward))
+
+
+def test_poses_of_north_east_down_are_recognised_by_the_lean() -> None:
+    path = driven_path(drive_from_log(CLEAN, rig()))
+    aside = np.interp(CLEAN.data["odom"][0], path.time, np.nan_to_num(path.forward * path.yaw_rate))
+    log = _turned(0.0, roll=0.03 * aside)
+    for field in ("y", "z", "qy", "qz", "vy", "vz", "wy", "wz"):
+        log = log.change("odom", field, np.negative)
+    from offpiste.inspection.inspect import inspect_log
+
+    assert Edit("motion.axes", "ned") in inspect_log(log, rig()).cure

@@ -1,0 +1,229 @@
+"""First rigs of tables that nobody has seen: headers with units, short names, signed pedals, steering angles."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.errors import LogError
+from offpiste.inspection.draft_channels import is_signed
+from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.draft_sensors import missing
+from offpiste.inspection.draft_values import check_draft_values
+from offpiste.inspection.inspect import inspect_log
+from offpiste.logs import open_log
+from offpiste.logs.drive import drive_from_log
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import Rig, load_rig, parse_rig
+
+WHEELBASE, WIDEST = 1.8, 0.35
+"""Of the vehicle that is driven here [m, rad]."""
+
+
+def driven(seconds: float = 40.0) -> dict[str, np.ndarray]:
+    """A bicycle, 20 samples a second: time, pose, velocities, angle of the wheels, pedals below and above zero."""
+    t = np.arange(0, seconds, 0.05)
+    speed = 4 + 1.5 * np.sin(t / 3)
+    angle = WIDEST * np.sin(t / 1.7)
+    yaw_rate = speed * np.tan(angle) / WHEELBASE
+    yaw = 0.4 + np.cumsum(yaw_rate) * 0.05
+    x, y = np.cumsum(speed * np.cos(yaw)) * 0.05, np.cumsum(speed * np.sin(yaw)) * 0.05
+    pedal = np.clip(0.9 * np.cos(t / 3), -0.6, 0.8)
+    return {
+        "t": t, "x": x, "y": y, "yaw": np.arctan2(np.sin(yaw), np.cos(yaw)), "speed": speed, "zero": 0 * t + 0.001 * x,
+        "yaw_rate": yaw_rate, "angle": angle, "pedal": pedal, "throttle": np.maximum(pedal, 0),
+        "brake": np.maximum(-pedal, 0),
+    }  # fmt: skip
+
+
+DRIVEN = driven()
+Columns = Mapping[str, tuple[str, float]]
+"""Headers, and of which quantity they are, times what."""
+
+
+def written(path: Path, columns: Columns, *, separator: str = ",", below: str = "", mark: str = "") -> Path:
+    """A table of the drive."""
+    values = np.stack([DRIVEN[name] * factor for name, factor in columns.values()], axis=1)
+    rows = [separator.join(f"{value:.6f}" for value in row) for row in values]
+    path.write_text(mark + "\n".join([separator.join(columns), *([below] if below else []), *rows]) + "\n", "utf-8")
+    return path
+
+
+def drafted(path: Path) -> Rig:
+    return parse_rig(draft_rig(open_log(path)), where="draft")
+
+
+DEG = 180 / np.pi
+POSE: Columns = {"t": ("t", 1), "x": ("x", 1), "y": ("y", 1), "yaw": ("yaw", 1)}
+TABLES: dict[str, tuple[Columns, dict[str, tuple[str, ...]]]] = {
+    "units in brackets": (
+        {
+            "t[ms]": ("t", 1e3), "x(m)": ("x", 1), "y(m)": ("y", 1), "phi(rad)": ("yaw", 1), "vx [m/s]": ("speed", 1),
+            "vy [m/s]": ("zero", 1), "r [deg/s]": ("yaw_rate", DEG), "throttle [%]": ("throttle", 100),
+            "steer_deg": ("angle", DEG),
+        },
+        {
+            "position": ("x(m)", "y(m)"), "yaw": ("phi(rad)",), "linear_velocity": ("vx [m/s]", "vy [m/s]"),
+            "throttle": ("throttle [%]",), "steer": ("steer_deg",), "steer_angle": ("steer_deg",),
+        },
+    ),
+    "units after an underscore": (
+        {
+            "time_us": ("t", 1e6), "X_m": ("x", 1), "Y_m": ("y", 1), "yaw_deg": ("yaw", DEG),
+            "speed_kmh": ("speed", 3.6),
+            "throttle_%": ("throttle", 100), "brake_pct": ("brake", 100), "steering_angle_rad": ("angle", 1),
+            "yaw_rate_deg_s": ("yaw_rate", DEG),
+        },
+        {
+            "position": ("X_m", "Y_m"), "yaw": ("yaw_deg",), "throttle": ("throttle_%",), "brake": ("brake_pct",),
+            "wheel_speed": ("speed_kmh",), "steer": ("steering_angle_rad",), "yaw_rate": ("yaw_rate_deg_s",),
+        },
+    ),
+    "east and north": (
+        {
+            "Time [s]": ("t", 1), "easting": ("x", 1), "northing": ("y", 1), "theta": ("yaw", 1), "u": ("speed", 1),
+            "v": ("zero", 1), "r": ("yaw_rate", 1), "delta": ("angle", 1), "acc_pedal": ("throttle", 1),
+        },
+        {
+            "position": ("easting", "northing"), "yaw": ("theta",), "linear_velocity": ("u", "v"), "yaw_rate": ("r",),
+            "steer": ("delta",), "steer_angle": ("delta",), "throttle": ("acc_pedal",),
+        },
+    ),
+    "Euler angles": (
+        {
+            "timestamp_ns": ("t", 1e9), "posX": ("x", 1), "posY": ("y", 1), "phi": ("zero", 1), "theta": ("zero", 1),
+            "psi": ("yaw", 1), "omega": ("yaw_rate", 1), "duty": ("throttle", 1), "delta_cmd": ("angle", 1),
+        },
+        {
+            "position": ("posX", "posY"), "yaw": ("psi",), "yaw_rate": ("omega",), "throttle": ("duty",),
+            "steer": ("delta_cmd",),
+        },
+    ),
+    "a prefix": (
+        {
+            "t": ("t", 1), "utm_e": ("x", 1), "utm_n": ("y", 1), "heading": ("yaw", 1), "gas": ("throttle", 1),
+            "steering": ("angle", 1 / WIDEST), "gz": ("yaw_rate", 1), "wheel_speed_fl": ("speed", 1),
+            "wheel_speed_fr": ("speed", 1), "wheel_speed_rl": ("speed", 1), "wheel_speed_rr": ("speed", 1),
+        },
+        {
+            "position": ("utm_e", "utm_n"), "yaw": ("heading",), "throttle": ("gas",), "steer": ("steering",),
+            "yaw_rate": ("gz",),
+            "wheel_speed": ("wheel_speed_fl", "wheel_speed_fr", "wheel_speed_rl", "wheel_speed_rr"),
+        },
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_names_and_units_are_read(tmp_path: Path, name: str) -> None:
+    columns, wanted = TABLES[name]
+    path = written(tmp_path / "drive.csv", columns)
+    rig = drafted(path)
+    assert {channel: rig.channels[channel].fields for channel in wanted} == wanted
+    # Read as drafted, every channel is what was driven.
+    drive = drive_from_log(open_log(path, clock=rig.clock), rig)
+    truth = {
+        "position": np.column_stack((DRIVEN["x"], DRIVEN["y"])), "yaw": DRIVEN["yaw"][:, None],
+        "yaw_rate": DRIVEN["yaw_rate"][:, None], "throttle": DRIVEN["throttle"][:, None],
+        "brake": DRIVEN["brake"][:, None], "steer_angle": DRIVEN["angle"][:, None],
+        "steer": DRIVEN["angle"][:, None] / rig.vehicle.max_steer,
+    }  # fmt: skip
+    for channel in truth.keys() & rig.channels.keys():
+        if channel == "steer" and "steering" in columns:
+            continue
+        values = drive.channels[channel].values
+        turns = 2 * np.pi * np.round((values - truth[channel]) / (2 * np.pi)) if channel == "yaw" else 0.0
+        np.testing.assert_allclose(values - turns, truth[channel], atol=2e-3, err_msg=channel)
+    np.testing.assert_allclose(drive.channels["position"].time, DRIVEN["t"], atol=1e-6)
+    assert inspect_log(open_log(path, clock=rig.clock), rig).usable
+
+
+@pytest.mark.parametrize("header", ["delta", "delta [deg]", "steering_angle"])
+def test_an_angle_gives_steering_and_wheelbase(tmp_path: Path, header: str) -> None:
+    in_degrees = "deg" in header
+    rig = drafted(written(tmp_path / "drive.csv", {**POSE, header: ("angle", DEG if in_degrees else 1)}))
+    assert rig.vehicle.max_steer == pytest.approx(WIDEST, rel=1e-3)
+    assert rig.channels["steer_angle"].unit == ("deg" if in_degrees else "")
+    factor = np.pi / 180 if in_degrees else 1
+    assert rig.channels["steer"].scale == pytest.approx(factor / rig.vehicle.max_steer, rel=1e-3)
+    assert rig.vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.1)
+
+
+def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
+    rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_angle": ("angle", 400 / WIDEST)}))
+    assert "steer_angle" in rig.absent
+    assert rig.channels["steer"].scale == pytest.approx(1 / 400, rel=0.01)
+
+
+def test_a_command_beside_an_angle_keeps_its_own_column(tmp_path: Path) -> None:
+    columns = {**POSE, "steer_cmd": ("angle", 1 / WIDEST), "delta": ("angle", 1)}
+    rig = drafted(written(tmp_path / "drive.csv", columns))
+    assert rig.channels["steer"].fields == ("steer_cmd",)
+    assert rig.channels["steer_angle"].fields == ("delta",)
+    assert rig.vehicle.max_steer == pytest.approx(WIDEST, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [1.0, 100.0, 0.5])
+def test_a_pedal_with_a_sign_is_throttle_and_brake(tmp_path: Path, factor: float) -> None:
+    path = written(tmp_path / "drive.csv", {**POSE, "throttle": ("pedal", factor), "steer": ("angle", 1)})
+    rig = drafted(path)
+    assert rig.channels["throttle"].fields == rig.channels["brake"].fields == ("throttle",)
+    channels = drive_from_log(open_log(path), rig).channels
+    scale = 1 / 0.8 if factor == 100 else factor
+    np.testing.assert_allclose(channels["throttle"].values[:, 0], DRIVEN["throttle"] * scale, atol=1e-3)
+    np.testing.assert_allclose(channels["brake"].values[:, 0], DRIVEN["brake"] * scale, atol=1e-3)
+    assert "brake" not in rig.absent
+
+
+def test_a_signed_throttle_beside_a_brake_is_clipped(tmp_path: Path) -> None:
+    columns = {**POSE, "throttle": ("pedal", 1.0), "brake": ("brake", 1.0), "steer": ("angle", 1)}
+    rig = drafted(written(tmp_path / "drive.csv", columns))
+    assert rig.channels["brake"].fields == ("brake",)
+    assert (rig.channels["throttle"].clip, rig.channels["throttle"].offset) == ((0.0, 1.0), 0.0)
+
+
+def test_pedals_at_rest_away_from_zero_are_not_signed() -> None:
+    pressed = np.clip(np.sin(np.linspace(0, 60, 3000)), 0, 1)
+    assert not is_signed(100 + 230 * pressed)  # an idle offset
+    assert not is_signed(2 * pressed - 1)  # a trigger that rests at -1
+    assert not is_signed(pressed - 0.01)
+    assert is_signed(np.sin(np.linspace(0, 60, 3000)))
+    assert is_signed(np.where(pressed > 0.9, -0.3, pressed))
+
+
+@pytest.mark.parametrize(
+    ("separator", "below", "mark"),
+    [(",", "s,m,m,rad,-,deg", ""), (";", "[s];[m];[m];[rad];;[deg]", "\ufeff"), ("\t", "sec\tm\tm\trad\t1\t°", "")],
+)
+def test_a_row_of_units_below_the_header(tmp_path: Path, separator: str, below: str, mark: str) -> None:
+    columns = {**POSE, "throttle": ("throttle", 1.0), "steering": ("angle", DEG)}
+    path = written(tmp_path / "drive.csv", columns, separator=separator, below=below, mark=mark)
+    log = open_log(path)
+    assert log.topics[""].fields == tuple(columns)
+    assert log.topics[""].count == len(DRIVEN["t"])
+    rig = drafted(path)
+    assert rig.channels["steer_angle"].unit == "deg"
+    assert rig.vehicle.max_steer == pytest.approx(WIDEST, rel=1e-3)
+
+
+def test_columns_that_are_not_understood_are_listed(tmp_path: Path) -> None:
+    path = written(tmp_path / "drive.csv", {**POSE, "lenkung": ("angle", 1), "q17": ("speed", 1)})
+    text = draft_rig(open_log(path))
+    assert "# Not read: columns: lenkung, q17" in text
+    assert "lenkung" in missing(text)[0]
+    path = written(tmp_path / "other.csv", {"t": ("t", 1), "rechtswert": ("x", 1), "hochwert": ("y", 1)})
+    with pytest.raises(LogError, match="it has: columns t, rechtswert, hochwert"):
+        draft_rig(open_log(path))
+
+
+def test_what_was_never_measured_is_noted_until_it_is(tmp_path: Path) -> None:
+    rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering": ("angle", 1 / WIDEST)}))
+    assert rig.vehicle.source.startswith("GUESSED")
+    (finding,) = check_draft_values(rig)
+    assert finding.severity == "note"
+    assert "mass = 1000 kg and a wheelbase of 2 m" in finding.evidence
+    (again,) = check_draft_values(edited(rig, [Edit("vehicle.source", "")]))
+    assert again.what == finding.what
+    assert check_draft_values(edited(rig, [Edit("vehicle.source", "data sheet")])) == []
+    assert check_draft_values(load_rig("tartandrive2")) == []

@@ -1,0 +1,59 @@
+"""Gain, sign and delay estimated together, and their uncertainties."""
+
+import numpy as np
+import pytest
+
+from offpiste.inspection.lags import LAGS, fit_lags, jackknife
+
+
+def _wave(random: np.random.Generator, count: int) -> np.ndarray:
+    return np.convolve(random.standard_normal(count + 40), np.hanning(21) / 10, "same")[20:-20]
+
+
+def _lagged(signal: np.ndarray) -> np.ndarray:
+    rows = np.rint(LAGS / 0.05).astype(int)
+    at = np.arange(len(signal))[None] - rows[:, None]
+    return np.where((at >= 0) & (at < len(signal)), signal[np.clip(at, 0, len(signal) - 1)], np.nan)
+
+
+@pytest.mark.parametrize(("gain", "delay"), [(2.0, 0.3), (-0.7, -0.45), (1.0, 0.0)])
+def test_gain_sign_and_delay_come_out_together_within_their_errors(gain: float, delay: float) -> None:
+    random = np.random.default_rng(3)
+    source = _wave(random, 2000)
+    drag = _wave(random, 2000)
+    target = gain * np.roll(source, round(delay / 0.05)) + 0.5 * drag + 0.2 * random.standard_normal(2000)
+    fit = fit_lags(target, drag[:, None], _lagged(source), LAGS, np.ones(2000, bool))
+    assert fit is not None
+    best = fit.best()
+    estimate, sigma = fit.delay(best)
+    assert abs(estimate - delay) < 4 * sigma + 0.01
+    assert sigma < 0.03
+    assert abs(fit.gain[best] - gain) < 4 * fit.gain_sigma(best)
+    assert fit.gain_sigma(best) < 0.1 * abs(gain)
+
+
+def test_one_lag_is_a_plain_partial_regression() -> None:
+    random = np.random.default_rng(0)
+    x, base = random.standard_normal(400), random.standard_normal((400, 3))
+    y = 1.3 * x + base @ [0.5, -2.0, 1.0] + 0.1 * random.standard_normal(400)
+    fit = fit_lags(y, base, x[None], np.zeros(1), np.ones(400, bool))
+    assert fit is not None
+    expected = np.linalg.lstsq(np.column_stack((x, base)), y, rcond=None)[0][0]
+    assert fit.gain[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_glitches_hardly_move_it() -> None:
+    random = np.random.default_rng(1)
+    source = _wave(random, 1500)
+    target = source + 0.05 * random.standard_normal(1500)
+    target[700:706] = 1e4
+    fit = fit_lags(target, np.zeros((1500, 0)), _lagged(source), LAGS, np.ones(1500, bool))
+    assert fit is not None
+    assert abs(fit.delay(fit.best())[0]) < 0.02
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
+    values = np.random.default_rng(2).standard_normal(50)
+    left_out = (values.sum() - values) / 49
+    assert jackknife(left_out) == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+    assert jackknife(left_out[:1]) == np.inf

@@ -1,0 +1,88 @@
+"""Poses: samples that no vehicle makes, noise, units, and axes that point down."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.inspect import Inspection, inspect_log
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import Rig
+
+CLEAN = drive_log(seconds=60)
+PLACE_ONLY = edited(rig(), [Edit("channels.linear_velocity", None), Edit("channels.angular_velocity", None)])
+
+
+def _inspected(log: MemoryLog, now: Rig | None = None) -> tuple[Inspection, list[Finding]]:
+    found = inspect_log(log, now or rig())
+    return found, [f for f in found.findings if f.severity != "note"]
+
+
+def test_a_corrupt_run_is_named_by_its_samples_and_spoils_no_summary() -> None:
+    def corrupt(x: np.ndarray) -> np.ndarray:
+        x[1000:1086] = 1e10 * np.random.default_rng(0).uniform(0.9, 1.1, 86)
+        return x
+
+    found, complaints = _inspected(CLEAN.change("odom", "x", corrupt))
+    assert any("first 1000, the last 1085" in f.evidence for f in complaints if f.where.startswith("position"))
+    assert found.summary.speed_max < 20
+
+
+def test_a_tail_that_is_faster_than_any_vehicle_is_left_out() -> None:
+    def fast(x: np.ndarray) -> np.ndarray:
+        x[2900:] += 571.0 * 0.02 * np.arange(len(x) - 2900)
+        return x
+
+    found, complaints = _inspected(CLEAN.change("odom", "x", fast))
+    assert [f.what for f in complaints if f.where == "position"] == ["has samples that no vehicle makes"]
+    assert found.summary.speed_max < 20
+
+
+def test_a_heading_that_jumps_is_reported_and_accuses_nothing_else() -> None:
+    def jump(log: MemoryLog) -> MemoryLog:
+        _, odom = log.data["odom"]
+        yaw = 2 * np.arctan2(odom["qz"], odom["qw"])
+        yaw[1500:1502] += 0.5
+        return log.change("odom", "qz", lambda _: np.sin(yaw / 2)).change("odom", "qw", lambda _: np.cos(yaw / 2))
+
+    _, complaints = _inspected(jump(CLEAN))
+    assert {f.where for f in complaints} == {"orientation"}
+
+
+@pytest.mark.parametrize("now", [rig(), PLACE_ONLY], ids=["with velocities", "places only"])
+def test_noise_that_spoils_starts_or_velocities_is_reported(now: Rig) -> None:
+    random = np.random.default_rng(0)
+    log = CLEAN.change("odom", "x", lambda x: x + 0.5 * random.standard_normal(len(x)))
+    log = log.change("odom", "y", lambda y: y + 0.5 * random.standard_normal(len(y)))
+    _, complaints = _inspected(log, now)
+    assert any(f.where == "position" and "nois" in f.what for f in complaints), complaints
+    assert _inspected(CLEAN, now)[1] == []
+
+
+def test_feet_are_found_by_what_else_knows_the_speed() -> None:
+    log = CLEAN
+    for field in "xyz":
+        log = log.change("odom", field, lambda v: v / 0.3048)
+    found, _ = _inspected(log)
+    assert Edit("channels.position.unit", "ft") in found.cure
+
+
+@pytest.mark.parametrize(
+    ("axes", "fields"), [("body down", ("qx", "qy", "qz", "qw")), ("world down", ("qx", "qy", "qz", "qw"))]
+)
+def test_a_body_that_points_down_is_turned_up(axes: str, fields: tuple[str, ...]) -> None:
+    from offpiste.logs.axes import to_z_up
+    from offpiste.rig.channels import ChannelSource
+
+    # Half a turn is its own inverse.
+    source = ChannelSource(fields=fields)
+    log = CLEAN
+    _, odom = log.data["odom"]
+    turned = to_z_up("orientation", source, np.stack([odom[f] for f in fields], axis=1), axes)
+    for field, values in zip(fields, turned.T, strict=True):
+        log = log.change("odom", field, lambda _, values=values: values)
+    down = ("y", "z") if axes == "world down" else ("vy", "vz", "wy", "wz")
+    for field in down:
+        log = log.change("odom", field, np.negative)
+    found, _ = _inspected(log)
+    assert found.cure == (Edit("motion.axes", axes),)

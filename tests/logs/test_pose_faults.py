@@ -1,0 +1,108 @@
+"""Faults of the pose in a drive: dropped with the numbers of their samples, and never used by anything causal."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from factories import MemoryLog, small_rig
+from offpiste.dataset.resample import extract_rows
+from offpiste.logs.drive import Drive, drive_from_log
+from offpiste.logs.pose_faults import DroppedRun, PoseFaults
+from offpiste.logs.poses import poses_from_drive
+
+TIME = np.arange(0, 40, 0.02)
+
+
+def log_of(x: np.ndarray, yaw: np.ndarray | None = None, time: np.ndarray = TIME) -> MemoryLog:
+    zero, yaw = 0 * time, 0 * time if yaw is None else yaw
+    pose = {"x": x, "y": zero, "z": zero, "qx": zero, "qy": zero, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
+    pedals = {"throttle": zero, "brake": zero}
+    return MemoryLog(odometry=(time, pose), pedals=(time, pedals), steering=(time, {"steer": zero}))
+
+
+def drive_of(x: np.ndarray, yaw: np.ndarray | None = None) -> Drive:
+    return drive_from_log(log_of(x, yaw), small_rig())
+
+
+def test_a_run_is_dropped_and_named_by_its_samples_and_times() -> None:
+    x = 5 * TIME
+    x[1200:1286] += 3e6
+    drive = drive_of(x)
+    assert drive.notes == (
+        "position: samples 1200 to 1285 (24.00 to 25.70 s) lie 3e+06 m off the path of any vehicle; dropped",
+    )
+    assert len(drive.channels["position"].time) == len(TIME) - 86
+    assert len(drive.channels["orientation"].time) == len(TIME)
+    (run,) = drive.faults.dropped
+    assert (run.first, run.last, run.after, run.until) == (1200, 1285, TIME[1199], TIME[1286])
+
+
+def test_numbers_are_those_of_the_log_where_other_samples_were_dropped() -> None:
+    x = 5 * TIME
+    x[100:103], x[900] = np.nan, 1e6
+    notes = drive_of(x).notes
+    assert notes[0].endswith("3 of 2000 samples are not finite or not valid and were dropped (samples 100 to 102)")
+    assert notes[1].startswith("position: sample 900 (18.00 s) lies 1e+06 m off")
+
+
+def test_many_runs_are_counted_and_headings_are_in_radians() -> None:
+    yaw = 0.1 * TIME
+    yaw[200:1400:200] += 0.5
+    (note,) = drive_of(5 * TIME, yaw).notes
+    assert note.startswith("orientation: sample 200 (4.00 s) lies 0.498 rad, sample 400")
+    assert note.endswith("and 3 more runs off the path of any vehicle; dropped")
+
+
+def test_a_hopeless_pose_is_said_to_be() -> None:
+    drive = drive_of(5000 * TIME)
+    assert drive.notes == ("position: moves as no vehicle does for most of the drive; nothing was dropped",)
+    assert len(drive.channels["position"].time) == len(TIME)
+
+
+def test_a_jump_that_lasts_is_named_by_its_first_sample() -> None:
+    x = 5 * TIME
+    x[900:] += 4.0
+    drive = drive_of(x)
+    assert drive.notes == ()
+    assert [(jump.channel, jump.sample) for jump in drive.faults.jumps] == [("position", 900)]
+
+
+def test_no_row_is_complete_whose_causal_state_read_a_dropped_sample() -> None:
+    x = 5 * TIME
+    x[1000:1003] += 30.0
+    rows = extract_rows(drive_of(x))
+    lost = rows.time[~rows.valid & (rows.time > 1) & (rows.time < 39)]
+    assert lost.min() <= TIME[1000]
+    assert lost.max() > TIME[1002] + small_rig().motion.window
+    assert lost.max() < TIME[1002] + small_rig().motion.window + 0.2
+    assert np.abs(rows.state_causal[rows.valid, 3] - 5).max() < 0.01
+    assert np.abs(rows.state[rows.valid, 3] - 5).max() < 0.01
+
+
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_causal_states_do_not_depend_on_what_is_dropped_later(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, at = 5 * TIME + 0.01 * np.sin(TIME), int(rng.integers(1100, 1700))
+    other = x.copy()
+    other[at : at + int(rng.integers(1, 200))] += rng.uniform(20, 1e6)
+    known = TIME[at] > TIME
+    rows = [extract_rows(drive_of(each)) for each in (x, other)]
+    early = [each.time < TIME[known][-1] for each in rows]
+    for name in ("state_causal", "normal_causal"):
+        one, two = (each.column(name)[mask] for each, mask in zip(rows, early, strict=True))
+        np.testing.assert_array_equal(one, two)
+
+
+def test_poses_are_unknown_between_the_samples_around_a_run() -> None:
+    x = 5 * TIME
+    x[1000:1003] += 30.0
+    found = poses_from_drive(drive_of(x)).at(np.array([TIME[999], TIME[999] + 0.01, TIME[1001], TIME[1003]]))
+    assert np.isnan(found).all(axis=(1, 2)).tolist() == [False, True, True, False]
+
+
+def test_moments_that_remember_a_dropped_sample() -> None:
+    run = DroppedRun("position", 5, 6, 1.0, 1.02, after=0.98, until=1.04, since=1.0, off=9.0)
+    faults = PoseFaults((run,))
+    assert faults.touched(np.array([0.99, 1.0, 1.3, 1.35]), 0.3).tolist() == [False, True, True, False]
+    assert PoseFaults().unknown().shape == (0, 2)

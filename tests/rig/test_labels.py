@@ -1,0 +1,47 @@
+"""Names and units in the headers of tables and the fields of topics."""
+
+import pytest
+
+from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label, unit_of
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("x(m)", "x", "m"), ("phi(rad)", "phi", "rad"), ("vx [m/s]", "vx", "m/s"), ("steer_deg", "steer", "deg"),
+        ("yaw (deg)", "yaw", "deg"), ("speed_kmh", "speed", "km/h"), ("t[ms]", "t", "ms"), ("time_us", "time", "us"),
+        ("throttle_%", "throttle", "percent"), ("X_m", "x", "m"), ("speedKmh", "speed", "km/h"), ("posX", "pos_x", ""),
+        ("x / m", "x", "m"), ("v / (m/s)", "v", "m/s"), ("yaw, deg", "yaw", "deg"), ("vx_m_s", "vx", "m/s"),
+        ("w_deg_s", "w", "deg/s"), ("yaw°", "yaw", "deg"), ("accel [m/s²]", "accel", "m/s²"), ("ax_m_s2", "ax", "m/s2"),
+        # These say no unit.
+        ("W (IMU)", "w (imu)", ""), ("axes[0]", "axes[0]", ""), ("pose.pose.position.x", "pose.pose.position.x", ""),
+        ("yaw_psi", "yaw_psi", ""), ("secs", "secs", ""), ("m", "m", ""), ("section", "section", ""), ("", "", ""),
+        # Revolutions name the quantity as well.
+        ("engine_rpm", "engine_rpm", "rev/min"),
+    ],
+)  # fmt: skip
+def test_labels(header: str, name: str, unit: str) -> None:
+    assert parse_label(header) == Label(name, unit)
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "said"),
+    [
+        ("position", "m", ""), ("position", "mm", "mm"), ("position", "m/s", None), ("yaw", "deg", "deg"),
+        ("linear_velocity", "ms", ""), ("linear_velocity", "km/h", "km/h"), ("throttle", "percent", "percent"),
+        ("throttle", "bar", None), ("engine_rpm", "rev/min", "rev/min"), ("steer", "deg", None), ("yaw", "", ""),
+    ],
+)  # fmt: skip
+def test_units_of_channels(channel: str, unit: str, said: str | None) -> None:
+    assert channel_unit(channel, unit) == said
+
+
+def test_cells_of_a_row_of_units() -> None:
+    assert [unit_of(cell) for cell in ("[m]", " deg/s ", "-", "", "°", "1", "abc", "3.5")] == [
+        "m", "deg/s", "", "", "deg", "", None, None,
+    ]  # fmt: skip
+
+
+def test_entries_of_arrays_are_not_units() -> None:
+    assert is_array_entry("axes[12]")
+    assert not is_array_entry("vx [m/s]")

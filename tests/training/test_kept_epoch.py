@@ -1,0 +1,32 @@
+"""The kept epoch: in words, with what speaks against it."""
+
+import pytest
+
+from offpiste.training.kept_epoch import KeptEpoch
+
+
+@pytest.mark.parametrize(
+    ("epoch", "line", "doubt"),
+    [
+        (7, "model: kept epoch 7 of 12, validation 0.6251", None),
+        (12, "model: kept epoch 12 of 12, validation 0.6251", "the kept epoch is the last one"),
+        (1, "model: kept epoch 1 of 12, validation 0.6251", "the kept epoch is the first one"),
+        (0, "model: kept the weights that it began with, validation 0.6251: no epoch of 12 was better", None),
+        (None, "model: kept its best epoch, validation 0.6251", None),
+    ],
+)
+def test_an_epoch_in_words(epoch: int | None, line: str, doubt: str | None) -> None:
+    kept = KeptEpoch(epoch, 12, 0.62512)
+    assert kept.line("model") == line
+    found = list(kept.doubts("model"))
+    assert len(found) == (doubt is not None)
+    assert doubt is None or doubt in found[0]
+
+
+def test_a_stage_of_one_epoch_is_not_doubted() -> None:
+    assert not list(KeptEpoch(1, 1, 0.5).doubts("model"))
+
+
+def test_files_of_before_do_not_say_which_epoch() -> None:
+    assert KeptEpoch.of({"validation_loss": 0.5}, 3) == KeptEpoch(None, 3, 0.5)
+    assert KeptEpoch.of({"validation_loss": 0.5, "kept_epoch": 2}, 3) == KeptEpoch(2, 3, 0.5)
