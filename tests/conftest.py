@@ -12,6 +12,11 @@ install_import_hook("offpiste", "beartype.beartype")
 from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
+from hypothesis import settings  # noqa: E402
+
+# The suite gives the same answer every time; `--hypothesis-profile=default` looks for new counterexamples.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")

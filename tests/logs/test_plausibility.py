@@ -18,7 +18,7 @@ def driven(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Stamps, positions and yaw of a random drive: slow or fast, spinning, standing, noisy, held, with late stamps."""
     rng = np.random.default_rng(seed)
     rate = float(rng.choice([1, 5, 10, 20, 50, 100, 200, 1000]))
-    speed = float(rng.choice([0, 0.5, 2, 5, 15, 40, 80]))
+    speed = min(float(rng.choice([0, 0.5, 2, 5, 15, 40, 80])), 40 * rate)
     turn = min(float(rng.choice([0, 0.3, 1, 8])), 15 / max(speed, 1))
     noise, hold = float(rng.choice([0, 1e-3, 0.02, 0.2, 1.0])), int(rng.choice([1, 1, 5, 10]))
     time, place, yaw = path(rng, rate, speed, turn, noise, seconds=10 if rate == 1000 else 40)
@@ -66,7 +66,7 @@ def planted(kind: str, rng: np.random.Generator, time: np.ndarray, place: np.nda
     if kind == "glitches":
         for at in rng.choice(np.arange(20, count - 20, 7), 5, replace=False):
             aside = rng.normal(size=3)
-            result[at] += aside / np.linalg.norm(aside) * (max(5, speed / 2) + rng.uniform(0, 1e4))
+            result[at] += aside / np.linalg.norm(aside[:2]) * (max(5, speed / 2) + rng.uniform(0, 1e4))
             good[at] = False
         return result, good
     if kind == "constant":

@@ -23,6 +23,8 @@ HEADING: Final = Limits(30.0, 60.0, 0.15, 0.0, np.inf, 0.2, 0.2, 0.1)
 
 _LOCAL: Final = 25
 """Steps whose median deviation is the local scatter."""
+_USUAL: Final = 70.0
+"""Percentile of the deviations that is the scatter everywhere; half of them are 0, as short ways are explained."""
 _NOISES: Final = 10.0
 """Multiple of the scatter that no noise reaches."""
 _LONG: Final = 0.2
@@ -93,7 +95,7 @@ def _plausible(time: Float[np.ndarray, " n"], between: Between, limits: Limits, 
     off = deviation(way, seconds, before, after)
     usual = min(float(np.median(np.linalg.norm(velocity, axis=1))), 0.25 * limits.speed)
     least = max(limits.least, limits.least_time * usual) + resolution
-    scatter = np.maximum(median_filter(off, _LOCAL, mode="nearest"), np.median(off))
+    scatter = np.maximum(median_filter(off, _LOCAL, mode="nearest"), np.percentile(off, _USUAL))
     noise = np.minimum(_NOISES * scatter, limits.noise)
     noise += min(3.0 * float(np.percentile(off, 99)), limits.common)
     fault = off > least + noise + limits.acceleration * seconds**2
