@@ -170,3 +170,10 @@ def test_a_pipe_that_is_closed_early_is_no_error():
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
     assert done.stdout.startswith("usage")
     assert not done.stderr
+
+
+def test_a_wrong_option_brings_up_those_of_its_command_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("demo", "--seedd", "3") == 2
+    message = capsys.readouterr().err
+    assert "--seed INT" in message
+    assert "offpiste simulate" not in message

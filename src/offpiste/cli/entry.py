@@ -4,7 +4,7 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 import tyro
 
@@ -14,6 +14,7 @@ from offpiste.progress import log_to_terminal
 from offpiste.registry import Registry
 
 
+@runtime_checkable
 class Command(Protocol):
     """A dataclass whose fields are the arguments; tyro makes the help of its docstrings."""
 
@@ -61,6 +62,22 @@ def _no_command(word: str, commands: Sequence[str]) -> OffpisteError:
     return OffpisteError(f"'{word}' is no command", how=how)
 
 
+def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -> Command:
+    """The command that arguments ask for; on wrong usage or `--help`, prints and exits."""
+    config = (tyro.conf.FlagCreatePairsOff,)
+    if arguments and arguments[0] in commands:
+        # Of this command alone: it starts sooner, and a wrong option brings up no options of others.
+        name, *rest = arguments
+        return tyro.cli(commands[name], prog=f"offpiste {name}", args=rest, config=config)
+    about = (
+        "Learns how an off-road vehicle will move on the ground ahead."
+        " --version prints which offpiste this is; --debug shows tracebacks."
+    )
+    return tyro.extras.subcommand_cli_from_dict(
+        commands, prog="offpiste", description=about, args=arguments, config=config
+    )
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
@@ -76,14 +93,7 @@ def main(arguments: list[str] | None = None) -> None:
         if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
             print(f"offpiste: {_no_command(arguments[0], tuple(commands))}", file=sys.stderr)  # noqa: T201
             sys.exit(2)
-        command = tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="offpiste",
-            description="Learns how an off-road vehicle will move on the ground ahead."
-            " --version prints which offpiste this is; --debug shows tracebacks.",
-            args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
+        command = _parsed(arguments, commands)
         log_to_terminal()
         sys.exit(command.run())
     except OffpisteError as error:
