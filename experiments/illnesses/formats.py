@@ -54,8 +54,9 @@ def stored(case: Case, storage: str, folder: Path) -> tuple[Case, Log]:
         return case, open_log(path, clock=case.rig.clock)
     if storage == "TartanDrive":
         _write_tartandrive(case.streams, folder / "drive")
-        case = renamed(case, {t: {f: str(i) for i, f in enumerate(s.columns)} for t, s in case.streams.items()})
-        return case, open_log(folder / "drive")
+        streams = {topic: replace(stream, arrival=None) for topic, stream in case.streams.items()}
+        numbers = {t: {f: str(i) for i, f in enumerate(s.columns)} for t, s in streams.items()}
+        return renamed(replace(case, streams=streams), numbers), open_log(folder / "drive", clock=case.rig.clock)
     path = folder / ("log.mcap" if storage == "MCAP" else "log.bag")
     _write_ros(case.streams, path)
     return renamed(case, {topic: _ros_fields(stream) for topic, stream in case.streams.items()}), open_log(path)

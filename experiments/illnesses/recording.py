@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from offpiste.logs.channel import convert
 from offpiste.logs.log import Log, Samples, Topic
-from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.channels import SECONDS, ChannelSource, Clock, unit_factor
 from offpiste.rig.edits import Edit, edited, toml_value
 from offpiste.rig.rig import Rig
 
@@ -39,9 +39,15 @@ class RecordingLog(Log):
     """A log of streams in memory."""
 
     description = "a recording in memory"
+    has_clock_unit = True
 
-    def __init__(self, streams: dict[str, Stream]) -> None:
-        self.path, self._streams = Path("recording"), streams
+    def __init__(self, streams: dict[str, Stream], clock: Clock) -> None:
+        self.path, self._streams, self._clock = Path("recording"), streams, clock
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that stamps are read by."""
+        return Clock(unit=self._clock.unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -50,7 +56,10 @@ class RecordingLog(Log):
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         stream = self._streams[topic.name]
-        time = stream.arrival if stamps == "receive" and stream.arrival is not None else stream.time
+        if stamps == "receive" and stream.arrival is not None:
+            time = stream.arrival
+        else:
+            time = stream.time * SECONDS[self._clock.unit]
         return Samples(time, np.column_stack([stream.columns[field] for field in fields]))
 
 
@@ -68,7 +77,7 @@ class Case:
     @property
     def log(self) -> Log:
         """The recording as a log."""
-        return RecordingLog(self.streams)
+        return RecordingLog(self.streams, self.rig.clock)
 
     def has(self, *channels: str) -> bool:
         """Whether the rig gives all of these channels."""

@@ -10,14 +10,17 @@ from offpiste.inspection.course import heading_fits
 from offpiste.inspection.draft_values import check_draft_values
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.lags import LagFit
+from offpiste.inspection.missing import check_missing
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signals import channel_signals, check_signals, other_signals
 from offpiste.inspection.stamps import check_stamps
-from offpiste.inspection.steering import SteeringFit, check_steering, steering_fits
+from offpiste.inspection.steering import check_steering
 from offpiste.inspection.steering_copies import check_copies
+from offpiste.inspection.steering_fit import SteeringFit, steering_fits
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import Clock
@@ -92,6 +95,10 @@ def _ranges(topics: Topics) -> list[Finding]:
     return check_ranges(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
 
 
+def _missing(topics: Topics) -> list[Finding]:
+    return check_missing(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
+
+
 def _draft_values(topics: Topics) -> list[Finding]:
     return check_draft_values(topics.rig) if topics.rig is not None and topics.given else []
 
@@ -100,7 +107,13 @@ def _stamps(topics: Topics) -> list[Finding]:
     return check_stamps(topics.inspected, topics.clock, used=topics.used)
 
 
-TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (_signals, _ranges, _stamps, _draft_values)
+TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
+    _missing,
+    _signals,
+    _ranges,
+    _stamps,
+    _draft_values,
+)
 """Checks of topics as recorded; a fatal finding ends the inspection."""
 
 
@@ -111,6 +124,10 @@ def _linear_velocity(motion: Motion) -> list[Finding]:
 
 def _turn_rate(motion: Motion) -> list[Finding]:
     return check_turn_rate(motion.drive, motion.path) if motion.follows else []
+
+
+def _frozen(motion: Motion) -> list[Finding]:
+    return check_frozen(motion.drive, motion.path)
 
 
 def _clocks(motion: Motion) -> list[Finding]:
@@ -138,6 +155,7 @@ def _controls(motion: Motion) -> list[Finding]:
 
 
 MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
+    _frozen,
     _linear_velocity,
     _turn_rate,
     _clocks,

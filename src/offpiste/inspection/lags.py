@@ -53,6 +53,11 @@ class LagFit:
         score = np.where((self.lags >= low - 1e-9) & (self.lags <= high + 1e-9), score, -np.inf)
         return int(score.argmax())
 
+    @property
+    def strength(self) -> float:
+        """Largest correlation at any lag, of either sign."""
+        return float(np.abs(self.r).max())
+
     def delay(self, index: int) -> tuple[float, float]:
         """The lag of the best explanation near an index, between the tried lags, and its standard deviation [s]."""
         sign = np.sign(self.r[index])
@@ -200,12 +205,13 @@ def sampled(channel: Channel, at: Float[np.ndarray, " n"], rig: Rig) -> Float[np
 
 
 def check_delay(
-    name: str, fit: LagFit, own: tuple[float, float], rig: Rig, *, clear: float, sign: int = 0
+    name: str, fit: LagFit, own: tuple[float, float], rig: Rig, *, usual: float, clear: float, sign: int = 0
 ) -> list[Finding]:
     """A finding if the motion comes earlier or later than the vehicle's own response.
 
     Args:
         own: delays of the motion that are the vehicle's own [s].
+        usual: one of them, that a remedy leaves [s].
         clear: correlation above which a delay is clear.
         sign: of the right effect; 0: either.
     """
@@ -221,7 +227,6 @@ def check_delay(
     evidence = f"the motion is {abs(lag):.2f} ± {sigma:.2f} s {'before' if lag < 0 else 'after'} it: "
     evidence += f"R2 {fit.r[best] ** 2:.2f} there and {fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
     what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
-    # What remains is the vehicle's own delay, as near to zero as it may be.
-    edit = Edit(f"channels.{name}.delay", round(rig.channels[name].delay - lag, 2))
+    edit = Edit(f"channels.{name}.delay", round(rig.channels[name].delay - lag + usual, 2))
     remedy = str(edit) + ("; if it is called a command, it is a copy of a measurement" if lag < 0 else "")
     return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, evidence, remedy, gained, ((edit,),))]

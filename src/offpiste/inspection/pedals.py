@@ -9,7 +9,7 @@ from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, LagFit, check_delay, fit_lags, lagged, sampled
-from offpiste.inspection.steering import SteeringFit
+from offpiste.inspection.steering_fit import SteeringFit
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
@@ -65,8 +65,10 @@ def _others_work(drive: Drive, path: Path) -> bool:
 
 _EFFECTS = {"throttle": 1, "brake": -1}
 """Signs of the pedals' effects on the acceleration."""
-_OWN_DELAY = (-0.15, 0.8)
+_OWN_DELAY = (-0.07, 0.8)
 """Delays of the acceleration that are the vehicle's own [s]."""
+_USUAL_DELAY = {"throttle": 0.1, "brake": 0.06}
+"""Delays that healthy vehicles have in the middle [s]."""
 _PEDAL_EFFECT = 0.2
 """Correlation of acceleration and pedal, with speed, slope and the other pedal taken out, above which it is one."""
 _RELEASED = 0.08
@@ -97,7 +99,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
             how = ", ".join(map(str, cure)) + "; or it is the other pedal"
             findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0, (cure,)))
         else:
-            findings += check_delay(name, fit, _OWN_DELAY, drive.rig, clear=_CLEAR, sign=sign)
+            findings += check_delay(name, fit, _OWN_DELAY, drive.rig, usual=_USUAL_DELAY[name], clear=_CLEAR, sign=sign)
             findings += _idle(name, drive, path)
     return findings
 
@@ -131,7 +133,7 @@ def pedal_fits(drive: Drive, path: Path) -> dict[str, LagFit]:
 
 
 def _has_effect(fit: LagFit) -> bool:
-    return bool(abs(fit.r[fit.best()]) >= _PEDAL_EFFECT)
+    return fit.strength >= _PEDAL_EFFECT
 
 
 def _pedal_fit(name: str, drive: Drive, path: Path) -> LagFit | None:

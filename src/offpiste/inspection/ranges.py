@@ -8,7 +8,7 @@ from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.logs.channel import convert
+from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded
 from offpiste.rig.rig import Rig
@@ -65,7 +65,7 @@ def _limits() -> list[tuple[str, float, float]]:
 
 def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, " m"]:
     values: np.ndarray = convert(name, msgspec.structs.replace(source, clip=None), raw)[:, 0]
-    values = values[np.isfinite(values)]
+    values = values[np.abs(np.nan_to_num(values, nan=np.inf)) <= largest(name)]
     if source.valid is not None:
         values = values[(values >= source.valid[0]) & (values <= source.valid[1])]
     return values

@@ -7,11 +7,15 @@ search continues with the cured rig. A cure that does not help, or after which s
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import permutations
 from typing import Final
+
+import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.findings import Finding, ranked
-from offpiste.rig.edits import Edit, edited
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig
 
 Examine = Callable[[Rig], tuple[Finding, ...]]
@@ -23,6 +27,8 @@ _PER_EDIT: Final = 0.1
 """One thing more that is wrong must pay by silencing this much."""
 _LEAST_GAIN: Final = 0.4
 """A cure must silence this much to be advised."""
+_TURNED: Final = {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}
+"""Places of findings that a pose with wrong axes has."""
 _ROUNDS: Final = 6
 _MOST: Final = 16
 """Most cures that are tried in a round."""
@@ -87,30 +93,56 @@ def _size(cure: Cure, rig: Rig) -> int:
 
 
 def _distinct(findings: Sequence[Finding], rig: Rig) -> list[Cure]:
-    """Cures to try, the findings' own first."""
-    cures = dict.fromkeys(cure for finding in findings for cure in finding.cures)
+    """Cures to try; of those that explain as much, the first is taken."""
+    cures = dict.fromkeys(_poses_late(findings, rig))
+    cures |= dict.fromkeys(cure for finding in findings for cure in finding.cures)
     cures |= dict.fromkeys(_hypotheses(findings, rig))
     return [*cures][:_MOST]
 
 
 def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
     """Causes that no single finding shows."""
-    delays = [e for f in findings for cure in f.cures[:1] for e in cure if e.key.endswith(".delay")]
+    delays = _delays(findings)
     if len(delays) > 1:
         yield tuple(delays)
-        shifts = [float(e.value) - rig.channels[e.key.split(".")[1]].delay for e in delays]
-        topic = rig.channels["position"].topic
-        pose = [n for n, source in rig.channels.items() if n in ("orientation", "yaw") or source.topic == topic]
-        if all(shift < 0 for shift in shifts) or all(shift > 0 for shift in shifts):
-            middle = sorted(shifts)[len(shifts) // 2]
-            yield tuple(Edit(f"channels.{n}.delay", round(rig.channels[n].delay - middle, 2)) for n in pose)
     places = {finding.where.split(" ")[0] for finding in findings}
-    position = rig.channels["position"]
-    if places & {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}:
-        x, y, *z = position.fields
-        yield (Edit("channels.position.fields", [y, x, *z]),)
+    fields = rig.channels["position"].fields
+    if "position" in places:
+        yield from ((Edit("channels.position.fields", list(other)),) for other in list(permutations(fields))[1:])
+    elif places & _TURNED:
+        yield (Edit("channels.position.fields", [fields[1], fields[0], *fields[2:]]),)
+        yield from _compass(rig)
     if {"throttle", "brake"} <= places and {"throttle", "brake"} <= set(rig.channels):
         yield _swapped("throttle", "brake", rig)
+
+
+def _compass(rig: Rig) -> Iterator[Cure]:
+    """The yaw counted clockwise, from north or from x: along a diagonal, it follows the course all the same."""
+    source = rig.channels.get("yaw")
+    if source is not None:
+        flipped = Edit("channels.yaw.sign", -source.sign)
+        quarter = np.pi / 2 / (source.sign * unit_factor("yaw", source.unit))
+        yield flipped, Edit("channels.yaw.offset", rounded(source.offset - quarter))
+        yield (flipped,)
+
+
+def _delays(findings: Sequence[Finding]) -> list[Edit]:
+    """The delays that findings propose first."""
+    return [e for f in findings for cure in f.cures[:1] for e in cure if e.key.endswith(".delay")]
+
+
+def _poses_late(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
+    """One delay of the poses for those of several channels, all early or all late.
+
+    A pose takes time to compute: that it is late is likelier than that all else is stamped before it happens.
+    """
+    delays = _delays(findings)
+    shifts = sorted(float(e.value) - rig.channels[e.key.split(".")[1]].delay for e in delays)
+    if len(shifts) > 1 and shifts[0] * shifts[-1] > 0:
+        topic = rig.channels["position"].topic
+        pose = [n for n, source in rig.channels.items() if n in ("orientation", "yaw") or source.topic == topic]
+        middle = shifts[len(shifts) // 2]
+        yield tuple(Edit(f"channels.{n}.delay", round(rig.channels[n].delay - middle, 2)) for n in pose)
 
 
 def _swapped(one: str, other: str, rig: Rig) -> Cure:

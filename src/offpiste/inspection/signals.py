@@ -105,8 +105,8 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
 def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
     """Wrap of a 16-bit counter below zero; None where there is none.
 
-    It jumps by nearly a period between samples, its values keep to two bands with most of the period empty between
-    them, and none exceeds the period. Values are finite.
+    Its values keep to two bands with most of the period empty between them, none exceeds the period, and less a period
+    the upper band continues the lower one. Either may hold most of the samples. Values are finite.
     """
     high = float(raw.max())
     for period in _PERIODS:
@@ -117,13 +117,9 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
         widest = int(space.argmax())
         if space[widest] < 0.5 * period:
             continue
-        # A band up at the period that is a band of small negative numbers: unwrapping must bring it to the other one.
         lower, upper = ordered[: widest + 1], ordered[widest + 1 :] - period
-        if (
-            np.ptp(lower) > 0
-            and len(lower) > len(upper) / 2
-            and np.abs(upper).max() <= max(2 * np.ptp(lower), 0.05 * period)
-        ):
+        spread = np.ptp(lower) > 0 and len(lower) > max(10, 0.002 * len(raw))
+        if spread and abs(upper[0]) <= max(2 * np.ptp(lower), 0.05 * period) and lower[0] - upper[-1] < 0.02 * period:
             return Wrap(above=_round(ordered[widest] + space[widest] / 2), period=period)
     return None
 

@@ -29,6 +29,8 @@ _FOLLOWS = 0.6
 _LAGS: Final = np.arange(-20, 21) * STEP
 _LATE: Final = 0.12
 """Delays from here on are reported [s]."""
+_BIASED: Final = 0.02
+"""Rate without turning that gyroscopes may have [rad/s]."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
 _RATE_UNITS = {"deg/s": 180 / np.pi, "rev/min": 60 / (2 * np.pi)}
 
@@ -111,7 +113,21 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
         removed = Edit(f"channels.{name}", None)
         how = f"{removed}; the pose is differentiated instead"
         return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0, ((removed,),))]
-    return _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
+    wrong = _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
+    return wrong or (_bias(name, _on_path(path, scalar)[:, 0], path, source) if name == "yaw_rate" else [])
+
+
+def _bias(name: str, recorded: Float[np.ndarray, " n"], path: Path, source: ChannelSource) -> list[Finding]:
+    """A finding if a rate is surely not zero where the vehicle does not turn."""
+    one, everywhere = np.ones((1, len(recorded))), np.ones(len(recorded), bool)
+    fit = fit_lags(recorded, path.yaw_rate[:, None], one, np.zeros(1), everywhere)
+    if fit is None or abs(fit.gain[0]) < _BIASED + SURE * fit.gain_sigma(0):
+        return []
+    bias = float(fit.gain[0])
+    per_unit = source.sign * unit_factor(name, source.unit)
+    edit = Edit(f"channels.{name}.offset", rounded(source.offset - bias / per_unit))
+    evidence = f"it is {bias:.3f} ± {fit.gain_sigma(0):.1g} rad/s where the vehicle does not turn"
+    return [Finding("warning", name, "is not zero without turning", evidence, str(edit), 0.4, ((edit,),))]
 
 
 def _turn_rate(drive: Drive, rate: Channel, source: ChannelSource) -> Float[np.ndarray, " n"]:

@@ -7,6 +7,7 @@ import pytest
 
 from offpiste.errors import LogError
 from offpiste.logs.formats.tartandrive import TartanDriveLog
+from offpiste.rig.channels import Clock
 
 
 def modality(drive: Path, name: str, array: np.ndarray, stamps: np.ndarray | None = None) -> Path:
@@ -121,3 +122,10 @@ def test_stamps_that_are_no_numbers(tmp_path: Path) -> None:
     (folder / "timestamps.txt").write_text("0.0\nsoon\n")
     with pytest.raises(LogError, match=r"timestamps\.txt: stamps are not numbers: .*soon.*; export the folder again"):
         TartanDriveLog(tmp_path).read("odom", ["0"])
+
+
+def test_stamps_are_read_in_the_rig_s_unit(tmp_path: Path) -> None:
+    modality(tmp_path, "odometry", np.zeros((4, 3)), np.arange(4) * 20.0)
+    log = TartanDriveLog.open(tmp_path, Clock(unit="ms"))
+    np.testing.assert_allclose(log.read("odometry", ("0",)).time, np.arange(4) * 0.02)
+    assert log.clock.unit == "ms"

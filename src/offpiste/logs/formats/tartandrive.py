@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
+from offpiste.rig.channels import SECONDS, Clock
 
 
 @LOG_FORMATS.register("tartandrive")
@@ -19,9 +20,11 @@ class TartanDriveLog(Log):
     """
 
     description = "a TartanDrive 2 folder"
+    has_clock_unit = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
         self.path = path
+        self._clock = clock or Clock()
         self._topics = {
             stamps.parent.name: self._describe(stamps.parent) for stamps in sorted(path.glob("*/timestamps.txt"))
         }
@@ -31,6 +34,16 @@ class TartanDriveLog(Log):
         """Whether a folder has this layout."""
         # Folders of KITTI have stamps as well, and keep their files in `data`.
         return any(not (stamps.parent / "data").is_dir() for stamps in path.glob("*/timestamps.txt"))
+
+    @classmethod
+    def open(cls, path: Path, clock: Clock) -> Log:
+        """A drive whose stamps are in the clock's unit."""
+        return cls(path, clock=clock)
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that stamps are read by."""
+        return Clock(unit=self._clock.unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -48,7 +61,7 @@ class TartanDriveLog(Log):
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         folder = self.path / topic.name
         values = _load(folder / topic.type, mapped=False).reshape(topic.count, -1)
-        time = _load_stamps(folder / "timestamps.txt")
+        time = _load_stamps(folder / "timestamps.txt") * SECONDS[self._clock.unit]
         if len(time) != len(values):
             raise LogError(
                 f"{len(time)} stamps for {len(values)} samples",

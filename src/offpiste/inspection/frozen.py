@@ -1,0 +1,65 @@
+"""Check of channels that hold one value while the vehicle moves, as a sensor or a driver that hangs does."""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.findings import Finding
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+
+_POSE: Final = ("position", "orientation", "yaw")
+"""Their own check is `pose.py`: a pose that stands still is no motion."""
+_LEAST: Final = 2.0
+"""Shortest run that is reported [s]."""
+_UNUSUAL: Final = 20.0
+"""A run is reported from this many times the length that 1 in 100 of the channel's runs reach ..."""
+_SAMPLES: Final = 10
+"""... and from this many samples on."""
+
+
+def check_frozen(drive: Drive, path: Path) -> list[Finding]:
+    """A finding for each channel that usually changes, and for a while does not though the vehicle moves."""
+    findings = []
+    for name, channel in drive.channels.items():
+        if name in _POSE or len(channel.time) < 100:
+            continue
+        begin, end = _frozen(channel, path)
+        if not len(begin):
+            continue
+        lasts = end - begin
+        longest = int(lasts.argmax())
+        times = "once" if len(begin) == 1 else f"{len(begin)} times, {lasts.sum():.1f} s in all"
+        evidence = f"{times}, the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
+        evidence += "99 % of its other values last a twentieth of that or less"
+        how = "no rig line fixes it: cut the log there, or leave the channel out"
+        share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
+        findings.append(Finding("warning", name, "holds one value while the vehicle moves", evidence, how, share))
+    return findings
+
+
+def _frozen(channel: Channel, path: Path) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
+    """When the unusually long runs of one value begin and end [s]."""
+    changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
+    first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
+    begin, end = channel.time[first], channel.time[last]
+    moves = ~_rests(channel)[first] & (_moving(path, begin) & _moving(path, end))
+    if moves.sum() < 50:
+        return np.zeros(0), np.zeros(0)
+    least = max(_LEAST, _UNUSUAL * float(np.percentile((end - begin)[moves], 99)))
+    long = moves & (end - begin > least) & (last - first >= _SAMPLES)
+    return begin[long], end[long]
+
+
+def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
+    """Samples at a value that a control keeps by nature: none, or an end of its range."""
+    if channel.values.shape[1] > 1:
+        return np.zeros(len(channel.values), bool)
+    values = channel.values[:, 0]
+    return np.asarray((values == 0) | (values == values.min()) | (values == values.max()))
+
+
+def _moving(path: Path, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:
+    return np.asarray(np.interp(at, path.time, np.nan_to_num(path.speed)) > MOVING)

@@ -1,0 +1,132 @@
+"""Fits of the response to the steering: its sign, delay and scale, estimated together.
+
+The **steady** fit explains the yaw rate by speed times steering; the **dynamic** one explains the yaw rate a moment
+later by the yaw rate now and the steering in between. A vehicle that drifts countersteers: the steady relation then
+turns round or vanishes, but steering to the left still turns it further to the left than it would go.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.driven_path import STEP, TURNING, Path
+from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+from offpiste.rig.rig import Rig
+
+_AHEAD: Final = 0.2
+"""The dynamic fit explains the yaw rate this much later [s]."""
+_STEADY_EFFECT: Final = 0.5
+DYNAMIC_EFFECT: Final = 0.3
+"""Correlations above which there is an effect."""
+_SMOOTHINGS: Final = (2, 4, 6)
+"""Tried lags over which the steering is averaged for its scale: actuators follow quick steering in part only."""
+_GRIPPING: Final = 3.0
+"""Lateral acceleration up to which tyres follow their wheels [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class SteeringFit:
+    """Both fits of a steering channel, and two more for its scale.
+
+    Attributes:
+        steady, dynamic: over all moving rows.
+        settled: the steady fit with the steering averaged over the time that explains most.
+        gripping: the same where speed and steering, not the turning, ask for little lateral acceleration; `settled`
+            where there are too few such rows.
+        centre, centre_sigma: steering at which those rows go straight, and its standard deviation.
+    """
+
+    steady: LagFit
+    dynamic: LagFit
+    settled: LagFit
+    gripping: LagFit
+    centre: float
+    centre_sigma: float
+
+    @property
+    def has_effect(self) -> bool:
+        """Whether the steering turns the vehicle, in either direction."""
+        return self.steady.strength >= _STEADY_EFFECT or self.dynamic.strength >= DYNAMIC_EFFECT
+
+    @property
+    def sign(self) -> int:
+        """Sign of the effect, 0 where it is not clear: the dynamic fit decides if the two differ."""
+        steady, dynamic = (_sure_sign(fit) for fit in (self.steady, self.dynamic))
+        if steady == dynamic or not dynamic:
+            return steady
+        return dynamic if self.dynamic.strength >= DYNAMIC_EFFECT else 0
+
+
+def _sure_sign(fit: LagFit) -> int:
+    best = fit.best()
+    return int(np.sign(fit.r[best])) if abs(fit.r[best]) > SURE * fit.r_sigma(best) else 0
+
+
+def steering_fit(channel: Channel, path: Path, rig: Rig) -> SteeringFit | None:
+    """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre."""
+    angle = lagged(channel, path.time, rig)
+    wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
+    turning = path.forward * wheel
+    moving = path.speed > max(0.3, 0.2 * path.cruise)
+    steady = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, moving)
+    later = round(_AHEAD / STEP)
+    then = _shifted(path.forward, later)
+    base = np.stack((path.yaw_rate, then), axis=1)
+    dynamic = fit_lags(_shifted(path.yaw_rate, later), base, _shifted(turning, later), LAGS, moving)
+    if steady is None or dynamic is None:
+        return None
+    return SteeringFit(steady, dynamic, *_scale_fits(wheel, steady, path, curvature_per_unit(channel.name, rig)))
+
+
+def _scale_fits(
+    wheel: Float[np.ndarray, "L n"], steady: LagFit, path: Path, per_unit: float
+) -> tuple[LagFit, LagFit, float, float]:
+    """The fits `settled` and `gripping`, and the centre with its standard deviation."""
+    moving = path.speed > max(0.3, 0.2 * path.cruise)
+    settled, averaged = steady, path.forward * wheel[steady.best()]
+    for count in _SMOOTHINGS:
+        smooth = path.forward * _averaged(wheel[::2], count)
+        fit = fit_lags(path.yaw_rate, path.forward[:, None], smooth, _averaged(LAGS[::2], count), moving)
+        if fit is not None and fit.strength > settled.strength:
+            settled, averaged = fit, smooth[fit.best()]
+    asked = np.abs(averaged) * path.speed * per_unit
+    with np.errstate(invalid="ignore"):
+        few = moving & (asked < max(_GRIPPING, float(np.nanpercentile(asked[moving], 30))))
+    at = settled.lags[[settled.best()]]
+    gripping = fit_lags(path.yaw_rate, path.forward[:, None], averaged[None], at, few)
+    # yaw rate = gain * (forward * steering - centre * forward): the other coefficient of the same fit.
+    other = fit_lags(path.yaw_rate, averaged[:, None], path.forward[None], at, few)
+    if gripping is None or other is None:
+        return settled, settled, 0.0, np.inf
+    gain = float(gripping.gain[0])
+    return settled, gripping, -float(other.gain[0]) / gain, other.gain_sigma(0) / abs(gain)
+
+
+def _averaged(values: Float[np.ndarray, "L ..."], count: int) -> Float[np.ndarray, "m ..."]:
+    """Means over neighbouring lags."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, count, axis=0).mean(axis=-1))
+
+
+def curvature_per_unit(name: str, rig: Rig) -> float:
+    """Curvature at a steering of 1, by the rig's geometry [1/m]."""
+    return (np.tan(rig.vehicle.max_steer) if name == "steer" else 1.0) / rig.vehicle.wheelbase
+
+
+def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray, "... n"]:
+    """The values some rows later; NaN at the end."""
+    end = np.full((*values.shape[:-1], rows), np.nan)
+    return np.concatenate((values[..., rows:], end), axis=-1)
+
+
+def steering_fits(drive: Drive, path: Path) -> dict[str, SteeringFit]:
+    """Fits of the steering channels that move in a drive that turns, by name."""
+    if np.nanstd(path.yaw_rate) < TURNING:
+        return {}
+    present = [name for name in ("steer", "steer_angle") if name in drive.channels]
+    moved = [name for name in present if np.ptp(drive.channels[name].values) > 0]
+    fits = {name: steering_fit(drive.channels[name], path, drive.rig) for name in moved}
+    return {name: fit for name, fit in fits.items() if fit is not None}
