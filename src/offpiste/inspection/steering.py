@@ -41,6 +41,8 @@ _USUAL_SHARE: Final = 0.85
 """The share that a remedy assumes: tyres slip, and quick steering is followed in part only."""
 _GRIPPING: Final = 3.0
 """Lateral acceleration up to which tyres follow their wheels [m/s^2]."""
+_ROUNDS: Final = 5
+"""Rounds in which the scale of the steering, and with it the rows where tyres grip, come to rest."""
 _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
 
@@ -82,7 +84,7 @@ def _sure_sign(fit: LagFit) -> int:
     return int(np.sign(fit.r[best])) if abs(fit.r[best]) > SURE * fit.r_sigma(best) else 0
 
 
-def steering_fit(channel: Channel, path: Path, rig: Rig) -> SteeringFit | None:
+def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> SteeringFit | None:
     """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre."""
     angle = lagged(channel, path.time, rig)
     wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
@@ -95,11 +97,15 @@ def steering_fit(channel: Channel, path: Path, rig: Rig) -> SteeringFit | None:
     dynamic = fit_lags(_shifted(path.yaw_rate, later), base, _shifted(turning, later), LAGS, moving)
     if steady is None or dynamic is None:
         return None
-    asked = np.abs(turning[steady.best()]) * path.speed * _per_unit(channel.name, rig)
-    with np.errstate(invalid="ignore"):
-        few = asked < max(_GRIPPING, float(np.nanpercentile(asked[moving], 30)))
-    gripping = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, moving & few)
-    return SteeringFit(steady, dynamic, gripping or steady)
+    gripping = steady
+    # Without a rig the scale is what is sought: tyres that slide show too small a one, and each round fewer of them.
+    for _ in range(1 if measured else _ROUNDS):
+        scale = _per_unit(channel.name, rig) if measured else abs(float(gripping.gain[gripping.best()]))
+        asked = np.abs(turning[steady.best()]) * path.speed * scale
+        with np.errstate(invalid="ignore"):
+            few = asked < max(_GRIPPING, float(np.nanpercentile(asked[moving], 30)))
+        gripping = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, moving & few) or gripping
+    return SteeringFit(steady, dynamic, gripping)
 
 
 def _per_unit(name: str, rig: Rig) -> float:
@@ -132,13 +138,17 @@ def check_steering(fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *,
     return findings
 
 
-def steering_fits(drive: Drive, path: Path) -> dict[str, SteeringFit]:
-    """Fits of the steering channels that move in a drive that turns, by name."""
+def steering_fits(drive: Drive, path: Path, *, measured: bool) -> dict[str, SteeringFit]:
+    """Fits of the steering channels that move in a drive that turns, by name.
+
+    Args:
+        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
+    """
     if np.nanstd(path.yaw_rate) < TURNING:
         return {}
     present = [name for name in ("steer", "steer_angle") if name in drive.channels]
     moved = [name for name in present if np.ptp(drive.channels[name].values) > 0]
-    fits = {name: steering_fit(drive.channels[name], path, drive.rig) for name in moved}
+    fits = {name: steering_fit(drive.channels[name], path, drive.rig, measured=measured) for name in moved}
     return {name: fit for name, fit in fits.items() if fit is not None}
 
 
