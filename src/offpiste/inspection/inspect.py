@@ -95,7 +95,9 @@ def summarise(recorded: dict[str, Recorded], path: Path | None) -> Summary:
         return Summary(duration)
     speed = path.speed[np.isfinite(path.speed)]
     middle, fast, top = np.percentile(speed, (50, 95, 100))
-    return Summary(duration, path.distance, float(middle), float(fast), float(top), float(np.mean(speed < path.slowest)))
+    return Summary(
+        duration, path.distance, float(middle), float(fast), float(top), float(np.mean(speed < path.slowest))
+    )
 
 
 def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[TopicRow, ...]:

@@ -253,7 +253,9 @@ def _radius(name: str, fit: SteeringFit) -> list[Finding]:
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
     line = f"atan({number(curvature)} * wheelbase)"
-    remedy = f"vehicle.max_steer = {line}" if name == "steer" else "compare with tan(angle) / wheelbase"
+    remedy = "compare with tan(angle) / wheelbase"
+    if name == "steer":
+        remedy = f"vehicle.max_steer = {line}; somewhat more where tyres slid all along"
     return [Finding("note", name, "has this scale", evidence, remedy, 0.4)]
 
 
