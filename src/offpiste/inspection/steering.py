@@ -139,11 +139,7 @@ def check_steering(fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *,
 
 
 def steering_fits(drive: Drive, path: Path, *, measured: bool) -> dict[str, SteeringFit]:
-    """Fits of the steering channels that move in a drive that turns, by name.
-
-    Args:
-        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
-    """
+    """Fits of the steering channels that move in a drive that turns, by name; `measured` as in `check_steering`."""
     if np.nanstd(path.yaw_rate) < TURNING:
         return {}
     present = [name for name in ("steer", "steer_angle") if name in drive.channels]
@@ -252,10 +248,8 @@ def _radius(name: str, fit: SteeringFit) -> list[Finding]:
     """The scale of the steering where no wheelbase is known."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
-    line = f"atan({number(curvature)} * wheelbase)"
-    remedy = "compare with tan(angle) / wheelbase"
-    if name == "steer":
-        remedy = f"vehicle.max_steer = {line}; somewhat more where tyres slid all along"
+    line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase); somewhat more where tyres slid all along"
+    remedy = line if name == "steer" else "compare with tan(angle) / wheelbase"
     return [Finding("note", name, "has this scale", evidence, remedy, 0.4)]
 
 
