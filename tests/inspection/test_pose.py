@@ -86,3 +86,16 @@ def test_a_body_that_points_down_is_turned_up(axes: str, fields: tuple[str, ...]
         log = log.change("odom", field, np.negative)
     found, _ = _inspected(log)
     assert found.cure == (Edit("motion.axes", axes),)
+
+
+@pytest.mark.parametrize("way", [0.0, np.pi / 2, np.pi])
+def test_a_jump_counts_in_any_direction(way: float) -> None:
+    """One to the side or backwards, too, where the step is hardly longer than those beside it."""
+    zero = np.zeros(3000)
+    odom = dict.fromkeys(("y", "z", "qx", "qy", "qz", "vy", "vz", "wx", "wy", "wz"), zero)
+    odom |= {"x": 0.3 * np.arange(3000.0), "qw": zero + 1, "vx": zero + 15.0}
+    log = MemoryLog({**CLEAN.data, "odom": (CLEAN.data["odom"][0], odom)})
+    for field, by in (("x", np.cos(way)), ("y", np.sin(way))):
+        log = log.change("odom", field, lambda x, by=by: x + 1.5 * by * (np.arange(3000) >= 1500))
+    (finding,) = (f for f in inspect_log(log, rig()).findings if (f.where, f.what) == ("position", "jumps"))
+    assert finding.evidence.startswith("1 times, by up to 1.50 m")

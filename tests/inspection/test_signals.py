@@ -73,3 +73,15 @@ def test_a_field_that_no_channel_reads_is_only_noted() -> None:
     log = log.change("wheels", "rear", lambda x: np.where(np.arange(len(x)) % 701 == 5, 1e6, x))
     (finding,) = (f for f in inspect_log(log).findings if f.where.startswith("wheels"))
     assert (finding.severity, finding.what) == ("note", "isolated spikes")
+
+
+def test_spikes_among_usual_values_get_no_range_that_would_leave_them() -> None:
+    """An engine's speed with spikes of half of its range, and one slow run-up to the top."""
+    time = np.arange(3000)
+    speed = np.where(time < 400, 10.0 * np.minimum(time, 400 - time), 150 + 20 * np.sin(time / 9))
+    spiked = np.where((time % 97 == 5) & (time > 500), 1990.0, speed) + 0.01 * (time % 7)
+    spiked[2500] = 9000.0
+    log = drive_log(seconds=60).change("wheels", "rear", lambda x: spiked)
+    (finding,) = (f for f in inspect_log(log).findings if f.where.startswith("wheels"))
+    assert finding.what == "isolated spikes"
+    assert finding.remedy == "no range of valid values parts them from the others: take another field"

@@ -28,6 +28,11 @@ def test_timing_of_bunches_counts_all_samples() -> None:
     assert seen.lost == 0
 
 
+def test_timing_of_periods_that_alternate_counts_all_samples() -> None:
+    time = np.cumsum(np.tile([0.10, 0.10, 0.11], 50))
+    assert timing(time, max_gap=0.5).rate == pytest.approx(1 / 0.1033, rel=0.005)
+
+
 def test_dropped_samples() -> None:
     time, _ = CLEAN.data["pedals"]
     kept = np.flatnonzero(np.random.default_rng(0).random(len(time)) > 0.2)
@@ -65,6 +70,26 @@ def test_repeated_stamps() -> None:
     severity, evidence = findings(CLEAN.restamp("steering", repeat), "steering")["stamps repeat"]
     assert severity == "note"
     assert evidence.startswith("30 of 1500 (2.0%)")
+
+
+class _Received(MemoryLog):
+    """A log whose messages also have stamps of their arrival: late by up to 0.6 s, in order."""
+
+    def stamps(self, topic: str, *, stamps: str = "header") -> np.ndarray:
+        time = super().stamps(topic)
+        return time if stamps == "header" else time + 0.3 + 0.3 * np.sin(time) + 1e-4 * np.arange(len(time))
+
+
+@pytest.mark.parametrize("copies", [True, False])
+def test_samples_that_are_recorded_twice_ask_for_no_other_clock(copies: bool) -> None:
+    time, columns = CLEAN.data["steering"]
+    other = 0.0 if copies else 1e-3 * (np.arange(2 * len(time)) % 2)
+    twice = {field: np.repeat(column, 2) + other for field, column in columns.items()}
+    log = _Received({**CLEAN.data, "steering": (np.repeat(time, 2), twice)})
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "stamps repeat")
+    assert finding.evidence.startswith("1500 of 3000 (50.0%)")
+    assert finding.severity == ("note" if copies else "warning")
+    assert ("they are copies" in finding.remedy) == copies
 
 
 def test_a_gap_of_two_minutes() -> None:

@@ -74,9 +74,14 @@ class Motion:
     follows: bool
 
     @cached_property
+    def measured(self) -> bool:
+        """Whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's."""
+        return self.topics.given and not check_draft_values(self.drive.rig)
+
+    @cached_property
     def steering(self) -> dict[str, SteeringFit]:
         """Fits of the steering, which several checks read."""
-        return steering_fits(self.drive, self.path)
+        return steering_fits(self.drive, self.path, measured=self.measured)
 
     @cached_property
     def pedals(self) -> dict[str, LagFit]:
@@ -136,9 +141,8 @@ def _clocks(motion: Motion) -> list[Finding]:
 
 
 def _steering(motion: Motion) -> list[Finding]:
-    measured = motion.topics.given and not check_draft_values(motion.drive.rig)
     fits = motion.steering
-    return check_steering(fits, motion.drive, motion.path, measured=measured) if motion.follows else []
+    return check_steering(fits, motion.drive, motion.path, measured=motion.measured) if motion.follows else []
 
 
 def _steering_copies(motion: Motion) -> list[Finding]:

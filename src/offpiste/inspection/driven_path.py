@@ -49,12 +49,17 @@ class Path:
     @property
     def distance(self) -> float:
         """Length of the path [m], without standstills."""
-        return float(np.nansum(np.where(self.speed > MOVING, self.speed, 0.0)) * STEP)
+        return float(np.nansum(np.where(self.speed > self.slowest, self.speed, 0.0)) * STEP)
 
     @property
     def driving(self) -> float:
         """Time in motion [s]."""
         return float(np.sum(np.nan_to_num(self.speed) > MOVING) * STEP)
+
+    @property
+    def slowest(self) -> float:
+        """Speed below which this vehicle is at a standstill [m/s]: less than `MOVING` where it is slow all along."""
+        return min(MOVING, 0.1 * self.cruise)
 
     @property
     def cruise(self) -> float:

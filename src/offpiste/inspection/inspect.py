@@ -8,7 +8,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.driven_path import Path
 from offpiste.inspection.examination import examine
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.recorded_log import Recorded, RememberedLog
@@ -95,7 +95,9 @@ def summarise(recorded: dict[str, Recorded], path: Path | None) -> Summary:
         return Summary(duration)
     speed = path.speed[np.isfinite(path.speed)]
     middle, fast, top = np.percentile(speed, (50, 95, 100))
-    return Summary(duration, path.distance, float(middle), float(fast), float(top), float(np.mean(speed < MOVING)))
+    return Summary(
+        duration, path.distance, float(middle), float(fast), float(top), float(np.mean(speed < path.slowest))
+    )
 
 
 def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[TopicRow, ...]:

@@ -5,10 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from offpiste.channels import CONTROLS, all_controls
+from offpiste.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, Path
 from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.lags import LAGS, LagFit, check_delay, fit_lags, lagged, sampled
+from offpiste.inspection.lags import LAGS, SURE, LagFit, check_delay, fit_lags, lagged, sampled
 from offpiste.inspection.steering_fit import SteeringFit
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -73,6 +74,8 @@ _PEDAL_EFFECT = 0.2
 """Correlation of acceleration and pedal, with speed, slope and the other pedal taken out, above which it is one."""
 _RELEASED = 0.08
 """A pedal below this is released."""
+_PRESSED = 0.3
+"""A pedal above this is pressed."""
 _CLEAR = 0.3
 """Correlation above which a delay is clear."""
 
@@ -88,9 +91,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
         sign = _EFFECTS[name]
         right, wrong = fit.best(*_OWN_DELAY, sign=sign), fit.best(*_OWN_DELAY, sign=-sign)
         if not _has_effect(fit):
-            evidence = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s"
-            what, how = "does not change the speed", "look for another field, or declare it absent"
-            findings.append(Finding("note", name, what, evidence, how, 0.5))
+            findings += [] if _acts_alone(name, drive, path) else [_without_effect(name, fit, drive, path)]
         elif abs(fit.r[wrong]) > max(_PEDAL_EFFECT, 2 * max(sign * fit.r[right], 0.0)):
             evidence = (
                 f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
@@ -104,17 +105,51 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
     return findings
 
 
+def _without_effect(name: str, fit: LagFit, drive: Drive, path: Path) -> Finding:
+    pressed = float(np.nanmean(sampled(drive.channels[name], path.time, drive.rig) > _PRESSED))
+    evidence = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s; above {_PRESSED} "
+    evidence += f"for {pressed:.1%} of the time"
+    how = "nothing if it was hardly pressed; else look for another field, or declare it absent"
+    return Finding("note", name, "shows no effect on the speed", evidence, how, 0.5)
+
+
+def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
+    """Whether a pedal acts while the other one is released, gravity taken out.
+
+    Brakes are pressed seldom, and downhill: over a whole drive, throttle and slope explain away what they do.
+    """
+    other = drive.channels.get("brake" if name == "throttle" else "throttle")
+    if other is None:
+        return False
+    with np.errstate(invalid="ignore"):
+        alone = sampled(other, path.time - 0.2, drive.rig) < _RELEASED
+    way = np.sign(path.forward)
+    pushed = path.acceleration * way + GRAVITY * path.slope
+    base = np.stack((np.ones(len(path.time)), np.abs(path.forward)), axis=1)
+    rows = alone & (path.speed > MOVING)
+    fit = fit_lags(pushed, base, lagged(drive.channels[name], path.time, drive.rig), LAGS, rows)
+    if fit is None:
+        return False
+    best = fit.best(*_OWN_DELAY, sign=_EFFECTS[name])
+    r = _EFFECTS[name] * float(fit.r[best])
+    return r > max(_PEDAL_EFFECT, SURE * fit.r_sigma(best))
+
+
 def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
-    """A finding if a pedal never comes back to zero, not even at a standstill or while the other one is pressed."""
+    """A finding if a pedal rests above zero: at a standstill, or while the other one is pressed."""
     channel, source = drive.channels[name], drive.rig.channels[name]
     lowest = float(np.percentile(channel.values, 0.5))
     if lowest < _RELEASED:
         return []
     at = sampled(channel, path.time, drive.rig)
     other = drive.channels.get("brake" if name == "throttle" else "throttle")
-    pressed = np.zeros(len(at), bool) if other is None else sampled(other, path.time, drive.rig) > 0.3
+    pressed = np.zeros(len(at), bool) if other is None else sampled(other, path.time, drive.rig) > _PRESSED
     standing = np.nan_to_num(path.speed, nan=np.inf) < MOVING
-    if (pressed | standing).sum() < 20 or not np.nanpercentile(at[pressed | standing], 5) >= _RELEASED:
+    if (pressed | standing).sum() < 20:
+        return []
+    rest = float(np.nanpercentile(at[pressed | standing], 5))
+    # Where it is higher then than while driving, the driver presses it, and its rest is not seen.
+    if not _RELEASED <= rest < lowest + _RELEASED / 2:
         return []
     # Motors do not answer to the least throttle: only who brakes has surely released it.
     severity: Severity = "warning" if pressed.sum() >= 20 else "note"

@@ -159,13 +159,13 @@ def _noise(drive: Drive, path: Path) -> list[Finding]:
 
 
 def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
-    """Steps that the speed before and after does not explain."""
+    """Steps that the velocity before and after does not explain, in any direction."""
     step = np.diff(place.values[:, :2], axis=0)
     dt = np.diff(place.time)
     if len(dt) < 50:
         return []
-    speed = median_filter(np.hypot(*step.T) / dt, 21, mode="nearest")
-    excess = np.hypot(*step.T) - speed * dt
+    velocity = median_filter(step / dt[:, None], (21, 1), mode="nearest")
+    excess = np.hypot(*(step - velocity * dt[:, None]).T)
     least = max(0.1, _JUMP_TIME * path.cruise, 3 * float(np.percentile(excess, 99)))
     jumps = np.flatnonzero((excess > least) & (dt < 1.0))
     if not len(jumps):

@@ -20,6 +20,8 @@ _SPIKE = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
 _MAX_SPIKES = 0.02
 """More than this share of the samples are no isolated spikes."""
+_MOST_LEFT = 0.5
+"""A range of valid values that leaves more than this share of the spikes is no remedy."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,8 @@ def _spiked(signal: Signal) -> list[Finding]:
         return []
     inside = int(((at >= low) & (at <= high)).sum())
     remedy, cures = signal.cure("valid", [rounded(low), rounded(high)])
+    if inside > _MOST_LEFT * len(at):
+        remedy, cures, inside = "no range of valid values parts them from the others: take another field", (), 0
     return [
         Finding(
             "warning" if signal.key else "note",

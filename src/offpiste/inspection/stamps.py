@@ -35,7 +35,7 @@ class Timing:
     """Statistics of a topic's stamps.
 
     Attributes:
-        rate: one over the median interval [Hz]; NaN for fewer than three samples.
+        rate: samples a second, losses and gaps left aside [Hz]; NaN for fewer than three samples.
         jitter: half the spread from the 5th to the 95th percentile of the intervals, over the median interval.
         lost: share of samples missing by that rate, gaps left aside.
         repeated, backward: counts of stamps equal to, or before, the one before.
@@ -65,7 +65,8 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
     low, typical, high = np.percentile(forward, (5, 50, 95))
     # Where samples arrive in bunches or at odd times only the mean gives the rate; elsewhere losses would bias it.
     lost = _lost(forward[forward <= max(max_gap, 10 * typical)] / typical) if repeated < 0.02 * len(time) else None
-    interval = float(typical if lost is not None else np.mean(step[(step >= 0) & (step <= max(max_gap, 10 * typical))]))
+    single = forward[np.round(forward / typical) == 1]
+    interval = float(np.mean(single if lost is not None else step[(step >= 0) & (step <= max(max_gap, 10 * typical))]))
     is_gap = step > max(max_gap, 10 * interval)
     gaps = tuple((float(time[i]), float(step[i])) for i in np.flatnonzero(is_gap))
     return Timing(
@@ -183,12 +184,21 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
         findings.append(Finding(severity, where, what, evidence, remedy, share, cures))
     if seen.repeated:
         share = seen.repeated / total
+        evidence = f"{seen.repeated} of {total} ({share:.1%})"
+        if _are_copies(topic):
+            how = "nothing: they are copies of the sample before, and one of each is kept"
+            return [*findings, Finding("note", where, "stamps repeat", evidence, how, share)]
         bunches = remedy if share <= 0.02 or receives else "nothing: one sample a stamp is kept"
         severity = "warning" if share > _REPEATED else "note"
-        evidence = f"{seen.repeated} of {total} ({share:.1%})"
         repeats = ((_RECEIVE,),) if receives else ()
         findings.append(Finding(severity, where, "stamps repeat", evidence, bunches, share, repeats))
     return findings
+
+
+def _are_copies(topic: Recorded) -> bool:
+    """Whether samples with equal stamps hold equal values: another clock would only tear them apart."""
+    again = np.flatnonzero(np.diff(topic.time) == 0)
+    return np.array_equal(topic.values[again], topic.values[again + 1], equal_nan=True)
 
 
 def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: bool) -> list[Finding]:

@@ -172,8 +172,8 @@ def _radius(name: str, fit: SteeringFit) -> list[Finding]:
     """The scale of the steering where no wheelbase is known."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
-    line = f"atan({number(curvature)} * wheelbase)"
-    remedy = f"vehicle.max_steer = {line}" if name == "steer" else "compare with tan(angle) / wheelbase"
+    line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase); somewhat more where tyres slid all along"
+    remedy = line if name == "steer" else "compare with tan(angle) / wheelbase"
     return [Finding("note", name, "has this scale", evidence, remedy, 0.4)]
 
 

@@ -26,6 +26,8 @@ _SMOOTHINGS: Final = (2, 4, 6)
 """Tried lags over which the steering is averaged for its scale: actuators follow quick steering in part only."""
 _GRIPPING: Final = 3.0
 """Lateral acceleration up to which tyres follow their wheels [m/s^2]."""
+_ROUNDS: Final = 5
+"""Rounds in which the scale of the steering, and with it the rows where tyres grip, come to rest."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def _sure_sign(fit: LagFit) -> int:
     return int(np.sign(fit.r[best])) if abs(fit.r[best]) > SURE * fit.r_sigma(best) else 0
 
 
-def steering_fit(channel: Channel, path: Path, rig: Rig) -> SteeringFit | None:
+def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> SteeringFit | None:
     """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre."""
     angle = lagged(channel, path.time, rig)
     wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
@@ -79,11 +81,12 @@ def steering_fit(channel: Channel, path: Path, rig: Rig) -> SteeringFit | None:
     dynamic = fit_lags(_shifted(path.yaw_rate, later), base, _shifted(turning, later), LAGS, moving)
     if steady is None or dynamic is None:
         return None
-    return SteeringFit(steady, dynamic, *_scale_fits(wheel, steady, path, curvature_per_unit(channel.name, rig)))
+    per_unit = curvature_per_unit(channel.name, rig) if measured else None
+    return SteeringFit(steady, dynamic, *_scale_fits(wheel, steady, path, per_unit))
 
 
 def _scale_fits(
-    wheel: Float[np.ndarray, "L n"], steady: LagFit, path: Path, per_unit: float
+    wheel: Float[np.ndarray, "L n"], steady: LagFit, path: Path, per_unit: float | None
 ) -> tuple[LagFit, LagFit, float, float]:
     """The fits `settled` and `gripping`, and the centre with its standard deviation."""
     moving = path.speed > max(0.3, 0.2 * path.cruise)
@@ -93,14 +96,18 @@ def _scale_fits(
         fit = fit_lags(path.yaw_rate, path.forward[:, None], smooth, _averaged(LAGS[::2], count), moving)
         if fit is not None and fit.strength > settled.strength:
             settled, averaged = fit, smooth[fit.best()]
-    asked = np.abs(averaged) * path.speed * per_unit
-    with np.errstate(invalid="ignore"):
-        few = moving & (asked < max(_GRIPPING, float(np.nanpercentile(asked[moving], 30))))
-    at = settled.lags[[settled.best()]]
-    gripping = fit_lags(path.yaw_rate, path.forward[:, None], averaged[None], at, few)
+    gripping, at = settled, settled.lags[[settled.best()]]
+    few = moving
+    # Without a rig the scale is what is sought: tyres that slide show too small a one, and each round fewer of them.
+    for _ in range(_ROUNDS if per_unit is None else 1):
+        scale = abs(float(gripping.gain[gripping.best()])) if per_unit is None else per_unit
+        asked = np.abs(averaged) * path.speed * scale
+        with np.errstate(invalid="ignore"):
+            few = moving & (asked < max(_GRIPPING, float(np.nanpercentile(asked[moving], 30))))
+        gripping = fit_lags(path.yaw_rate, path.forward[:, None], averaged[None], at, few) or gripping
     # yaw rate = gain * (forward * steering - centre * forward): the other coefficient of the same fit.
     other = fit_lags(path.yaw_rate, averaged[:, None], path.forward[None], at, few)
-    if gripping is None or other is None:
+    if gripping is settled or other is None:
         return settled, settled, 0.0, np.inf
     gain = float(gripping.gain[0])
     return settled, gripping, -float(other.gain[0]) / gain, other.gain_sigma(0) / abs(gain)
@@ -122,11 +129,15 @@ def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray,
     return np.concatenate((values[..., rows:], end), axis=-1)
 
 
-def steering_fits(drive: Drive, path: Path) -> dict[str, SteeringFit]:
-    """Fits of the steering channels that move in a drive that turns, by name."""
+def steering_fits(drive: Drive, path: Path, *, measured: bool) -> dict[str, SteeringFit]:
+    """Fits of the steering channels that move in a drive that turns, by name.
+
+    Args:
+        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
+    """
     if np.nanstd(path.yaw_rate) < TURNING:
         return {}
     present = [name for name in ("steer", "steer_angle") if name in drive.channels]
     moved = [name for name in present if np.ptp(drive.channels[name].values) > 0]
-    fits = {name: steering_fit(drive.channels[name], path, drive.rig) for name in moved}
+    fits = {name: steering_fit(drive.channels[name], path, drive.rig, measured=measured) for name in moved}
     return {name: fit for name, fit in fits.items() if fit is not None}

@@ -1,0 +1,45 @@
+"""Steering: its scale where no rig knows the wheelbase."""
+
+import numpy as np
+import pytest
+from simulated import MAX_STEER, START, MemoryLog
+
+from offpiste.inspection.inspect import inspect_log
+
+WHEELBASE = 0.18
+TRUE = np.tan(MAX_STEER) / WHEELBASE
+
+
+@pytest.mark.parametrize("most", [100.0, 4.0])
+def test_the_scale_of_a_first_rig_is_that_of_tyres_that_grip(most: float) -> None:
+    """Fast curves slide outwards; what the vehicle turns in them says nothing on its steering."""
+    (finding,) = (f for f in inspect_log(_curves(most)).findings if (f.where, f.what) == ("steer", "has this scale"))
+    assert float(finding.evidence.split()[5]) == pytest.approx(TRUE, rel=0.12)
+
+
+def _curves(most: float) -> MemoryLog:
+    """Curves of a small car at 0.5 to 3.5 m/s.
+
+    Args:
+        most: largest lateral acceleration, at which tyres slide [m/s^2].
+    """
+    random = np.random.default_rng(1)
+    time = np.arange(0, 120, 0.02)
+    v = 2 + 1.5 * np.sin(time / 7)
+    steer = 0.8 * np.sin(time / 1.7) * np.sin(time / 11)
+    yaw_rate = v * np.tan(MAX_STEER * steer) / WHEELBASE
+    yaw_rate = most / v * np.tanh(yaw_rate * v / most)
+    yaw = np.cumsum(yaw_rate) * 0.02
+    zero = np.zeros(len(time))
+    odom = {"x": np.cumsum(v * np.cos(yaw)) * 0.02, "y": np.cumsum(v * np.sin(yaw)) * 0.02, "z": zero}
+    odom |= {"qx": zero, "qy": zero, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
+    odom = {field: column + 1e-3 * random.standard_normal(len(time)) for field, column in odom.items()}
+    throttle = np.clip(0.5 + np.gradient(v, time) + 0.1 * v, 0, 1)
+    pedals = {"throttle": throttle, "brake": np.where(time % 30 > 29, 0.1, 0.0)}
+    return MemoryLog(
+        {
+            "odom": (START + time, odom),
+            "pedals": (START + time, pedals),
+            "steering": (START + time, {"command": steer}),
+        }
+    )
