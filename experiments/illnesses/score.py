@@ -16,6 +16,8 @@ from offpiste.logs.log import Log
 from offpiste.rig.edits import Edit, edited
 
 _ROUNDS: Final = 5
+COSTLY: Final = 0.05
+"""Cost from which on an illness matters: 5 % of the error after five seconds."""
 _ANYWHERE: Final = ("log", "table")
 """Places of a finding that speak of the whole recording."""
 
@@ -126,7 +128,7 @@ def _with_effects(result: Score, patient: Patient, findings: Sequence[Finding]) 
     needs_healthy = patient.illnesses or any(finding.cures for finding in serious(findings))
     healthy = rows_of(patient.healthy) if needs_healthy else None
     if healthy is None:
-        ill = tuple(_illness_score(given, patient, findings, None, 0.0) for given in patient.illnesses)
+        ill = tuple(_illness_score(given, patient, findings, None, 0.0, None) for given in patient.illnesses)
         return replace(result, illnesses=ill)
     costs = costs_against(healthy)
     sick = rows_of(patient.case)
@@ -134,7 +136,7 @@ def _with_effects(result: Score, patient: Patient, findings: Sequence[Finding]) 
     after = _after_all(patient.case, findings, costs)
     return replace(
         result,
-        illnesses=tuple(_illness_score(given, patient, findings, healthy, away) for given in patient.illnesses),
+        illnesses=tuple(_illness_score(given, patient, findings, healthy, away, costs) for given in patient.illnesses),
         cost=cost,
         after=cost if after is None else after,
         distance=away,
@@ -149,25 +151,34 @@ def _explained(finding: Finding, patient: Patient) -> bool:
 
 
 def _illness_score(
-    given: Given, patient: Patient, findings: Sequence[Finding], healthy: Readable | None, away: float
+    given: Given,
+    patient: Patient,
+    findings: Sequence[Finding],
+    healthy: Readable | None,
+    away: float,
+    costs: Costs | None,
 ) -> IllnessScore:
     ill = given.illness
     about = [f for f in findings if points_to(f, ill.places, patient.case) or f.where in _ANYWHERE]
     strong = serious(about)
     cure = ""
-    if ill.curable and strong and healthy is not None:
-        cure = _first_cure(patient, strong[0], healthy, away)
+    if ill.curable and strong and healthy is not None and costs is not None:
+        cure = _first_cure(patient, strong[0], healthy, away, costs)
     noted = len(strong) < len(about)
     return IllnessScore(ill.name, given.strength, ill.kind, ill.curable, bool(strong), noted, cure)
 
 
-def _first_cure(patient: Patient, finding: Finding, healthy: Readable, away: float) -> str:
+def _first_cure(patient: Patient, finding: Finding, healthy: Readable, away: float, costs: Costs) -> str:
+    """Whether the first cure brings the rows back, or takes all of a cost that mattered."""
     if not finding.cures:
         return "none"
     cured = _edited(patient.case, finding.cures[0])
     if cured is None:
         return "wrong"
-    return "right" if is_cured(distance(rows_of(cured), healthy), away) else "wrong"
+    if is_cured(distance(rows_of(cured), healthy), away):
+        return "right"
+    cost, left = costs.of(patient.case), costs.of(cured)
+    return "right" if cost is not None and left is not None and left < COSTLY <= cost else "wrong"
 
 
 def _edited(case: Case, edits: Sequence[Edit]) -> Case | None:

@@ -6,10 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.illnesses.effect import UNREADABLE
-from experiments.illnesses.score import IllnessScore, Score
-
-_COSTLY = 0.05
-"""Cost from which on an illness matters: 5 % of the error after five seconds."""
+from experiments.illnesses.score import COSTLY, IllnessScore, Score
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ def _totals(healthy: Sequence[Score], sick: Sequence[Score], single: Sequence[Ro
     costly = [r for r in single if _costs(r.score)]
     curable = [r for r in costly if r.ill.curable]
     after = [s.after for s in sick if all(i.curable for i in s.illnesses) and s.after is not None]
-    well = sum(cost < _COSTLY for cost in after)
+    well = sum(cost < COSTLY for cost in after)
     several = [(s, i) for s in sick if len(s.illnesses) > 1 for i in s.illnesses]
     lines = [
         "| measure | share (95 % interval) |",
@@ -125,7 +122,7 @@ def _percent(values: Sequence[float | None]) -> str:
 
 
 def _costs(score: Score) -> bool:
-    return score.cost is not None and score.cost >= _COSTLY
+    return score.cost is not None and score.cost >= COSTLY
 
 
 def _behaviours(healthy: Sequence[Score]) -> list[str]:

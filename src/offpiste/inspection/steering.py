@@ -31,8 +31,10 @@ _SHARES: Final = (0.55, 1.1)
 more, on ice and with much slip, too, and none more than 1.0 in the fit that shows less."""
 _USUAL_SHARE: Final = 0.83
 """The share that a remedy assumes: tyres slip."""
-_CENTRED: Final = {"steer": 0.03, "steer_angle": 0.01}
+_CENTRED: Final = {"steer": 0.05, "steer_angle": 0.02}
 """Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
+_RANGES: Final = (0.25, 0.9)
+"""Largest steering angles that vehicles have [rad]."""
 _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
 
@@ -123,11 +125,11 @@ def _scale(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     if _SHARES[0] - margin < factor < _SHARES[1] + margin:
         return []
     implied = gain * rig.vehicle.wheelbase / _USUAL_SHARE
+    implied_angle = float(np.arctan(implied))
     evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
     if name == "steer":
-        angle, stated = float(np.arctan(implied)), rig.vehicle.max_steer
-        evidence += f"{angle:.3f} rad at steer = 1; the rig says {stated:.3f} rad"
-        edit = Edit("vehicle.max_steer", rounded(angle))
+        evidence += f"{implied_angle:.3f} rad at steer = 1; the rig says {rig.vehicle.max_steer:.3f} rad"
+        edit = Edit("vehicle.max_steer", rounded(implied_angle))
     else:
         source = rig.channels[name]
         evidence += f"{implied:.3g} times the angle"
@@ -143,6 +145,12 @@ def _scale(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     if wheelbase is not None:
         cures = (*cures, (wheelbase,))
         remedy += f"; or the wheelbase is {rig.vehicle.wheelbase * longer:.2f} m: {wheelbase}"
+    feet = _other_places(rig, factor)
+    if feet is not None:
+        # A range of steering that no vehicle has speaks for the places.
+        first = name == "steer" and not _RANGES[0] < implied_angle < _RANGES[1]
+        cures = ((feet,), *cures) if first else (*cures, (feet,))
+        remedy = f"{feet}; or {remedy}" if first else f"{remedy}; or {feet}"
     what = "turns the vehicle more than the rig says" if factor > 1 else "turns the vehicle less than the rig says"
     return [Finding("warning", name, what, evidence, remedy, 0.6, cures)]
 
@@ -166,6 +174,15 @@ def _other_wheelbase(rig: Rig, factor: float) -> Edit | None:
         return None
     places = [[rounded(x * factor), y] for x, y in vehicle.wheel_positions]
     return Edit("vehicle.wheel_positions", places)
+
+
+def _other_places(rig: Rig, factor: float) -> Edit | None:
+    """The unit of positions that explains a turning `factor` times what the rig asks for; None where none does."""
+    for unit in ("ft", "cm"):
+        share = factor / unit_factor("position", unit)
+        if not rig.channels["position"].unit and abs(np.log(share / _USUAL_SHARE)) < 0.3:
+            return Edit("channels.position.unit", unit)
+    return None
 
 
 def _radius(name: str, fit: SteeringFit) -> list[Finding]:

@@ -1,0 +1,50 @@
+"""Channels that hold one value: found while the vehicle moves, and where they usually change."""
+
+import numpy as np
+import pytest
+from simulated import drive_log, rig
+
+from offpiste.inspection.inspect import inspect_log
+
+CLEAN = drive_log(seed=0)
+WHAT = "holds one value while the vehicle moves"
+
+
+def _held(values: np.ndarray, first: int, count: int) -> np.ndarray:
+    values = values.copy()
+    values[first : first + count] = values[first]
+    return values
+
+
+def _frozen(log) -> list:
+    return [f for f in inspect_log(log, rig()).findings if f.what == WHAT]
+
+
+def test_a_channel_that_hangs_is_named_with_its_time() -> None:
+    time, _ = CLEAN.data["steering"]
+    first = len(time) // 2
+    count = int(np.searchsorted(time, time[first] + 6.0)) - first
+    log = CLEAN.change("steering", "angle", lambda values: _held(values, first, count))
+    (finding,) = _frozen(log)
+    assert (finding.severity, finding.where) == ("warning", "steer_angle")
+    assert f"from {time[first] - time[0]:.1f}" in finding.evidence
+    seconds = float(finding.evidence.split("for ")[1].split(" s")[0])
+    assert seconds == pytest.approx(6.0, abs=0.2)
+
+
+@pytest.mark.parametrize("rest", [0.0, 1.0])
+def test_pedals_may_rest_at_an_end_of_their_range(rest: float) -> None:
+    def pressed(values: np.ndarray) -> np.ndarray:
+        values = values.copy()
+        values[1000:2000] = rest
+        return values
+
+    assert _frozen(CLEAN.change("pedals", "throttle", pressed)) == []
+
+
+def test_controls_in_steps_hold_by_nature() -> None:
+    assert _frozen(CLEAN.change("steering", "command", lambda values: np.round(2 * values) / 2)) == []
+
+
+def test_a_clean_log_holds_nothing() -> None:
+    assert _frozen(CLEAN) == []
