@@ -101,13 +101,14 @@ def _proportional(
     if len(values) < 200 or np.ptp(values) == 0 or speed.std() < 0.1 * speed.mean():
         return None
     best, scale = 0.0, 0.0
+    fast = speed > min(0.5, 0.5 * path.cruise)
     for lag in np.arange(-_MAX_LAG / 2, _MAX_LAG / 2 + 0.01, 0.25):
         value = np.abs(np.interp(path.time + lag, time, values))
         if value.std() == 0:
             continue
         correlation = float(np.corrcoef(value, speed)[0, 1])
         if correlation > best:
-            best, scale = correlation, float(np.median(speed[speed > 0.5]) / max(np.median(value[speed > 0.5]), 1e-9))
+            best, scale = correlation, float(np.median(speed[fast]) / max(np.median(value[fast]), 1e-9))
     if best < _FOLLOWS:
         return None
     # Proportional, not only correlated: a gear or a throttle may rise with the speed too.
