@@ -45,11 +45,6 @@ class RecordingLog(Log):
         self.path, self._streams, self._clock = Path("recording"), streams, clock
 
     @property
-    def clock(self) -> Clock:
-        """The clock that stamps are read by."""
-        return Clock(unit=self._clock.unit)
-
-    @property
     def topics(self) -> dict[str, Topic]:
         """One topic a stream."""
         return {name: Topic(name, "memory", len(s.time), tuple(s.columns)) for name, s in self._streams.items()}
@@ -61,6 +56,11 @@ class RecordingLog(Log):
         else:
             time = stream.time * SECONDS[self._clock.unit]
         return Samples(time, np.column_stack([stream.columns[field] for field in fields]))
+
+    @property
+    def clock(self) -> Clock:
+        """The unit of the stamps, by the rig."""
+        return Clock(unit=self._clock.unit)
 
 
 @dataclass(frozen=True)
