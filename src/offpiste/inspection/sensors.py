@@ -1,4 +1,8 @@
-"""Checks of cameras and LiDARs: from misfits of mountings and stamps to findings."""
+"""Checks of cameras and LiDARs: from misfits of mountings and stamps to findings.
+
+A finding has a cure where the fit leaves no other cause. Unlike those of channels it is not tried by another
+inspection: the fit ended at the corrected mounting and stamps, and compared the measurements there.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +24,7 @@ from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
-from offpiste.rig.edits import number
+from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
@@ -109,31 +113,37 @@ def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     # What is not known stays as the rig has it.
     known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
     matrix = turned(given, np.where(known, misfit.parameters, 0.0))
-    place = ", ".join(str(round(v, 4)) for v in matrix[:3, 3].tolist())
-    reading = ", ".join(str(round(v, 6)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
-    key = "body_from_camera" if isinstance(sensor, Camera) else "body_from_lidar"
-    remedy = f"calibrate it again; or {one.key}.{key} = {{ position = [{place}], orientation = [{reading}] }}"
+    key = f"{one.key}.{'body_from_camera' if isinstance(sensor, Camera) else 'body_from_lidar'}"
+    quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    mounting = {"position": matrix[:3, 3].round(4).tolist(), "orientation": quaternion.round(6).tolist()}
+    cure = Edit(key, mounting)
+    remedy, sure = f"calibrate it again; or {cure}", not alike
     if alike:
         remedy += "; as all sensors say the same, the pose's orientation or [frames] body may be what is turned"
     elif isinstance(sensor, Camera) and sensor.source.rectified:
         remedy += " (of the camera before rectification, if its CameraInfo has a rotation R)"
+        sure = False
     angle, sigma = one.turn
     what = f"looks {np.rad2deg(angle):.1f} degrees away from where its mounting says"
     evidence = f"{_axes(misfit)}; {_basis(one, misfit)}"
-    return Finding("warning", sensor.name, what, evidence, remedy, float(min(1.0, (angle - sigma) / np.deg2rad(5))))
+    score = float(min(1.0, (angle - sigma) / np.deg2rad(5)))
+    return Finding("warning", sensor.name, what, evidence, remedy, score, ((cure,),) if sure else ())
 
 
 def _late(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     late, sigma = float(misfit.parameters[3]), float(misfit.sigma[3])
     what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
     evidence = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
-    remedy = f"{one.key}.delay = {number(round(one.sensor.source.delay + late, 3))}"
+    cure = Edit(f"{one.key}.delay", round(one.sensor.source.delay + late, 3))
+    remedy, sure = str(cure), not one.untimed and not alike
     if one.untimed:
         field = f'{one.key}.time_field = "{one.untimed}", with its time_unit'
         remedy = f"{field}; only if its scans are compensated: {remedy}"
     elif alike:
         remedy += "; as all sensors say the same, the pose's stamps may be what is off: fix its delay instead"
-    return Finding("warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2))
+    return Finding(
+        "warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2), ((cure,),) if sure else ()
+    )
 
 
 def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int) -> bool:
