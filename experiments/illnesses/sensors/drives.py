@@ -29,8 +29,9 @@ _MODEL: Final = replace(
     MODEL,
     width=MODEL.width // 2,
     height=MODEL.height // 2,
-    matrix=np.diag([0.5, 0.5, 1.0]) @ (MODEL.matrix + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]) - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]],
-)  # fmt: skip
+    # The middle of the first pixel is (0, 0).
+    matrix=np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]]) @ MODEL.matrix,
+)
 """Half of the proving ground's images: what the checks make of them anyway."""
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from experiments.illnesses.sensors.declarations import SENSOR_ILLNESSES
-from experiments.illnesses.sensors.score import SensorScore
+from experiments.illnesses.sensors.score import CASES_PER_DRIVE, SensorScore
 from experiments.illnesses.table import share
 
 
@@ -13,8 +13,8 @@ def report(scores: Sequence[SensorScore]) -> str:
     sick = [s for s in scores if s.illness]
     parts = [
         "# What `inspect` finds in cameras and LiDARs of logs with known truth",
-        f"{len(scores)} logs of {len({s.seed - s.seed % 5 for s in scores})} drives: {len(healthy)} healthy, {len(sick)}"
-        " with one illness. Intervals are Wilson's 95 %.",
+        f"{len(scores)} logs of {len({s.seed // CASES_PER_DRIVE for s in scores})} drives: {len(healthy)} healthy,"
+        f" {len(sick)} with one illness. Intervals are Wilson's 95 %.",
         _totals(healthy, sick),
         "## By illness and strength",
         "\n".join([
