@@ -116,9 +116,8 @@ class SensorCase:
 
         def changed(cloud: RawCloud) -> RawCloud:
             points = np.stack([cloud.points[axis] for axis in "xyz"], axis=1).astype(np.float64)
-            body = change(
-                points @ pose.rotation.T + pose.position, np.random.default_rng([seed, int(1e3 * cloud.time)])
-            )
+            random = np.random.default_rng([seed, int(1e3 * cloud.time)])
+            body = change(points @ pose.rotation.T + pose.position, random)
             records = cloud.points.copy()
             for axis, column in zip("xyz", ((body - pose.position) @ pose.rotation).T, strict=True):
                 records[axis] = column

@@ -85,6 +85,5 @@ def _work(settings: SensorIllnesses, seed: int, progress: Callable[[float], None
     result = score(one)
     results.append(settings.scores, result)
     what = "FOUND" if result.found else "noted" if result.noted else "missed" if result.illness else ""
-    return (
-        f"{seed}: {one}; {one.drive.behaviour}, {one.drive.layout}: {what} {result.cure}; {len(result.alarms)} alarms"
-    )
+    verdict = " ".join(filter(None, (what, result.cure)))
+    return f"{seed}: {one}; {one.drive.behaviour}, {one.drive.layout}: {verdict}; {len(result.alarms)} other alarms"
