@@ -96,11 +96,13 @@ class SensorCase:
 
     Attributes:
         layout: where the sensors are in truth; their stamps have no delay.
+        part: a place in the body frame where a part of the vehicle stands in view [m].
     """
 
     log: Log
     rig: Rig
     layout: Layout
+    part: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def with_rig(self, *entries: tuple[str, object]) -> "SensorCase":
         """The case with some entries of the rig set."""

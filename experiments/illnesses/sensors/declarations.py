@@ -123,26 +123,21 @@ def _dust(case: SensorCase, strength: float, random: np.random.Generator) -> Sen
     return case.with_clouds(dusty, _seed(random))
 
 
-@_illness("no box around the own body", (1.0,), "", LIDAR, "sees the vehicle itself", consequences=("LiDARs",),
-          cured=lambda case, rig: _covers(rig, np.array([[0.0, 0.0, 1.48], [1.0, 0.0, 0.6]])))  # fmt: skip
-def _own_body(case: SensorCase, strength: float, random: np.random.Generator) -> SensorCase:
-    return case.with_rig((f"lidars.{LIDAR}.own_body", None))
-
-
-def _covers(rig: Rig, places: np.ndarray) -> bool:
-    """Whether the box of the own body in a rig holds some places in the body frame."""
+def _covers(rig: Rig, place: tuple[float, float, float]) -> bool:
+    """Whether the box of the own body in a rig holds a place in the body frame."""
     box = rig.lidars[LIDAR].own_body
-    return box is not None and bool(((places >= box[0]) & (places <= box[1])).all())
+    return box is not None and all(low <= at <= high for low, at, high in zip(box[0], place, box[1], strict=True))
 
 
-@_illness("post in view", (0.02, 0.05, 0.15), "m wide", LIDAR, "sees the vehicle itself", consequences=("LiDARs",))
+@_illness("post in view", (0.02, 0.05, 0.15), "m wide", LIDAR, "sees the vehicle itself", consequences=("LiDARs",),
+          cured=lambda case, rig: _covers(rig, case.part))  # fmt: skip
 def _post(case: SensorCase, strength: float, random: np.random.Generator) -> SensorCase:
     """A part of the vehicle that stands 1.0 to 1.6 m from the LiDAR, outside the box of its own body."""
     sensor = case.layout.lidar.position
     while True:
         away, around = random.uniform(1.0, 1.6), random.uniform(-np.pi, np.pi)
-        place = sensor + away * np.array([np.cos(around), np.sin(around), 0.0])
-        if not _covers(case.rig, place[None]):
+        x, y, z = sensor + away * np.array([np.cos(around), np.sin(around), -0.25])
+        if not _covers(case.rig, (x, y, z)):
             break
 
     def with_post(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -154,7 +149,7 @@ def _post(case: SensorCase, strength: float, random: np.random.Generator) -> Sen
         result[hit] = sensor + ray[hit] * (away / flat[hit])[:, None]
         return result
 
-    return case.with_clouds(with_post, _seed(random))
+    return replace(case.with_clouds(with_post, _seed(random)), part=(x, y, z))
 
 
 @_illness("camera freezes", (0.15, 0.5), "of the drive", CAMERA, "repeats images")

@@ -17,8 +17,9 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.lidar import check_lidar
 from offpiste.inspection.map_health import check_map_health, map_health
 from offpiste.inspection.misfit import Misfit, turned
+from offpiste.inspection.own_body import check_own_body
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, refused, untimed_points
+from offpiste.inspection.sensor_stamps import check_frozen, check_sensor_stamps, refused, untimed_points
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
@@ -228,7 +229,7 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
     except OffpisteError as error:
         return [refused(error, "cameras and LiDARs")]
     for name, lidar in sensors.lidars.items():
-        findings += check_own_body(lidar, gathered.scans[name], rig.vehicle.wheel_positions)
+        findings += check_own_body(lidar, gathered.scans[name], sensors.poses, rig.vehicle.wheel_positions)
     for name in cameras:
         findings += check_frozen(name, gathered.images[name])
     if sensors.notes:
