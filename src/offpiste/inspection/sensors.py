@@ -6,6 +6,7 @@ inspection: the fit ended at the corrected mounting and stamps, and compared the
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -40,6 +41,9 @@ KNOWN_TURN: Final = np.deg2rad(0.5)
 """A turn about an axis that is less certain than this says nothing [rad]."""
 KNOWN_LATE: Final = 0.020
 """A delay that is less certain than this says nothing [s]."""
+STARTS: Final = (-0.15, 0.15)
+"""Delays from which the fit of a camera that seems turned is begun again [s]: where the vehicle turns quickly, squares
+that are looked for at a wrong time are further away than the search reaches, and a turn fits what is left."""
 APART: Final = 0.2
 """Scans whose points stay further than this from each other's planes show no common world [m]; clean: 0.02 to 0.04."""
 _POSE: Final = ("position", "orientation", "yaw")
@@ -270,6 +274,16 @@ def camera_misfits(
     known = ruler.misfit.parameters if ruler.misfit and (ruler.is_turned or ruler.is_late) else None
     result = []
     for name, camera in track(cameras.items(), "cameras", total=len(cameras)):
-        misfit = check_camera(camera, gathered.images[name], lidar, scans, poses, known)
-        result.append(CheckedSensor(camera.camera, misfit))
+        check = partial(check_camera, camera, gathered.images[name], lidar, scans, poses, known)
+        one = CheckedSensor(camera.camera, check())
+        if one.misfit is not None and one.is_turned:
+            one = replace(one, misfit=_best([one.misfit, *(check(start=np.array([0, 0, 0, late])) for late in STARTS)]))
+        result.append(one)
     return result
+
+
+def _best(misfits: Sequence[Misfit | None]) -> Misfit:
+    """The fit with the smallest residuals, of those that use almost as many pairs as any."""
+    known = [misfit for misfit in misfits if misfit is not None]
+    most = max(misfit.pairs for misfit in known)
+    return min((misfit for misfit in known if misfit.pairs >= 0.9 * most), key=lambda misfit: misfit.scale)
