@@ -12,7 +12,7 @@ from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.rig.edits import Edit
 
-_AROUND: Final = 1.0
+_AROUND: Final = 1.5
 """Parts are looked for between the wheels, and so far beyond them [m]."""
 _ABOVE_GROUND: Final = 0.5
 """Height above the ground from which returns may be of the vehicle [m]: ground stands in the body frame as well."""
@@ -23,9 +23,9 @@ _STEP: Final = 1.0
 _SCANS: Final = 8
 """Fewer scans than this do not tell what stands."""
 _VOXEL: Final = 0.2
-_OFTEN: Final = 0.8
+_OFTEN: Final = 0.6
 """A voxel in which so many of the scans have returns stands; bushes beside a trail do not stay in one."""
-_RETURNS: Final = 20
+_RETURNS: Final = 10
 """Least number of returns a scan, on average, in all voxels that stand."""
 _MARGIN: Final = 0.1
 """Of the box around what stands [m]."""
