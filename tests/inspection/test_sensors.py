@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import textured_world as world
 from experiments.sensor_faults import planted
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.misfit import Misfit
 from offpiste.inspection.own_body import check_own_body
-from offpiste.inspection.sensor_samples import gather, small_camera
+from offpiste.inspection.sensor_samples import Gathered, gather, small_camera
 from offpiste.inspection.sensor_stamps import check_sensor_stamps
 from offpiste.inspection.sensors import CheckedSensor, camera_misfits, can_be_checked, check_mountings, lidar_misfits
 from offpiste.logs import open_log
@@ -87,6 +88,22 @@ def test_if_all_sensors_agree_the_pose_may_be_off():
     alone = check_mountings([checked(late), checked(sensor=CAMERA)])
     assert not any("the pose's" in f.remedy for f in alone)
     assert not any("the pose's" in f.remedy for f in check_mountings([checked(late)]))
+
+
+def test_a_camera_that_seems_turned_may_be_late(monkeypatch):
+    """The fit is begun again from other delays; the smallest residuals count, unless they rest on few pairs."""
+    turned, late = checked((0, 0, 4.0, 20), scale=0.7).misfit, checked((0, 0, 0, 195), scale=0.5).misfit
+    few = replace(checked((0, 30, 0, -150), scale=0.4).misfit, pairs=15)
+
+    def check(*given, start=None):
+        return turned if start is None else late if start[3] > 0 else few
+
+    monkeypatch.setattr("offpiste.inspection.sensors.check_camera", check)
+    gathered = Gathered({"top": []}, {"front": []}, 0.0, 1.0, 1.0)
+    given = {"front": world.camera()}, [CheckedSensor(LIDAR, None)], gathered, world.poses()
+    assert camera_misfits(*given)[0].misfit is late
+    turned = checked((0, 0, 4.0, 20), scale=0.45).misfit
+    assert camera_misfits(*given)[0].misfit is turned
 
 
 def test_what_could_not_be_checked_is_a_note():

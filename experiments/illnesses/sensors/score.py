@@ -72,24 +72,31 @@ class SensorScore:
 
 
 def patient(seed: int, cache: Path, *, names: Sequence[str] = ()) -> SensorPatient:
-    """The case of a seed: illnesses and strengths take turns, so that all are met equally often.
+    """The case of a seed.
 
     Args:
         cache: folder of simulated drives.
         names: illnesses to choose from; all by default.
     """
-    number, turn = divmod(seed, CASES_PER_DRIVE)
-    drive = drive_of(number, cache)
-    case = case_of(drive)
-    if turn == 0:
+    drive = drive_of(seed // CASES_PER_DRIVE, cache)
+    case, given = case_of(drive), given_to(seed, names)
+    if given is None:
         return SensorPatient(seed, drive, case, None, 0.0)
+    illness, strength = given
+    sick = illness.change(case, strength, np.random.default_rng([seed, 0x5E5]))
+    return SensorPatient(seed, drive, sick, illness, strength)
+
+
+def given_to(seed: int, names: Sequence[str] = ()) -> tuple[SensorIllness, float] | None:
+    """Illness and strength of a seed, None for a healthy one; they take turns, so that all are met equally often."""
+    number, turn = divmod(seed, CASES_PER_DRIVE)
+    if turn == 0:
+        return None
     chosen = [SENSOR_ILLNESSES[name] for name in names] or [one for _, one in SENSOR_ILLNESSES.items()]
     choices = [(one, strength) for one in chosen for strength in one.strengths]
     # Shuffled, but always alike: the strengths of an illness are met in different drives.
     order = np.random.default_rng(0x5E5).permutation(len(choices))
-    illness, strength = choices[order[(number * (CASES_PER_DRIVE - 1) + turn - 1) % len(choices)]]
-    random = np.random.default_rng([seed, 0x5E5])
-    return SensorPatient(seed, drive, illness.change(case, strength, random), illness, strength)
+    return choices[order[(number * (CASES_PER_DRIVE - 1) + turn - 1) % len(choices)]]
 
 
 def score(one: SensorPatient) -> SensorScore:
