@@ -30,7 +30,7 @@ DEGREES = np.array([*np.deg2rad([1.0, 1.0, 1.0]), 1e-3])
 
 
 def checked(parameters=(0, 0, 0, 0), sigma=(0.1, 0.1, 0.1, 1.0), *, sensor=LIDAR, scale=0.02):
-    return CheckedSensor(sensor, Misfit(np.array(parameters) * DEGREES, np.array(sigma) * DEGREES, 30, scale))
+    return CheckedSensor(sensor, Misfit(np.array(parameters) * DEGREES, np.array(sigma) * DEGREES, 30, scale, 3000))
 
 
 def reported(*those):
@@ -91,9 +91,9 @@ def test_if_all_sensors_agree_the_pose_may_be_off():
 
 
 def test_a_camera_that_seems_turned_may_be_late(monkeypatch):
-    """The fit is begun again from other delays; the smallest residuals count, unless they rest on few pairs."""
+    """The fit is begun again from other delays; the smallest residuals count, unless there are few of them."""
     turned, late = checked((0, 0, 4.0, 20), scale=0.7).misfit, checked((0, 0, 0, 195), scale=0.5).misfit
-    few = replace(checked((0, 30, 0, -150), scale=0.4).misfit, pairs=15)
+    few = replace(checked((0, 30, 0, -150), scale=0.4).misfit, residuals=600)
 
     def check(*given, start=None):
         return turned if start is None else late if start[3] > 0 else few

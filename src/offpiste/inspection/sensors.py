@@ -283,7 +283,7 @@ def camera_misfits(
 
 
 def _best(misfits: Sequence[Misfit | None]) -> Misfit:
-    """The fit with the smallest residuals, of those that use almost as many pairs as any."""
+    """The fit with the smallest residuals, of those that have almost as many as any: few agree anywhere."""
     known = [misfit for misfit in misfits if misfit is not None]
-    most = max(misfit.pairs for misfit in known)
-    return min((misfit for misfit in known if misfit.pairs >= 0.9 * most), key=lambda misfit: misfit.scale)
+    most = max(misfit.residuals for misfit in known)
+    return min((misfit for misfit in known if misfit.residuals >= 0.9 * most), key=lambda misfit: misfit.scale)
