@@ -98,14 +98,13 @@ def map_health(lidars: Mapping[str, Lidar], gathered: Gathered, poses: Poses) ->
     scans = [scan for mine in placed.values() for scan in mine]
     near = [_within(scan, _GROUND_REACH) for scan in scans]
     returns = int(sum(inside.sum() for inside in near))
+    ghosts = float(sum((scan.ghosts & inside).sum() for scan, inside in zip(scans, near, strict=True)))
     rates = np.array([rate for mine in placed.values() for rate in height_rates(mine)])
     moving = np.array([share for mine in placed.values() for share in moving_shares(mine)])
     error = 1.25 * rates.std() / np.sqrt(len(rates)) if len(rates) else np.nan  # of a median
     return MapHealth(
         returns=returns,
-        ghosts=sum((s.ghosts & inside).sum() for s, inside in zip(scans, near, strict=True)) / returns
-        if returns
-        else np.nan,
+        ghosts=ghosts / returns if returns else np.nan,
         drift=float(np.median(rates)) if len(rates) else np.nan,
         drift_error=float(error),
         drift_pairs=len(rates),

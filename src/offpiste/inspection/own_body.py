@@ -23,6 +23,8 @@ _STEP: Final = 1.0
 _SCANS: Final = 8
 """Fewer scans than this do not tell what stands."""
 _VOXEL: Final = 0.2
+_NUMBERS: Final = np.array([1, 1000, 1_000_000])
+"""Make one number of a voxel's three: they lie within some metres of the vehicle."""
 _OFTEN: Final = 0.6
 """A voxel in which so many of the scans have returns stands; bushes beside a trail do not stay in one."""
 _RETURNS: Final = 10
@@ -43,10 +45,10 @@ def check_own_body(
     seen = [_above_ground(lidar, scan, low, high) for scan in _apart(scans, poses)]
     if len(seen) < _SCANS:
         return []
-    voxels = [np.unique(np.floor(points / _VOXEL), axis=0) for points in seen]
-    places, count = np.unique(np.concatenate(voxels), axis=0, return_counts=True)
+    voxels = [np.floor(points / _VOXEL).astype(np.int64) for points in seen]
+    places, count = np.unique(np.concatenate([np.unique(v, axis=0) for v in voxels]), axis=0, return_counts=True)
     standing = places[count > _OFTEN * len(seen)]
-    returns = [(np.floor(points / _VOXEL)[:, None] == standing).all(axis=2).any(axis=1).sum() for points in seen]
+    returns = [np.isin(v @ _NUMBERS, standing @ _NUMBERS).sum() for v in voxels]
     if not np.mean(returns) > _RETURNS:
         return []
     box = np.array([standing.min(axis=0) * _VOXEL - _MARGIN, (standing.max(axis=0) + 1) * _VOXEL + _MARGIN])
