@@ -11,10 +11,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-import msgspec
 import numpy as np
 import tyro
 
+from experiments.illnesses import results
 from experiments.illnesses.cases import Patient, patient
 from experiments.illnesses.formats import formats_for, stored
 from experiments.illnesses.illness import ILLNESSES
@@ -88,16 +88,8 @@ class Illnesses:
         return patient(seed, self.drives, names=self.illness, healthy=self.healthy)
 
     def _done(self) -> dict[int, Score]:
-        """Scores by seed; a line that an interruption cut off is left out."""
-        path = self.out / "scores.jsonl"
-        scores: dict[int, Score] = {}
-        for line in path.read_text("utf-8").splitlines() if path.exists() else ():
-            try:
-                one = msgspec.json.decode(line, type=Score)
-            except msgspec.DecodeError:
-                continue
-            scores[one.seed] = one
-        return scores
+        """Scores by seed."""
+        return results.read(self.out / "scores.jsonl", Score)
 
     def _show(self, seed: int) -> None:
         one = self.patient(seed)
@@ -129,9 +121,6 @@ def _scored(settings: Illnesses, one: Patient) -> Score:
 def _work(settings: Illnesses, seed: int, progress: Callable[[float], None]) -> str:
     one = settings.patient(seed)
     result = _scored(settings, one)
-    settings.out.mkdir(parents=True, exist_ok=True)
-    # One write of whole lines, so that processes do not mix them.
-    with (settings.out / "scores.jsonl").open("ab", buffering=0) as file:
-        file.write(msgspec.json.encode(result) + b"\n")
+    results.append(settings.out / "scores.jsonl", result)
     what = ", ".join(f"{i.name} ({i.strength:g}) {'found' if i.found else 'MISSED'}" for i in result.illnesses)
     return f"{seed}: {what or 'healthy'}; cost {shown(result.cost)}; {len(result.false_alarms)} false alarms"

@@ -7,12 +7,11 @@ from msgspec import structs
 
 import textured_world as world
 from offpiste.inspection.sensor_samples import Grey, driving, pairs
-from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, untimed_points
+from offpiste.inspection.sensor_stamps import check_frozen, check_sensor_stamps, untimed_points
 from offpiste.inspection.sensors import check_sensors
 from offpiste.logs import open_log
 from sensor_bags import IMAGE, cloud, compressed, info, opened, record, sensor_rig, tree
 
-WHEELS = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
 FIXED = [(0, "/tf_static", tree()), (0, "/info", info())]
 
 
@@ -41,21 +40,6 @@ def test_a_camera_that_pauses(tmp_path):
 def test_a_clock_that_drifts(tmp_path):
     found = stamped(tmp_path, image=lambda t: t * 0.99, until=40)
     assert ("warning", "/image", "its clock drifts") in found
-
-
-def test_the_vehicle_sees_itself():
-    lidar = world.lidar()
-    scans = world.scans()
-    assert check_own_body(lidar, scans, WHEELS) == []
-    roof = np.random.default_rng(0).uniform((-0.5, -0.5, 1.0), (0.5, 0.5, 1.2), (50, 3))
-    seen = (roof - lidar.body_from_lidar[:3, 3]) @ lidar.body_from_lidar[:3, :3]
-    hit = [
-        replace(s, points=np.concatenate((s.points, seen)), which=np.append(s.which, np.zeros(50, int))) for s in scans
-    ]
-    (finding,) = check_own_body(lidar, hit, WHEELS)
-    assert finding.what == "sees the vehicle itself"
-    assert "lidars.top.own_body" in finding.remedy
-    assert check_own_body(lidar, hit[:4] + scans[4:], WHEELS) == []  # a branch
 
 
 def test_a_driver_that_repeats_images():

@@ -19,6 +19,7 @@ from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sensors.suite import SensorSuite, light_suite
 from offpiste.simulation.simulate import (
     DriveSettings,
     DriveSummary,
@@ -26,6 +27,7 @@ from offpiste.simulation.simulate import (
     Start,
     drive,
     on_other_ground,
+    record,
     simulate,
     start_and_driver,
 )
@@ -55,6 +57,18 @@ class Always:
 
 def small(seed):
     return make_world(WorldSettings("mojave", seed=seed, size=100.0, resolution=0.5))
+
+
+def test_another_suite_instead_of_the_settings(tmp_path):
+    (lidar,) = light_suite().lidars
+    suite = SensorSuite((), (replace(lidar, name="lidar_mast", rings=4, columns=16),))
+    settings = DriveSettings(WorldSettings("mojave", seed=1, size=100.0, resolution=0.5))
+    start, file = Start(0.0, 0.0, 0.0, 2.0), tmp_path / "drive.mcap"
+    record(settings, small(1), VEHICLE, start, Always((0.2, 0, 0)), file, steps=20, suite=suite)
+    with file.open("rb") as stream:
+        topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
+    assert "/lidar_mast/points" in topics
+    assert not [topic for topic in topics if "camera" in topic or "lidar_top" in topic]
 
 
 def test_every_step_is_one_sample_with_the_command_that_follows():

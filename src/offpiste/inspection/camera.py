@@ -45,13 +45,14 @@ def check_camera(
     lidar_parameters: Parameters | None = None,
     *,
     prior: Parameters = PRIOR,
+    start: Parameters | None = None,
 ) -> Misfit | None:
     """Estimate by how much a camera's mounting and stamps are off; None with too few usable images.
 
     Args:
         lidar, scans: measure the distances of what the images show.
         lidar_parameters: misfit of the LiDAR, which is corrected.
-        prior: as for `fit_misfit`; with seven entries the place is estimated, too.
+        prior, start: as for `fit_misfit`; with seven entries the place is estimated, too.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
     times = np.array([scan.time for scan in scans]) - given[3]
@@ -65,7 +66,7 @@ def check_camera(
     def compare(parameters: Parameters) -> list[Pair]:
         return [_compared(camera, one, other, world, poses, parameters) for one, other, world in couples]
 
-    return fit_misfit(compare, prior=prior)
+    return fit_misfit(compare, prior=prior, start=start)
 
 
 def _compared(

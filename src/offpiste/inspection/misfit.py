@@ -50,12 +50,14 @@ class Misfit:
         sigma: standard deviation of each.
         pairs: that were used.
         scale: of the residuals that remain [m or px].
+        residuals: number of them.
     """
 
     parameters: Parameters
     sigma: Float[np.ndarray, " k"]
     pairs: int
     scale: float
+    residuals: int
 
 
 def turned(mounting: Float[np.ndarray, "4 4"], parameters: Parameters) -> Float[np.ndarray, "4 4"]:
@@ -116,4 +118,4 @@ def _step(pairs: Sequence[Pair], start: Parameters, prior: Parameters) -> Misfit
     inverse = np.linalg.inv(normal)
     few = len(pairs) / (len(pairs) - len(prior))
     covariance = inverse @ (few * shared.T @ shared) @ inverse + inverse
-    return Misfit(start + step * prior, np.sqrt(np.diag(covariance)) * prior, len(pairs), scale)
+    return Misfit(start + step * prior, np.sqrt(np.diag(covariance)) * prior, len(pairs), scale, len(residual))

@@ -1,4 +1,4 @@
-"""Checks of images and clouds without geometry: stamps, spans, repeats, the vehicle's own body."""
+"""Checks of images and clouds without geometry: stamps, spans, repeats."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,13 +11,12 @@ import numpy as np
 from offpiste.errors import OffpisteError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.sensor_samples import Grey, Scan
+from offpiste.inspection.sensor_samples import Grey
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.sensor_log import SensorLog
-from offpiste.rig.edits import number
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import TIME_FIELDS
 
@@ -27,9 +26,6 @@ _DRIFT: Final = 0.1
 """A clock that moves this much against the pose's within a log drifts [s]."""
 _STAMPS: Final = 50
 """Fewer messages than this do not show a drift."""
-_ABOVE_GROUND: Final = 0.5
-"""Height above the ground from which points between the wheels belong to the vehicle [m]."""
-_OFTEN: Final = 0.5
 _FROZEN: Final = 0.1
 _HALF: Final = 0.5
 """A sensor that misses less of the drive than this is a note."""
@@ -83,28 +79,6 @@ def _drift(sensor: Recorded, pose: Recorded, stamps: str) -> list[Finding]:
     )
     remedy = 'synchronise its clock; or clock.stamps = "receive"'
     return [Finding("warning", sensor.topic.name, "its clock drifts", evidence, remedy, min(1.0, abs(result.drift)))]
-
-
-def check_own_body(lidar: Lidar, scans: Sequence[Scan], wheels: Sequence[tuple[float, float]]) -> list[Finding]:
-    """Finding if most scans have points above the ground between the wheels: the vehicle sees itself."""
-    seen, points, top = [], 0, 0.0
-    low, high = np.min(wheels, axis=0), np.max(wheels, axis=0)
-    for scan in scans:
-        body = scan.points @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
-        near = np.linalg.norm(body[:, :2], axis=1) < 8.0
-        if near.sum() < 20:
-            continue
-        ground = float(np.percentile(body[near, 2], 20))
-        inside = ((body[:, :2] > low) & (body[:, :2] < high)).all(axis=1) & (body[:, 2] > ground + _ABOVE_GROUND)
-        seen.append(inside.sum() > 20)
-        points += int(inside.sum())
-        top = max(top, float(body[inside, 2].max(initial=0.0)))
-    if len(seen) < 5 or np.mean(seen) < _OFTEN:
-        return []
-    evidence = f"points above the ground and between the wheels in {np.mean(seen):.0%} of {len(seen)} scans, "
-    evidence += f"{points / len(seen):.0f} a scan, up to {top:.1f} m above the pose point"
-    remedy = f"lidars.{lidar.name}.own_body = [[x, y, z], [x, y, z]] or min_range = {number(2.0)}"
-    return [Finding("warning", lidar.name, "sees the vehicle itself", evidence, remedy, float(np.mean(seen)))]
 
 
 def check_frozen(name: str, images: Sequence[Grey]) -> list[Finding]:

@@ -1,7 +1,12 @@
-"""Checks of cameras and LiDARs: from misfits of mountings and stamps to findings."""
+"""Checks of cameras and LiDARs: from misfits of mountings and stamps to findings.
+
+A finding has a cure where the fit leaves no other cause. Unlike those of channels it is not tried by another
+inspection: the fit ended at the corrected mounting and stamps, and compared the measurements there.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,14 +18,15 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.lidar import check_lidar
 from offpiste.inspection.map_health import check_map_health, map_health
 from offpiste.inspection.misfit import Misfit, turned
+from offpiste.inspection.own_body import check_own_body
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensor_stamps import check_frozen, check_own_body, check_sensor_stamps, refused, untimed_points
+from offpiste.inspection.sensor_stamps import check_frozen, check_sensor_stamps, refused, untimed_points
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
-from offpiste.rig.edits import number
+from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
@@ -35,6 +41,9 @@ KNOWN_TURN: Final = np.deg2rad(0.5)
 """A turn about an axis that is less certain than this says nothing [rad]."""
 KNOWN_LATE: Final = 0.020
 """A delay that is less certain than this says nothing [s]."""
+STARTS: Final = (-0.15, 0.15)
+"""Delays from which the fit of a camera that seems turned is begun again [s]: where the vehicle turns quickly, squares
+that are looked for at a wrong time are further away than the search reaches, and a turn fits what is left."""
 APART: Final = 0.2
 """Scans whose points stay further than this from each other's planes show no common world [m]; clean: 0.02 to 0.04."""
 _POSE: Final = ("position", "orientation", "yaw")
@@ -109,31 +118,37 @@ def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     # What is not known stays as the rig has it.
     known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
     matrix = turned(given, np.where(known, misfit.parameters, 0.0))
-    place = ", ".join(str(round(v, 4)) for v in matrix[:3, 3].tolist())
-    reading = ", ".join(str(round(v, 6)) for v in Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
-    key = "body_from_camera" if isinstance(sensor, Camera) else "body_from_lidar"
-    remedy = f"calibrate it again; or {one.key}.{key} = {{ position = [{place}], orientation = [{reading}] }}"
+    key = f"{one.key}.{'body_from_camera' if isinstance(sensor, Camera) else 'body_from_lidar'}"
+    quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    mounting = {"position": matrix[:3, 3].round(4).tolist(), "orientation": quaternion.round(6).tolist()}
+    cure = Edit(key, mounting)
+    remedy, sure = f"calibrate it again; or {cure}", not alike
     if alike:
         remedy += "; as all sensors say the same, the pose's orientation or [frames] body may be what is turned"
     elif isinstance(sensor, Camera) and sensor.source.rectified:
         remedy += " (of the camera before rectification, if its CameraInfo has a rotation R)"
+        sure = False
     angle, sigma = one.turn
     what = f"looks {np.rad2deg(angle):.1f} degrees away from where its mounting says"
     evidence = f"{_axes(misfit)}; {_basis(one, misfit)}"
-    return Finding("warning", sensor.name, what, evidence, remedy, float(min(1.0, (angle - sigma) / np.deg2rad(5))))
+    score = float(min(1.0, (angle - sigma) / np.deg2rad(5)))
+    return Finding("warning", sensor.name, what, evidence, remedy, score, ((cure,),) if sure else ())
 
 
 def _late(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     late, sigma = float(misfit.parameters[3]), float(misfit.sigma[3])
     what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
     evidence = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
-    remedy = f"{one.key}.delay = {number(round(one.sensor.source.delay + late, 3))}"
+    cure = Edit(f"{one.key}.delay", round(one.sensor.source.delay + late, 3))
+    remedy, sure = str(cure), not one.untimed and not alike
     if one.untimed:
         field = f'{one.key}.time_field = "{one.untimed}", with its time_unit'
         remedy = f"{field}; only if its scans are compensated: {remedy}"
     elif alike:
         remedy += "; as all sensors say the same, the pose's stamps may be what is off: fix its delay instead"
-    return Finding("warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2))
+    return Finding(
+        "warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2), ((cure,),) if sure else ()
+    )
 
 
 def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int) -> bool:
@@ -218,7 +233,7 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
     except OffpisteError as error:
         return [refused(error, "cameras and LiDARs")]
     for name, lidar in sensors.lidars.items():
-        findings += check_own_body(lidar, gathered.scans[name], rig.vehicle.wheel_positions)
+        findings += check_own_body(lidar, gathered.scans[name], sensors.poses, rig.vehicle.wheel_positions)
     for name in cameras:
         findings += check_frozen(name, gathered.images[name])
     if sensors.notes:
@@ -259,6 +274,16 @@ def camera_misfits(
     known = ruler.misfit.parameters if ruler.misfit and (ruler.is_turned or ruler.is_late) else None
     result = []
     for name, camera in track(cameras.items(), "cameras", total=len(cameras)):
-        misfit = check_camera(camera, gathered.images[name], lidar, scans, poses, known)
-        result.append(CheckedSensor(camera.camera, misfit))
+        check = partial(check_camera, camera, gathered.images[name], lidar, scans, poses, known)
+        one = CheckedSensor(camera.camera, check())
+        if one.misfit is not None and one.is_turned:
+            one = replace(one, misfit=_best([one.misfit, *(check(start=np.array([0, 0, 0, late])) for late in STARTS)]))
+        result.append(one)
     return result
+
+
+def _best(misfits: Sequence[Misfit | None]) -> Misfit:
+    """The fit with the smallest residuals, of those that have almost as many as any: few agree anywhere."""
+    known = [misfit for misfit in misfits if misfit is not None]
+    most = max(misfit.residuals for misfit in known)
+    return min((misfit for misfit in known if misfit.residuals >= 0.9 * most), key=lambda misfit: misfit.scale)

@@ -18,7 +18,7 @@ from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.sensors.imperfections import Imperfections
-from offpiste.simulation.sensors.suite import Sensing, remounted, sensor_suite
+from offpiste.simulation.sensors.suite import Sensing, SensorSuite, remounted, sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
@@ -204,15 +204,18 @@ def record(
     steps: int,
     commands: list[np.ndarray] | None = None,
     seen: World | None = None,
+    suite: SensorSuite | None = None,
 ) -> DriveSummary:
     """Drive and write every message; an interruption leaves a readable file.
 
     Args:
         commands: the controller's commands are appended to it.
         seen: the world that the sensors and the true map show, where it differs from the one driven in.
+        suite: instead of the sensors that the settings name.
     """
     noise, light, mountings = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2, 3))
-    suite, seen = remounted(sensor_suite(settings.sensors), settings.mounting_turn, mountings), seen or world
+    suite = suite or sensor_suite(settings.sensors)
+    suite, seen = remounted(suite, settings.mounting_turn, mountings), seen or world
     sensing = Sensing(seen, suite, light) if suite.cameras or suite.lidars else None
     events: list[tuple[float, str]] = []
     path, speed = array("d"), array("d")  # compact: drives can be long
