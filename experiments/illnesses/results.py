@@ -1,11 +1,46 @@
 """Scores of finished logs, a JSON line each: what an interruption leaves is read again."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
+from offpiste.errors import OffpisteError
+from offpiste.files import write_text
+from offpiste.parallel import run_all
+
 T = TypeVar("T")
+
+
+def reported(
+    path: Path,
+    kind: type[T],
+    seeds: Sequence[int],
+    work: Callable[[int, Callable[[float], None]], str],
+    report: Callable[[Sequence[T]], str],
+    *,
+    processes: int,
+) -> str:
+    """The report on all seeds, in their order; scores that the file lacks are made first, and report.md is written.
+
+    Args:
+        path: of the scores.
+        work: appends the score of a seed to the file.
+        processes: seeds at a time.
+
+    Raises:
+        OffpisteError: some could not be made.
+    """
+    done = read(path, kind)
+    missing = [seed for seed in seeds if seed not in done]
+    failed = run_all(work, missing, processes, path.parent.name)
+    if failed:
+        raise OffpisteError(f"{len(failed)} of {len(missing)} logs could not be made", where=path.parent)
+    done = read(path, kind)
+    text = report([done[seed] for seed in seeds])
+    write_text(path.parent / "report.md", text)
+    return text
 
 
 def append(path: Path, score: Any) -> None:

@@ -20,11 +20,9 @@ from experiments.illnesses.formats import formats_for, stored
 from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.score import Score, score
 from experiments.illnesses.table import report, shown
-from offpiste.errors import OffpisteError
-from offpiste.files import check_folder, write_text
+from offpiste.files import check_folder
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
-from offpiste.parallel import run_all
 from offpiste.progress import show
 
 
@@ -68,15 +66,8 @@ class Illnesses:
             self._show(self.only)
             return None
         seeds = range(self.seed, self.seed + self.logs)
-        done = self._done()
-        missing = [seed for seed in seeds if seed not in done]
-        failed = run_all(partial(_work, self), missing, self.processes, "illnesses")
-        if failed:
-            raise OffpisteError(f"{len(failed)} of {len(missing)} logs could not be made", where=self.out)
-        scores = [one for seed, one in sorted(self._done().items()) if seed in seeds]
-        text = report(scores)
-        write_text(self.out / "report.md", text)
-        return text
+        scores = self.out / "scores.jsonl"
+        return results.reported(scores, Score, seeds, partial(_work, self), report, processes=self.processes)
 
     @property
     def drives(self) -> Path:
@@ -86,10 +77,6 @@ class Illnesses:
     def patient(self, seed: int) -> Patient:
         """The case of a seed."""
         return patient(seed, self.drives, names=self.illness, healthy=self.healthy)
-
-    def _done(self) -> dict[int, Score]:
-        """Scores by seed."""
-        return results.read(self.out / "scores.jsonl", Score)
 
     def _show(self, seed: int) -> None:
         one = self.patient(seed)

@@ -19,6 +19,7 @@ import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, fields, is_dataclass, replace
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
@@ -754,12 +755,15 @@ RECORDED = ("recorded_dataset", "findings")
 def machine() -> dict[str, str]:
     """Hashes are only promised where this is the same."""
     info = Path("/proc/cpuinfo")
-    names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+    lines = [line.partition(":") for line in (info.read_text().splitlines() if info.exists() else ())]
+    described = {key.strip(): value.strip() for key, _, value in reversed(lines)}
+    # A virtual machine's name says little: processors of one name compute with other instructions.
+    processor = [described.get(key, "") for key in ("model name", "cpu family", "model", "stepping")]
+    packages = ("numpy", "scipy", "numba", "torch", "mujoco", "embreex", "opencv-python-headless")
     return {
-        "processor": names[0] if names else platform.processor(),
-        "numpy": np.__version__,
-        "torch": torch.__version__,
+        "processor": " ".join(processor) if any(processor) else platform.processor(),
         "python": platform.python_version(),
+        **{name: version(name) for name in packages},
     }
 
 

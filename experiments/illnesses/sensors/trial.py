@@ -16,9 +16,7 @@ from experiments.illnesses import results
 from experiments.illnesses.sensors.declarations import SENSOR_ILLNESSES
 from experiments.illnesses.sensors.score import SensorScore, patient, score
 from experiments.illnesses.sensors.table import report
-from offpiste.errors import OffpisteError
-from offpiste.files import check_folder, write_text
-from offpiste.parallel import run_all
+from offpiste.files import check_folder
 
 
 @dataclass(frozen=True)
@@ -61,13 +59,8 @@ class SensorIllnesses:
             verdict = f"found {result.found}, noted {result.noted}, first cure {result.cure or '-'}"
             return "\n".join((f"truth: {one}; {one.drive.behaviour}, {one.drive.layout}", *lines, verdict))
         seeds = range(self.seed, self.seed + self.logs)
-        done = results.read(self.scores, SensorScore)
-        failed = run_all(partial(_work, self), [s for s in seeds if s not in done], self.processes, "sensors")
-        if failed:
-            raise OffpisteError(f"{len(failed)} logs could not be made", where=self.out)
-        text = report([s for seed, s in sorted(results.read(self.scores, SensorScore).items()) if seed in seeds])
-        write_text(self.out / "report.md", text)
-        return text
+        work = partial(_work, self)
+        return results.reported(self.scores, SensorScore, seeds, work, report, processes=self.processes)
 
     @property
     def drives(self) -> Path:
