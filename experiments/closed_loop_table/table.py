@@ -116,20 +116,27 @@ def _courses(drives: Drives) -> int:
 def _differences(drives: Drives, limit: float) -> list[str]:
     """A line for every two planners that are compared."""
     lines = [
-        "Paired differences on the same courses between runs of the same seeds, with 95 % intervals bootstrapped over"
-        " courses and seeds. The last column leaves out drives that not both finish, and so shows how they drive, not"
-        " how often they stop.",
+        "Paired differences on the same courses between runs of the same seeds, or the only runs that there are, with"
+        " 95 % intervals bootstrapped over courses and seeds. The last column leaves out drives that not both finish,"
+        " and so shows how they drive, not how often they stop.",
         "",
         _line(["difference", *MEASURES.values(), BOTH_FINISH]),
         _rule(2 + len(MEASURES)),
     ]
     for row in drives:
         for other in (o for o in drives if o != row and _compared(row, o)):
-            seeds = [seed for seed in drives[row] if seed in drives[other]]
-            if seeds:
-                mine, its = ([drives[name][seed] for seed in seeds] for name in (row, other))
+            mine, its = _paired_runs(drives[row], drives[other])
+            if mine:
                 lines.append(_line([f"{row} − {other}", *_compare(mine, its, limit)]))
     return lines
+
+
+def _paired_runs(mine: Mapping[int, Sequence[Drive]], its: Mapping[int, Sequence[Drive]]) -> tuple[Runs, Runs]:
+    """Runs of the seeds that both have; where each has one run, those."""
+    if len(mine) == len(its) == 1:
+        return list(mine.values()), list(its.values())
+    seeds = [seed for seed in mine if seed in its]
+    return [mine[seed] for seed in seeds], [its[seed] for seed in seeds]
 
 
 def _compare(mine: Runs, its: Runs, limit: float) -> list[str]:

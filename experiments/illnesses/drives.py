@@ -71,6 +71,8 @@ def varied_vehicle(random: np.random.Generator) -> VehicleParameters:
         "shift_time": around(0.5),
     }
     values = {name: getattr(standard, name) * factor for name, factor in changed.items()}
+    # No body's inertia about one axis exceeds those about the two others together.
+    values["yaw_inertia"] = min(values["yaw_inertia"], 0.98 * (values["roll_inertia"] + values["pitch_inertia"]))
     return msgspec.structs.replace(standard, **values, front_share=float(random.uniform(0.38, 0.58)))
 
 

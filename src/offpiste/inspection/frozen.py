@@ -16,6 +16,8 @@ _LEAST: Final = 2.0
 """Shortest run that is reported [s]."""
 _UNUSUAL: Final = 20.0
 """A run is reported from this many times the length that 1 in 100 of the channel's runs reach ..."""
+_ALONE: Final = 3.0
+"""... and this many times as long as the third longest: what happens again and again is how it is driven ..."""
 _SAMPLES: Final = 10
 """... and from this many samples on."""
 
@@ -48,7 +50,8 @@ def _frozen(channel: Channel, path: Path) -> tuple[Float[np.ndarray, " r"], Floa
     moves = ~_rests(channel)[first] & (_moving(path, begin) & _moving(path, end))
     if moves.sum() < 50:
         return np.zeros(0), np.zeros(0)
-    least = max(_LEAST, _UNUSUAL * float(np.percentile((end - begin)[moves], 99)))
+    lasts = np.sort((end - begin)[moves])
+    least = max(_LEAST, _UNUSUAL * float(np.percentile(lasts, 99)), _ALONE * float(lasts[-3]))
     long = moves & (end - begin > least) & (last - first >= _SAMPLES)
     return begin[long], end[long]
 

@@ -88,6 +88,8 @@ def _cure(
         return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
         return (Edit(f"channels.{name}.scale", rounded(source.scale * high / largest)),)
+    if last < 0.1 * largest and 0.3 * high < largest <= 1.2 * high:
+        return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
     span = last - first
     if not span > 0:

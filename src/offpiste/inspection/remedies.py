@@ -29,6 +29,9 @@ _LEAST_GAIN: Final = 0.4
 """A cure must silence this much to be advised."""
 _TURNED: Final = {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}
 """Places of findings that a pose with wrong axes has."""
+_POSE: Final = {"position", "orientation", "yaw"}
+_VELOCITIES: Final = {"linear_velocity", "angular_velocity", "yaw_rate"}
+"""Channels that may be as late as the pose where its topic holds them."""
 _ROUNDS: Final = 6
 _MOST: Final = 16
 """Most cures that are tried in a round."""
@@ -142,19 +145,21 @@ def _poses_late(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
     if len(shifts) < 2 or shifts[0] * shifts[-1] <= 0:
         return
     if shifts[0] < 0 or len({rig.channels[name].topic for name in channels}) > 1:
-        topic = rig.channels["position"].topic
-        pose = [n for n, source in rig.channels.items() if n in ("orientation", "yaw") or source.topic == topic]
-        middle = shifts[len(shifts) // 2]
-        yield tuple(Edit(f"channels.{n}.delay", round(rig.channels[n].delay - middle, 2)) for n in pose)
+        topic, middle = rig.channels["position"].topic, shifts[len(shifts) // 2]
+        pose = [name for name in rig.channels if name in _POSE]
+        beside = [n for n, source in rig.channels.items() if n in _VELOCITIES and source.topic == topic]
+        for names in (pose, [*pose, *beside]):
+            yield tuple(Edit(f"channels.{n}.delay", round(rig.channels[n].delay - middle, 2)) for n in names)
 
 
 def _swapped(one: str, other: str, rig: Rig) -> Cure:
-    """The edits that exchange where two channels come from."""
+    """The edits that exchange where two channels come from, and how they are converted."""
     first, second = rig.channels[one], rig.channels[other]
     return tuple(
-        Edit(f"channels.{name}.{key}", value)
-        for name, source in ((one, second), (other, first))
-        for key, value in (("topic", source.topic), ("fields", list(source.fields)))
+        Edit(f"channels.{name}.{key}", list(new) if isinstance(new, tuple) else new)
+        for name, source, old in ((one, second, first), (other, first, second))
+        for key in ("topic", "fields", "unit", "scale", "offset", "sign")
+        if (new := getattr(source, key)) != getattr(old, key)
     )
 
 

@@ -93,13 +93,14 @@ def test_the_header_says_what_counts_for_a_drive_that_does_not_finish():
     assert "the terms of path and speed of what planners minimise" in head
 
 
-def test_runs_are_compared_with_those_of_the_same_seed():
+def test_runs_are_compared_with_those_of_the_same_seed_or_alone():
     rows = [result("b-100ms", seed, 20.0, run_seed=run) for run in (0, 1) for seed in range(3)]
     rows += [result("dc-100ms", seed, 10.0, run_seed=1, finished=seed > 0) for seed in range(3)]
     rows += [result("ceiling-100ms", seed, 10.0, run_seed=7) for seed in range(3)]
     text = table(rows, limit=40.0)
     assert "| b-100ms | 2 | 200 | 20.00 | 0.50 | 1.00 | 2.00 | – | 6 | 6 |" in text
     assert "| dc-100ms | 1 | 100 | 20.00 | 0.50 | 1.00 | 2.00 | – | 3 | 2 |" in text
-    (line,) = (line for line in text.splitlines() if "−" in line and line.startswith("|"))
+    line, alone = (line for line in text.splitlines() if "−" in line and line.startswith("|"))
     assert line.startswith("| dc-100ms − b-100ms | -50 % [-50, -50] |")
     assert line.endswith("| – (2) |")
+    assert alone.startswith("| ceiling-100ms − dc-100ms | +0 % [+0, +0] |")
