@@ -12,7 +12,7 @@ from offpiste.logs.drive import Drive
 
 _POSE: Final = ("position", "orientation", "yaw")
 """Their own check is `pose.py`: a pose that stands still is no motion."""
-_LEAST: Final = 2.0
+_LEAST: Final = 3.0
 """Shortest run that is reported [s]."""
 _UNUSUAL: Final = 20.0
 """A run is reported from this many times the length that 1 in 100 of the channel's runs reach ..."""

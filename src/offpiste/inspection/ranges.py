@@ -79,8 +79,11 @@ def _cure(
     largest = max(abs(first), abs(last))
     plain = not source.unit and source.scale == 1.0
     for unit, factor in _ALTERNATIVES.items():
-        if not plain or not 0.3 * high < largest * factor <= 1.2 * high or (low == 0 and first < -0.1 * largest):
+        if not 0.3 * high < largest * factor <= 1.2 * high or (low == 0 and first < -0.1 * largest):
             continue
+        if not plain:
+            scaled = (("scale", source.scale * factor), ("offset", source.offset * factor))
+            return tuple(Edit(f"channels.{name}.{key}", rounded(new)) for key, new in scaled if new)
         try:
             unit_factor(name, unit)
         except RigError:
