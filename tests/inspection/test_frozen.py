@@ -32,14 +32,16 @@ def test_a_channel_that_hangs_is_named_with_its_time() -> None:
     assert seconds == pytest.approx(6.0, abs=0.2)
 
 
-@pytest.mark.parametrize("rest", [0.0, 1.0])
-def test_pedals_may_rest_at_an_end_of_their_range(rest: float) -> None:
+@pytest.mark.parametrize(("value", "found"), [(0.0, 0), (1.0, 0), (0.5, 1)])
+def test_pedals_may_rest_at_an_end_of_their_range_and_nowhere_else(value: float, found: int) -> None:
+    time, _ = CLEAN.data["pedals"]
+
     def pressed(values: np.ndarray) -> np.ndarray:
-        values = values.copy()
-        values[1000:2000] = rest
+        values = np.random.default_rng(0).uniform(0.2, 0.7, len(values))
+        values[(time > time[len(time) // 2]) & (time < time[len(time) // 2] + 6.0)] = value
         return values
 
-    assert _frozen(CLEAN.change("pedals", "throttle", pressed)) == []
+    assert len(_frozen(CLEAN.change("pedals", "throttle", pressed))) == found
 
 
 def test_controls_in_steps_hold_by_nature() -> None:

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
+from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.steering import check_steering
+from offpiste.inspection.steering_fit import steering_fits
+from offpiste.logs.drive import drive_from_log
 
 WHEELBASE = 0.18
 TRUE = np.tan(MAX_STEER) / WHEELBASE
@@ -62,7 +66,10 @@ def test_places_in_feet_are_likelier_than_wheels_that_hardly_turn() -> None:
     log = drive_log(seed=0)
     for axis in "xyz":
         log = log.change("odom", axis, lambda values: 3.28084 * values)
-    without = ("[channels.linear_velocity]\n", "[channels.wheel_speed]\n")
-    bare = rig(without, ('fields = ["vx", "vy", "vz"]\nframe = "body"', 'fields = ["vx"]'))
-    cures = [cure for f in inspect_log(log, bare).findings for cure in f.cures]
-    assert any(str(edit) == 'channels.position.unit = "ft"' for cure in cures[:1] for edit in cure)
+    drive = drive_from_log(log, rig())
+    path = driven_path(drive)
+    found = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
+    (finding,) = (f for f in found if f.where == "steer" and f.what == "turns the vehicle less than the rig says")
+    first, *others = (str(edit) for cure in finding.cures for edit in cure)
+    assert first == 'channels.position.unit = "ft"'
+    assert any(other.startswith("vehicle.max_steer") for other in others)

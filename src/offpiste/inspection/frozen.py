@@ -35,7 +35,7 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
         longest = int(lasts.argmax())
         times = "once" if len(begin) == 1 else f"{len(begin)} times, {lasts.sum():.1f} s in all"
         evidence = f"{times}, the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
-        evidence += "99 % of its other values last a twentieth of that or less"
+        evidence += f"99 % of its other values last {1 / _UNUSUAL:.0%} of that or less"
         how = "no rig line fixes it: cut the log there, or leave the channel out"
         share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
         findings.append(Finding("warning", name, "holds one value while the vehicle moves", evidence, how, share))

@@ -76,10 +76,10 @@ def _cure(
 ) -> tuple[Edit, ...]:
     """The edits that bring what was seen into the wanted range: another unit if one fits, or scale and offset."""
     (low, high), (first, last) = wanted, seen
-    largest = max(abs(first), abs(last))
+    extreme = max(abs(first), abs(last))
     plain = not source.unit and source.scale == 1.0
     for unit, factor in _ALTERNATIVES.items():
-        if not 0.3 * high < largest * factor <= 1.2 * high or (low == 0 and first < -0.1 * largest):
+        if not 0.3 * high < extreme * factor <= 1.2 * high or (low == 0 and first < -0.1 * extreme):
             continue
         if not plain:
             scaled = (("scale", source.scale * factor), ("offset", source.offset * factor))
@@ -90,8 +90,8 @@ def _cure(
             continue
         return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
-        return (Edit(f"channels.{name}.scale", rounded(source.scale * high / largest)),)
-    if last < 0.1 * largest and 0.3 * high < largest <= 1.2 * high:
+        return (Edit(f"channels.{name}.scale", rounded(source.scale * high / extreme)),)
+    if last < 0.1 * extreme and 0.3 * high < extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
     span = last - first

@@ -153,7 +153,7 @@ def _poses_late(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
 
 
 def _swapped(one: str, other: str, rig: Rig) -> Cure:
-    """The edits that exchange where two channels come from, and how they are converted."""
+    """The edits that exchange where two channels come from, with their units and scales."""
     first, second = rig.channels[one], rig.channels[other]
     return tuple(
         Edit(f"channels.{name}.{key}", list(new) if isinstance(new, tuple) else new)

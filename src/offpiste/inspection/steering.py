@@ -10,7 +10,7 @@ from offpiste.inspection.course import leans_inward
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged
-from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit, curvature_per_unit
+from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit, curvature_per_unit, moving_rows
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
@@ -145,12 +145,12 @@ def _scale(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     if wheelbase is not None:
         cures = (*cures, (wheelbase,))
         remedy += f"; or the wheelbase is {rig.vehicle.wheelbase * longer:.2f} m: {wheelbase}"
-    feet = _other_places(rig, factor)
-    if feet is not None:
+    places = _other_places(rig, factor)
+    if places is not None:
         # A range of steering that no vehicle has speaks for the places.
         first = name == "steer" and not _RANGES[0] < implied_angle < _RANGES[1]
-        cures = ((feet,), *cures) if first else (*cures, (feet,))
-        remedy = f"{feet}; or {remedy}" if first else f"{remedy}; or {feet}"
+        cures = ((places,), *cures) if first else (*cures, (places,))
+        remedy = f"{places}; or {remedy}" if first else f"{remedy}; or {places}"
     what = "turns the vehicle more than the rig says" if factor > 1 else "turns the vehicle less than the rig says"
     return [Finding("warning", name, what, evidence, remedy, 0.6, cures)]
 
@@ -213,7 +213,7 @@ def _changing_delay(name: str, channel: Channel, path: Path, rig: Rig) -> list[F
 def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " w"]:
     turning = path.forward * lagged(channel, path.time, rig)
     result = []
-    usual = np.nanstd(path.yaw_rate[path.speed > max(0.3, 0.2 * path.cruise)])
+    usual = np.nanstd(path.yaw_rate[moving_rows(path)])
     for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW):
         rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
         if not np.isfinite(path.yaw_rate[rows]).any() or np.nanstd(path.yaw_rate[rows]) < 0.7 * usual:

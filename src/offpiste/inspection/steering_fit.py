@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import STEP, TURNING, Path
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
@@ -39,7 +39,8 @@ class SteeringFit:
         settled: the steady fit with the steering averaged over the time that explains most.
         gripping: the same where speed and steering, not the turning, ask for little lateral acceleration; `settled`
             where there are too few such rows.
-        centre, centre_sigma: steering at which those rows go straight, and its standard deviation.
+        centre, centre_sigma: steering at which those rows go straight, in the channel's unit (of an angle the tangent),
+            and its standard deviation; 0 and infinity where there are too few.
     """
 
     steady: LagFit
@@ -69,11 +70,18 @@ def _sure_sign(fit: LagFit) -> int:
 
 
 def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> SteeringFit | None:
-    """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre."""
+    """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre.
+
+    Args:
+        measured: whether the rig's geometry says in which rows tyres grip; otherwise the scale that is found does.
+
+    Returns:
+        Gains in 1/m a unit of the channel; None where too little moves.
+    """
     angle = lagged(channel, path.time, rig)
     wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
     turning = path.forward * wheel
-    moving = path.speed > max(0.3, 0.2 * path.cruise)
+    moving = moving_rows(path)
     steady = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, moving)
     later = round(_AHEAD / STEP)
     then = _shifted(path.forward, later)
@@ -88,8 +96,13 @@ def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> S
 def _scale_fits(
     wheel: Float[np.ndarray, "L n"], steady: LagFit, path: Path, per_unit: float | None
 ) -> tuple[LagFit, LagFit, float, float]:
-    """The fits `settled` and `gripping`, and the centre with its standard deviation."""
-    moving = path.speed > max(0.3, 0.2 * path.cruise)
+    """The fits `settled` and `gripping`, and the centre with its standard deviation.
+
+    Args:
+        wheel: steering at each of `LAGS`.
+        per_unit: curvature at a steering of 1 [1/m]; None where it is not known.
+    """
+    moving = moving_rows(path)
     settled, averaged = steady, path.forward * wheel[steady.best()]
     for count in _SMOOTHINGS:
         smooth = path.forward * _averaged(wheel[::2], count)
@@ -116,6 +129,11 @@ def _scale_fits(
 def _averaged(values: Float[np.ndarray, "L ..."], count: int) -> Float[np.ndarray, "m ..."]:
     """Means over neighbouring lags."""
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, count, axis=0).mean(axis=-1))
+
+
+def moving_rows(path: Path) -> Bool[np.ndarray, " n"]:
+    """Rows that are fast enough to show how the steering turns the vehicle."""
+    return np.asarray(path.speed > max(0.3, 0.2 * path.cruise))
 
 
 def curvature_per_unit(name: str, rig: Rig) -> float:
