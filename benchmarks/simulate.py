@@ -1,8 +1,9 @@
 """How much faster than real time the proving ground runs: medians over several runs, on a world with hills.
 
-`python benchmarks/simulate.py [--seconds 20] [--runs 5]`. The vehicle alone: rigid bodies, tyres, drive train and a
-sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds that making a
-world takes. Peak memory is that of the process after each line.
+`python benchmarks/simulate.py [--seconds 20] [--runs 5] [--whole 0]`. The vehicle alone: rigid bodies, tyres, drive
+train and a sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds that
+making a world takes. Whole drives, of `--whole` seconds: `offpiste simulate` in worlds of their own, from the seed to
+the file. Peak memory is that of the process after each line.
 """
 
 import argparse
@@ -17,8 +18,8 @@ import numpy as np
 from offpiste.conventions import DT
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.recorder import Recorder
-from offpiste.simulation.sensors.suite import Sensing, sensor_suite
-from offpiste.simulation.simulate import drive, start_and_driver
+from offpiste.simulation.sensors.suite import Sensing, observed, sensor_suite
+from offpiste.simulation.simulate import DriveSettings, drive, simulate, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
@@ -44,12 +45,21 @@ def recorded(world: World, sensing: Sensing | None, seconds: float, file: Path) 
     begin, rows = time.perf_counter(), 0
     with McapWriter(file) as writer:
         recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=np.random.default_rng(0))
-        for sample in drive(world, parameters, start, driver, steps=round(seconds / DT)):
+        samples = drive(world, parameters, start, driver, steps=round(seconds / DT))
+        for sample, messages in observed(samples, sensing, recorder.sensor_stamp_ns):
             recorder.vehicle(sample)
-            for topic, message in sensing.observe(sample, recorder.sensor_stamp_ns) if sensing else ():
+            for topic, message in messages:
                 recorder.sensor(topic, message)
             rows += 1
     return rows * DT / (time.perf_counter() - begin)
+
+
+def whole(profile: str, seconds: float, seed: int, file: Path) -> float:
+    """Real time over computing time of a drive whose world has to be built."""
+    settings = DriveSettings(WorldSettings(preset="mojave", seed=seed), seconds, seed, profile)
+    begin = time.perf_counter()
+    (driven,) = simulate(settings, file)
+    return driven.seconds / (time.perf_counter() - begin)
 
 
 def report(name: str, ratios: list[float]) -> None:
@@ -64,6 +74,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="of driving in a run")
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--whole", type=float, default=0.0, help="seconds of drives with a world of their own")
     options = parser.parse_args()
     world = make_world(WorldSettings(preset="mojave", seed=3))
     physics(world, DT, sampled=True)  # compiles
@@ -79,6 +90,11 @@ def main() -> None:
             report(
                 f"recorded, {profile}", [recorded(world, sensing, share * options.seconds, file) for file in files[:-1]]
             )
+    for profile in ("none", "light", "full") if options.whole else ():
+        with tempfile.TemporaryDirectory() as folder:
+            files = [Path(folder) / f"{run}.mcap" for run in range(options.runs)]
+            ratios = [whole(profile, options.whole, seed, file) for seed, file in enumerate(files, start=3)]
+        report(f"whole, {profile}", ratios)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,7 @@ def noise(rng: np.random.Generator) -> Rows:
     state[:, 3:] += rng.normal(0, 0.1, (ROWS, 3))
     normal = rng.normal(0, 0.1, (len(FEATURE_SETS), ROWS, 4, 3)).astype(np.float32)
     normal[..., 2] = 1
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     # Wheels reach new cells all the time and return to none.
     index = (np.arange(ROWS)[:, None] * (CELLS - 8) // ROWS + np.array([6, 4, 2, 0])).astype(np.int32)
     shape = (len(FEATURE_SETS), CELLS)

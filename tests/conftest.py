@@ -1,9 +1,15 @@
 """Shared by all tests; shapes and types of offpiste's functions are checked while they run."""
 
 import os
+import pathlib
+import tempfile
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Machine code of yesterday is as good as today's; fitted stages of yesterday must not be taken.
+os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
+os.environ["OFFPISTE_CACHE"] = (_shared := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
 
 from jaxtyping import install_import_hook
 

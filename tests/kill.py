@@ -55,6 +55,7 @@ def train_model(inputs: Path, out: Path) -> None:
     from offpiste.training.config import TrainConfig
     from offpiste.training.train import train
 
+    os.environ["OFFPISTE_CACHE"] = f"{out}-cache"  # each run fits its own actuators
     config = TrainConfig(model="dc", epochs=3, bicycle_epochs=2, actuator_epochs=2, stride=40, batch=32)
     train(open_dataset(inputs / "features.zarr"), config, out / "run", resume=True)
 
@@ -99,10 +100,10 @@ def make_inputs(inputs: Path) -> None:
         inputs / "pca.safetensors",
         PrincipalComponents(mean, basis, variance, 8.0, backbone.name, backbone.fingerprint, {}),
     )
-    _recorded_steering(inputs, rng)
+    recorded_steering(inputs, rng)
 
 
-def _recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
+def recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
     """A dataset of random features and of a steering angle, so that there are actuators to fit."""
     from factories import RIG
     from feature_datasets import FEATURES, rows_with_features

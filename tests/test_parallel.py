@@ -42,6 +42,16 @@ def test_errors_come_back_from_other_processes_as_they_were():
     assert str(pickle.loads(pickle.dumps(OffpisteError("x")))) == "x"  # noqa: S301
 
 
+def test_work_that_processes_could_not_import_is_refused_before_any_starts(tmp_path: Path) -> None:
+    package = tmp_path / "study"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    code = "from offpiste.parallel import run_all\ndef work(job, report): return ''\nrun_all(work, [1, 2], 2, '')"
+    (package / "__main__.py").write_text(code)
+    ran = subprocess.run([sys.executable, "-m", "study"], cwd=tmp_path, capture_output=True, text=True)
+    assert "ValueError: put work in a module of its own" in ran.stderr
+
+
 def test_processes_end_when_their_parent_is_killed():
     imports = "from parallel_jobs import wait; from offpiste.parallel import run_all"
     code = f"{imports}; run_all(wait, [1, 2], 2, 'waiting', finished=print)"

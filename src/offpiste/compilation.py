@@ -6,9 +6,9 @@ Numba's own threading layers were slower beside torch's OpenMP.
 import hashlib
 import inspect
 import os
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Set
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -20,6 +20,9 @@ import numba
 import torch
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler as NumbaCompiler
+from numba.core.registry import cpu_target
+
+from offpiste.kernel_cache import KernelCache
 
 Function = Callable[..., Any]
 
@@ -34,12 +37,16 @@ class Compiler:
         loops_make_arrays, entries_make_arrays: whether such functions create or keep arrays. Those that do not are
             compiled without reference counting, and run up to three times as fast; they cannot assign slices, which
             may need a copy.
+        part: what is compiled, for the message before it; "" for none.
+        seconds: that it takes.
     """
 
     sources: tuple[str, ...]
     fastmath: Set[str] = frozenset()
     loops_make_arrays: bool = True
     entries_make_arrays: bool = True
+    part: str = ""
+    seconds: int = 0
 
     def inlined(self, function: Function) -> Function:
         """Compile a function that becomes part of the loop that calls it."""
@@ -59,7 +66,7 @@ class Compiler:
         return _compiled(function, **self._options(makes_arrays=True))
 
     def entry(self, function: Function, *, salt: str = "") -> Function:
-        """Compile a function that Python calls; it releases the GIL, and its code is cached on disk if possible.
+        """Compile a function that Python calls; it releases the GIL, and its code is kept (`KernelCache`) if possible.
 
         It calls its own copies of other functions (`SelfContained`), so that it gives the same bits in every process.
 
@@ -74,10 +81,10 @@ class Compiler:
         if salt:
             function.__qualname__ += f"_{hashlib.sha256(salt.encode()).hexdigest()[:16]}"
         options = self._options(self.entries_make_arrays) | {"nogil": True, "pipeline_class": SelfContained}
-        try:
-            return _compiled(function, cache=True, **options)
-        except RuntimeError:  # no folder for the cache
-            return _compiled(function, **options)
+        entry: Any = _compiled(function, **options)
+        with suppress(RuntimeError):  # no folder for the cache
+            entry._cache = KernelCache(entry.py_func, self.part, self.seconds)
+        return entry  # type: ignore[no-any-return]
 
     def _options(self, makes_arrays: bool) -> dict[str, Any]:
         options: dict[str, Any] = {} if makes_arrays else {"_nrt": False}
@@ -85,11 +92,20 @@ class Compiler:
 
     @cached_property
     def _digest(self) -> str:
-        package = Path(__file__).parent
         # This file, too: options are no part of the key of Numba's cache.
-        roots = [Path(__file__), *(package / source for source in self.sources)]
-        files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*.py")))]
-        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+        return sources_digest((Path(__file__).name, *self.sources))[:16]
+
+
+def sources_digest(sources: Iterable[str]) -> str:
+    """SHA-256 of the code in files and folders, relative to the package."""
+    roots = [Path(__file__).parent / source for source in sources]
+    files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*.py")))]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def target_machine() -> list[str]:
+    """Platform, processor and its features that kernels are compiled for: others may round differently."""
+    return [str(part) for part in cpu_target.target_context.codegen().magic_tuple()]
 
 
 class SelfContained(NumbaCompiler):  # type: ignore[misc]
@@ -127,17 +143,30 @@ def _compiled(function: Function, **options: Any) -> Function:
 FUSED: Final = frozenset({"contract"})
 """Fast-math flags: fused multiply-add, and nothing else."""
 
-MAPPING: Final = Compiler(("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False)
+MAPPING: Final = Compiler(
+    ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
+)
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
-KERNELS: Final = Compiler(("dynamics/kernels",), FUSED, loops_make_arrays=False)
+KERNELS: Final = Compiler(
+    ("dynamics/kernels",), FUSED, loops_make_arrays=False, part="the kernels of training", seconds=20
+)
 PLANNING: Final = Compiler(
     ("dynamics/kernels", "planning", "mapping/terrain_map.py"),
     FUSED,
     loops_make_arrays=False,
+    part="the planner's kernels",
+    seconds=20,
 )
-PHYSICS: Final = Compiler(("simulation",))
+PHYSICS: Final = Compiler(("simulation",), part="the simulated vehicle", seconds=10)
 """Compiler of the simulated vehicle: functions of scalars for Python and for each other, without fast math."""
-RAYS: Final = Compiler(("simulation",), frozenset({"contract", "nsz", "arcp"}))
+RAYS: Final = Compiler(
+    ("simulation",),
+    frozenset({"contract", "nsz", "arcp"}),
+    loops_make_arrays=False,
+    entries_make_arrays=False,
+    part="the simulated sensors",
+    seconds=10,
+)
 """Compiler of the simulated sensors."""
 
 

@@ -4,6 +4,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -52,7 +53,13 @@ def run_all(
 
     Returns:
         The errors of jobs that failed.
+
+    Raises:
+        ValueError: processes could not import the work: it stands in the `__main__.py` of a package.
     """
+    if _module_of(work) == "__main__" and _main_cannot_be_imported():
+        name = _function_of(work).__name__
+        raise ValueError(f"put {name} in a module of its own: processes do not import __main__.py")
     failed = []
     done = (
         _one_by_one(work, jobs, description)
@@ -121,10 +128,20 @@ def _context(work: Work[Job]) -> BaseContext:
     return context
 
 
-def _module_of(work: Work[Job]) -> str:
+def _function_of(work: Work[Job]) -> Work[Job]:
     while isinstance(work, partial):
         work = work.func
-    return work.__module__
+    return work
+
+
+def _module_of(work: Work[Job]) -> str:
+    return _function_of(work).__module__
+
+
+def _main_cannot_be_imported() -> bool:
+    """Whether this program is the `__main__.py` of a package, which `multiprocessing` leaves out."""
+    spec = sys.modules["__main__"].__spec__
+    return spec is not None and (spec.name == "__main__" or spec.name.endswith(".__main__"))
 
 
 def _start_worker(processes: int) -> None:

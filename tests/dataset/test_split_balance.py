@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
 from factories import circle_rows, small_rig
+from offpiste.dataset.extract import described
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.split_balance import apart, better_split, complaints, part_facts, split_warning
+from offpiste.dataset.split_balance import apart, better_split, complaints, fitting_split, part_facts, split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 
@@ -66,7 +67,23 @@ def test_a_drive_that_stands_nearly_always_has_no_better_split() -> None:
     speed[:1500] = 5.0
     line = split_warning(dataset(at_speed(speed))) or ""
     assert "validation has 0 windows above 1.5 m/s" in line
-    assert line.endswith("; record more driving, or give --split drives:FILE")
+    assert line.endswith("; record more driving")
+
+
+def test_a_short_drive_gets_a_split_in_which_every_part_has_windows() -> None:
+    data = dataset(at_speed(wandering(4000)))
+    (drive,) = data.drives
+    found = fitting_split(drive, 0.0, 1.5)
+    assert found is not None
+    assert all(part.windows for part in part_facts(data.relabelled(found)))
+    assert f"give --split {found.text}, or" in described(drive, data.split)
+    assert fitting_split(dataset(at_speed(wandering(800))).drives[0], 0.0, 1.5) is None
+
+
+def test_windows_are_counted_at_the_speed_at_which_they_start() -> None:
+    slow = dataset(at_speed(np.full(20000, 1.0)))
+    assert [part.windows for part in part_facts(slow)] == [0, 0, 0]
+    assert all(part.windows > 0 for part in part_facts(replace(slow, min_speed=0.5)))
 
 
 def test_turning_in_one_part_only_is_complained_of() -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.surfaces.__main__ import Trial, train_once
 from experiments.surfaces.labels import (
     FLOORS,
     extract_floors,
@@ -18,6 +17,7 @@ from experiments.surfaces.labels import (
     shuffled,
 )
 from experiments.surfaces.tables import tables
+from experiments.surfaces.trials import Trial, train_once
 from factories import circle_rows, small_rig
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.splits import PARTS, Split

@@ -99,3 +99,18 @@ def test_a_jump_counts_in_any_direction(way: float) -> None:
         log = log.change("odom", field, lambda x, by=by: x + 1.5 * by * (np.arange(3000) >= 1500))
     (finding,) = (f for f in inspect_log(log, rig()).findings if (f.where, f.what) == ("position", "jumps"))
     assert finding.evidence.startswith("1 times, by up to 1.50 m")
+
+
+def test_positions_that_run_away_change_their_velocity_in_an_instant() -> None:
+    def run_away(x: np.ndarray) -> np.ndarray:
+        x[2400:] += 60.0 * 0.02 * np.arange(len(x) - 2400)
+        return x
+
+    _, complaints = _inspected(CLEAN.change("odom", "x", run_away))
+    (finding,) = (f for f in complaints if f.what == "changes its velocity in an instant")
+    assert float(finding.evidence.split()[1]) == pytest.approx(48.0, abs=0.6)
+
+
+def test_a_position_that_jumps_goes_on_as_before() -> None:
+    _, complaints = _inspected(CLEAN.change("odom", "x", lambda x: np.where(np.arange(len(x)) < 2400, x, x + 15)))
+    assert "changes its velocity in an instant" not in [f.what for f in complaints]

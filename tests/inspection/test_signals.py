@@ -96,3 +96,20 @@ def test_spikes_among_usual_values_get_no_range_that_would_leave_them() -> None:
     (finding,) = (f for f in inspect_log(log).findings if f.where.startswith("wheels"))
     assert finding.what == "isolated spikes"
     assert finding.remedy == "no range of valid values parts them from the others: take another field"
+
+
+def test_a_range_for_spikes_of_one_component_holds_the_others_too() -> None:
+    """One `valid` interval counts for all components, and the forward velocity is larger than the vertical one."""
+    clean = drive_log(seconds=60)
+    log = clean.change("odom", "vz", lambda values: np.where(np.arange(len(values)) == 700, 60.0, values))
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "isolated spikes")
+    low, high = finding.cures[0][0].value
+    forward = clean.data["odom"][1]["vx"]
+    assert low < forward.min() <= forward.max() < high < 60.0
+
+
+@pytest.mark.parametrize("at", [0, -1])
+def test_the_first_and_the_last_sample_may_be_spikes(at: int) -> None:
+    values = np.sin(np.arange(500) / 20)
+    values[at] = 30.0
+    assert np.flatnonzero(find_spikes(values)).tolist() == [at % 500]

@@ -17,7 +17,7 @@ from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_on, refuse_unusable
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.dataset.split_balance import split_warning
+from offpiste.dataset.split_balance import fitting_split, split_warning
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
@@ -137,9 +137,11 @@ def described(
     ]
     wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
     if split.kind in ("blocks", "fold") and min(wanted) == 0:
+        other = fitting_split(drive, min_hindsight, min_speed)
+        how = f"give --split {other.text}" if other else "record two minutes or more"
         lines.append(
-            f"  warning: too short or slow for {split.text}: a part has no window, so nothing can be trained on it"
-            " alone; record two minutes or more, or keep whole drives apart (--split drives:FILE)"
+            f"  warning: too short or slow for {split.text}: a part has no window, so `train` refuses it alone; {how},"
+            " or several drives with --split drives:FILE"
         )
     if rows.cells is not None and len(rows.cells.valid) == len(FEATURE_SETS):
         rates = zip(FEATURE_SETS, rows.cells.valid.mean(axis=1), strict=True)

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -10,6 +11,10 @@ from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from torch import Tensor
 
 from offpiste.dataset.feature_sets import FeatureSetChoice
+from offpiste.state import Terrain
+
+MOSTLY: Final = 0.95
+"""Share of the cells read that windows touch, above which the others stay: to leave them out takes longer."""
 
 
 class ArrayReader:
@@ -70,7 +75,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class FeaturesUnderWheels:
-    """Features of the ground cells that a batch of windows touches, each cell once.
+    """Features of the ground cells that a batch of windows touches, each cell once; a few are between them.
 
     Attributes:
         features: of the cells; the last one stands for wheels on no cell, all NaN.
@@ -97,7 +102,9 @@ class CellTable:
         sizes = [c.features.shape[1] for c in cells]
         self._first = np.cumsum([0, *sizes])
         self._index = np.concatenate(
-            [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, self._first[:-1], strict=True)]
+            [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, self._first[:-1], strict=True)],
+            dtype=np.int32 if self._first[-1] < 1 << 28 else np.int64,  # numbers of cells of several sets are larger
+            casting="same_kind",
         )
         self._valid = np.concatenate([c.valid for c in cells], axis=1)
         self._readers = [ArrayReader(c.features) for c in cells]
@@ -125,7 +132,8 @@ class CellTable:
         touched = np.zeros(total + 1, bool)
         touched[number] = True
         touched[-1] = True
-        features = np.full((total + 1, self._channels), np.nan, np.float16)
+        features = np.empty((total + 1, self._channels), np.float16)
+        features[-1] = np.nan  # the ranges fill all others
         valid = np.zeros(total + 1, bool)
         for chosen, first, low, count in ranges:
             self._read(
@@ -135,11 +143,12 @@ class CellTable:
                 low,
                 feature_set_choice.flags_only,
             )
-        number = (np.cumsum(touched) - 1)[number]
+        if touched.mean() < MOSTLY:
+            number, features, valid = (np.cumsum(touched) - 1)[number], features[touched], valid[touched]
         under = torch.from_numpy(number).to(self._device)
         return FeaturesUnderWheels(
-            torch.from_numpy(features[touched]).to(self._device).float(),
-            torch.from_numpy(valid[touched]).to(self._device),
+            torch.from_numpy(features).to(self._device).float(),
+            torch.from_numpy(valid).to(self._device),
             under[:, :history],
             under[:, history:],
         )
@@ -217,3 +226,27 @@ class NormalsUnderWheels:
         for window, number in enumerate(drive.tolist()):
             self._readers[number].read(int(sets[window]), first[window], result[window])
         return torch.from_numpy(result).to(self._device)
+
+
+class LevelNormals:
+    """Level ground in place of `NormalsUnderWheels`.
+
+    Args:
+        device: where batches are made.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self._up = torch.tensor([0.0, 0.0, 1.0], device=device)
+
+    def whole(self) -> Float[Tensor, "N 4 3"]:
+        """Nothing: there is no ground at any row."""
+        return self._up.expand(0, 4, 3)
+
+    def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
+        """Straight up at R = `count` rows."""
+        return self._up.expand(len(start), count, 4, 3)
+
+    @staticmethod
+    def terrain(normal: Float[Tensor, "*S 4 3"]) -> Terrain:
+        """`Terrain.of` of what `at` gives, which needs no look at every row."""
+        return Terrain(normal, normal.new_ones((), dtype=torch.bool).expand(normal.shape[:-1]), normal[..., :0])

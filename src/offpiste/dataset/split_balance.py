@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT, MIN_EVALUATION_SPEED
+from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
-from offpiste.dataset.store import Dataset
+from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import DatasetError
 
@@ -32,6 +32,8 @@ _FOLDS: Final = 5
 """Folds that are tried beside blocks."""
 _SIZES: Final = (20, 30, 50, 75, 100)
 """Squares that are tried [m]."""
+_FOR_SHORT_DRIVES: Final = ("blocks:0.6,0.2,0.2", "blocks:0.5,0.25,0.25", "blocks:0.4,0.3,0.3")
+"""Tried where a drive is too short for its split."""
 _LEAST_TURN: Final = 0.05
 """Turn rates below this count as straight on [rad/s]."""
 
@@ -41,7 +43,8 @@ class PartFacts:
     """What is driven in one part of a dataset.
 
     Attributes:
-        windows: above `MIN_EVALUATION_SPEED`.
+        windows: above `min_speed`.
+        min_speed: at which windows start [m/s].
         moving: time above that speed [s].
         speed: of its complete rows, sorted [m/s].
         start_speed: median at the starts of windows [m/s]; NaN without any.
@@ -50,6 +53,7 @@ class PartFacts:
 
     name: str
     windows: int
+    min_speed: float
     moving: float
     speed: Float[np.ndarray, " n"]
     start_speed: float
@@ -78,7 +82,7 @@ def _facts(dataset: Dataset, part: str) -> PartFacts:
         mine = drive.part == PARTS.index(part)
         rows = drive.rows
         speed = np.hypot(rows.state[:, 3], rows.state[:, 4])
-        first = evaluation_starts(rows, mine, dataset.min_hindsight)
+        first = evaluation_starts(rows, mine, dataset.min_hindsight, dataset.min_speed)
         speeds.append(speed[mine & rows.valid])
         starts.append(speed[first])
         turns.append(np.abs(rows.state[first, 5]))
@@ -86,7 +90,8 @@ def _facts(dataset: Dataset, part: str) -> PartFacts:
     return PartFacts(
         part,
         len(start),
-        float((speed > MIN_EVALUATION_SPEED).sum() * DT),
+        dataset.min_speed,
+        float((speed > dataset.min_speed).sum() * DT),
         np.sort(speed),
         float(np.median(start)) if len(start) else np.nan,
         float(np.quantile(turn, 0.9)) if len(turn) else np.nan,
@@ -107,10 +112,10 @@ def complaints(facts: Sequence[PartFacts]) -> Iterator[str]:
     train = facts[0]
     for part in facts:
         if part.windows < LEAST_WINDOWS:
-            yield f"{part.name} has {part.windows} windows above {MIN_EVALUATION_SPEED} m/s"
+            yield f"{part.name} has {part.windows} windows above {part.min_speed:.3g} m/s"
     for part in facts[1:]:
         shifted = apart(train.speed, part.speed) > MOST_APART and _ratio(train.median, part.median, _STANDING) > MEDIANS
-        if shifted or _ratio(train.start_speed, part.start_speed, MIN_EVALUATION_SPEED) > MOST_RATIO:
+        if shifted or _ratio(train.start_speed, part.start_speed, train.min_speed) > MOST_RATIO:
             yield f"{part.name} drives at a median of {part.median:.1f} m/s, train at {train.median:.1f} m/s"
         elif _ratio(train.turning, part.turning, _LEAST_TURN) > MOST_TURNING:
             yield f"{part.name} turns at {part.turning:.2f} rad/s (90 %), train at {train.turning:.2f} rad/s"
@@ -154,6 +159,18 @@ def better_split(dataset: Dataset) -> tuple[Split, tuple[PartFacts, ...]] | None
     return min(good, key=lambda each: unlikeness(each[1])) if good else None
 
 
+def fitting_split(drive: StoredDrive, min_hindsight: float, min_speed: float) -> Split | None:
+    """Blocks with larger parts to validate and test on, which all have windows of a short drive; None without."""
+    rows = drive.rows
+    for text in _FOR_SHORT_DRIVES:
+        split = parse_split(text)
+        label = split.label(drive.name, rows.state[:, :2] + rows.origin)
+        parts = range(len(PARTS))
+        if all(len(evaluation_starts(rows, label == part, min_hindsight, min_speed)) for part in parts):
+            return split
+    return None
+
+
 def split_warning(dataset: Dataset) -> str | None:
     """What is wrong with a dataset's split and which one is better, in one line; None where nothing is wrong."""
     facts = part_facts(dataset)
@@ -163,7 +180,11 @@ def split_warning(dataset: Dataset) -> str | None:
     line = f"the parts of the split {dataset.split.text} are unlike each other: {'; '.join(wrong)}"
     better = better_split(dataset)
     if better is None:
-        how = "give some drives to other parts" if dataset.split.kind == "drives" else "give --split drives:FILE"
-        return f"{line}; record more driving, or {how}"
+        how = "; record more driving"
+        if len(dataset.drives) > 1:
+            how += ", or give " + (
+                "some drives to other parts" if dataset.split.kind == "drives" else "--split drives:FILE"
+            )
+        return line + how
     split, parts = better
     return f"{line}; better: --split {split.text} ({'; '.join(part.words for part in parts[1:])})"

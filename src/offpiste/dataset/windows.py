@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, NormalsUnderWheels
+from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
@@ -25,6 +26,10 @@ from offpiste.state import History, Terrain
 
 UNIT_TOLERANCE = 1e-3
 """Largest difference of a stored normal's squared length from 1."""
+
+
+MOTION: Final = ("state", "state_causal", "actuators", "actuators_causal", "control", "control_causal")
+"""Columns of what the vehicle did and was commanded, without the ground."""
 
 
 @dataclass(frozen=True)
@@ -115,12 +120,12 @@ class Windows:
             for name in ("state", "actuators", "control"):
                 self._columns[f"{name}_causal"] = self._columns[name]
         self._state, self._start = self._columns["state"], self._columns["state_causal"]
-        self._normals = NormalsUnderWheels([r.normal for r in rows], self.device)
+        self._normals: NormalsUnderWheels | LevelNormals = NormalsUnderWheels([r.normal for r in rows], self.device)
         self._valid = self._joined([r.valid for r in rows])
         cells = [r.cells for r in rows if r.cells is not None]
         self._cells = CellTable(cells, self.device) if dataset.features else None
         self.sets = self._cells.sets if self._cells is not None else 1
-        self._set = set_number(feature_set, self.sets)
+        self._set, self._level = set_number(feature_set, self.sets), False
         self.control, self.actuators = dataset.rig.present_controls, dataset.rig.present_actuators
 
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
@@ -168,6 +173,18 @@ class Windows:
         other._set = set_number(feature_set, self.sets)
         return other
 
+    def without_terrain(self, horizon: int | None = None) -> "Windows":
+        """The same windows over level ground, with `MOTION` alone; batches hold `horizon` steps, all by default."""
+        other = copy(self)
+        other._cells, other._normals, other._level = None, LevelNormals(self.device), True
+        other._gathered = [(name, COLUMNS[name]) for name in MOTION]
+        other.horizon = min(horizon or self.horizon, self.horizon)
+        return other
+
+    def motion(self) -> dict[str, np.ndarray]:
+        """The columns that `without_terrain` gathers from, whole, and the first row of each drive."""
+        return {name: self._columns[name].cpu().numpy() for name in MOTION} | {"first row": self._offset}
+
     def evaluation_indices(self, stride: int) -> Int[np.ndarray, " n"]:
         """Indices of the windows that models are evaluated on: those with a snapshot of the map, if there are any."""
         return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.every(stride)
@@ -187,10 +204,12 @@ class Windows:
         read = {name: segments.of(self._columns[name], column) for name, column in self._gathered}
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
         normal = self._normals.at(first, count, feature_set_choice.normals)
-        self._refuse_invalid(normal)
-        before, after = Terrain.of(normal[:, :HISTORY_STEPS]), Terrain.of(normal[:, HISTORY_STEPS:])
+        if not self._level:
+            self._refuse_invalid(normal)
+        terrain_of = LevelNormals.terrain if self._level else Terrain.of
+        before, after = terrain_of(normal[:, :HISTORY_STEPS]), terrain_of(normal[:, HISTORY_STEPS:])
         ground = None
-        if self._cells is None and self.start == "causal":
+        if self._cells is None and "normal_causal" in read and self.start == "causal":
             before = Terrain.of(read["normal_causal"]["past"][:, :, None].expand_as(before.normal))
         if self._cells is not None:
             ground = self._cells.under(first[:, None] + np.arange(count), feature_set_choice, HISTORY_STEPS)

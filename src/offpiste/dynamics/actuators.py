@@ -120,6 +120,27 @@ class Actuators(nn.Module):
             }
         return torch.stack([measured[name] for name in self._columns], dim=-1), hidden, cell
 
+    def rollout(
+        self,
+        start: Float[Tensor, "B A"],
+        hidden: Float[Tensor, "B S"],
+        cell: Float[Tensor, "B S"],
+        controls: Float[Tensor, "B T U"],
+        speed: Float[Tensor, "B T"],
+    ) -> Float[Tensor, "B T A"]:
+        """The actuators after each step, along a forward speed that is given.
+
+        Args:
+            start: the actuators before the first step.
+            hidden, cell: from `start`.
+            controls, speed: during each step.
+        """
+        constants, state, predicted = self.constants(), start, []
+        for control, vx in zip(controls.unbind(1), speed.unbind(1), strict=True):
+            state, hidden, cell = self.step(constants, state, control, vx, hidden, cell)
+            predicted.append(state)
+        return torch.stack(predicted, dim=1)
+
     def advance(
         self,
         constants: LagConstants,

@@ -114,7 +114,7 @@ def labels(topic: Topic) -> dict[str, Label]:
     """Name and unit of each field of a topic; a message with a single number is named by its topic."""
     result = {}
     for name in topic.fields:
-        whole = f"{topic.name}/{name}" if len(topic.fields) <= 2 else name
+        whole = topic.joints.get(name) or (f"{topic.name}/{name}" if len(topic.fields) <= 2 else name)
         label = parse_label(whole)
         if not label.unit and (alone := _NUMBER_ONLY.search(label.name)):
             label = parse_label(whole[: alone.start()])
@@ -136,7 +136,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             taken |= set(guess.fields)
     scalars = _scalars()
     for field, label in named.items():
-        if field in taken or is_array_entry(field) or _NOT_SCALARS.search(label.name):
+        unnamed = is_array_entry(field) and field not in topic.joints
+        if field in taken or unnamed or _NOT_SCALARS.search(label.name):
             continue
         for channel, rank, pattern in scalars:
             scalar = _guess(channel, topic, (field,), label, rank) if pattern.search(label.name) else None

@@ -9,13 +9,18 @@ from offpiste.inspection.clocks import check_clocks
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.draft_values import check_draft_values
 from offpiste.inspection.driven_path import Path
+from offpiste.inspection.dropouts import check_dropouts
+from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.frozen import check_frozen
+from offpiste.inspection.heading_drift import check_heading_drift
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.missing import check_missing
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.resolution import check_resolution
+from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.signals import channel_signals, check_signals, other_signals
 from offpiste.inspection.stamps import check_stamps
 from offpiste.inspection.steering import check_steering
@@ -100,6 +105,10 @@ def _ranges(topics: Topics) -> list[Finding]:
     return check_ranges(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
 
 
+def _dropped(topics: Topics) -> list[Finding]:
+    return check_dropped(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
+
+
 def _missing(topics: Topics) -> list[Finding]:
     return check_missing(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
 
@@ -116,6 +125,7 @@ TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
     _missing,
     _signals,
     _ranges,
+    _dropped,
     _stamps,
     _draft_values,
 )
@@ -133,6 +143,22 @@ def _turn_rate(motion: Motion) -> list[Finding]:
 
 def _frozen(motion: Motion) -> list[Finding]:
     return check_frozen(motion.drive, motion.path)
+
+
+def _dropouts(motion: Motion) -> list[Finding]:
+    return check_dropouts(motion.drive, motion.path)
+
+
+def _resolution(motion: Motion) -> list[Finding]:
+    return check_resolution(motion.drive, motion.path)
+
+
+def _heading_drift(motion: Motion) -> list[Finding]:
+    return check_heading_drift(motion.drive, motion.path) if motion.follows else []
+
+
+def _saturation(motion: Motion) -> list[Finding]:
+    return check_saturation(motion.drive, motion.path) if motion.follows else []
 
 
 def _clocks(motion: Motion) -> list[Finding]:
@@ -160,10 +186,14 @@ def _controls(motion: Motion) -> list[Finding]:
 
 MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _frozen,
+    _dropouts,
+    _resolution,
+    _heading_drift,
     _linear_velocity,
     _turn_rate,
     _clocks,
     _steering,
+    _saturation,
     _steering_copies,
     _pedals,
     _controls,

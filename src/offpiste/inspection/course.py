@@ -139,6 +139,17 @@ def leans_inward(drive: Drive, path: Path) -> bool:
     return fit is not None and float(fit.r[0]) < -max(0.2, SURE * fit.r_sigma(0))
 
 
+def straight_rows(path: Path) -> Bool[np.ndarray, " n"]:
+    """Rows in which the vehicle moves and its course turns least."""
+    moving = _moving(path)
+    return _straight(path, moving) if moving.any() else moving
+
+
+def course_minus_heading(path: Path) -> Float[np.ndarray, " n"]:
+    """Direction of travel minus heading, backward counted as forward: from -pi / 2 to pi / 2 [rad]."""
+    return np.asarray(np.angle(np.exp(2j * (_course(path) - path.yaw))) / 2)
+
+
 def _moving(path: Path) -> Bool[np.ndarray, " n"]:
     moving: np.ndarray = np.isfinite(path.yaw) & (path.speed > max(0.3, 0.3 * path.cruise))
     return moving

@@ -98,7 +98,7 @@ def _text(log: Log, seen: _Seen) -> str:
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
     for channel, entry in entries.items():
         parts += [
-            f"[channels.{channel}]  # {entry.comment}",
+            f"[channels.{channel}]  # {entry.comment}{_joints(log, entry)}",
             f"topic = {_toml(entry.guess.topic)}",
             f"fields = {_toml(entry.guess.fields)}",
             *entry.lines,
@@ -106,6 +106,13 @@ def _text(log: Log, seen: _Seen) -> str:
         ]
     parts += _clock(log) + _unread(log, entries)
     return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
+
+
+def _joints(log: Log, entry: Entry) -> str:
+    """What messages call the fields, where they name entries of arrays."""
+    joints = log.topics[entry.guess.topic].joints
+    named = [f"{joints[field]} is {field}" for field in entry.guess.fields if field in joints]
+    return f"; {', '.join(named)}" if named else ""
 
 
 def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], wheelbase: float) -> str:
@@ -140,7 +147,9 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
     lines = []
     for name in dict.fromkeys(entry.guess.topic for entry in entries.values()):
         read = {field for e in entries.values() if e.guess.topic == name for field in e.guess.fields}
-        rest = [f for f in log.topics[name].fields if f not in read and not is_array_entry(f) and f != log.clock.column]
+        topic = log.topics[name]
+        named = [f for f in topic.fields if f in topic.joints or not is_array_entry(f)]
+        rest = [topic.in_words(f) for f in named if f not in read and f != log.clock.column]
         if rest:
             more = [f"and {len(rest) - _LISTED} more"] if len(rest) > _LISTED else []
             where = f"fields of {name}" if name else "columns"
@@ -159,9 +168,8 @@ def _candidates(log: Log) -> str:
     """Numbers that may be the steering under another name, as a sentence."""
     if list(log.topics) == [""]:
         return f"The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
-    named = [
-        f"{t.name} ({', '.join(t.fields[:8])})" for t in log.topics.values() if t.fields and _COMMANDS.search(t.name)
-    ]
+    topics = [topic for topic in log.topics.values() if topic.fields and _COMMANDS.search(topic.name)]
+    named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
     return f"It may be in: {'; '.join(named)}" if named else "No topic is named like a command."
 
 

@@ -26,7 +26,7 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if r is None:
             what, there = f"its topic '{source.topic}' is not in the log, or holds no numbers", list(recorded)
         else:
-            what, there = f"its topic has no field '{missing[0]}'", list(r.fields)
+            what, there = f"its topic has no field '{missing[0]}'", list(map(r.topic.in_words, r.fields))
         cures = tuple(_cures(name, source, recorded, rig))
         evidence = "there is: " + ", ".join(there[:_LISTED]) + (", ..." if len(there) > _LISTED else "")
         remedy = ", ".join(map(str, cures[0])) if cures else f"name where it is recorded in [channels.{name}]"
@@ -37,7 +37,11 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
 def _cures(name: str, source: ChannelSource, recorded: dict[str, Recorded], rig: Rig) -> Iterator[tuple[Edit, ...]]:
     """Names that are nearly the same, and the channel's absence."""
     for topic in [source.topic] if source.topic in recorded else get_close_matches(source.topic, recorded, 3):
-        fields = _renamed(source.fields, recorded[topic].fields)
+        there = recorded[topic]
+        by_joint = {joint: field for field, joint in there.topic.joints.items()}
+        fields = [by_joint.get(field, field) for field in source.fields]
+        if not set(fields) <= set(there.fields):
+            fields = _renamed(source.fields, there.fields)
         if fields:
             edits = (("topic", topic, source.topic), ("fields", fields, list(source.fields)))
             yield tuple(Edit(f"channels.{name}.{key}", new) for key, new, old in edits if new != old)

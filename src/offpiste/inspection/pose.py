@@ -1,5 +1,6 @@
 """Checks of the pose: order of the quaternion, which way is up, jumps, units."""
 
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
-from offpiste.rig.edits import Edit
+from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
 _UPRIGHT = 0.7
@@ -22,6 +23,10 @@ _FASTEST: Final = 120.0
 """No ground vehicle is faster [m/s]."""
 _HARDEST: Final = 25.0
 """No ground vehicle keeps up a larger acceleration over half a second, in a twentieth of its driving [m/s^2]."""
+_BESIDE: Final = 1.0
+"""Length of the stretches before and after an instant whose velocities are compared [s] ..."""
+_BETWEEN: Final = 0.4
+"""... and of what lies between them: most of what a jump does to velocities."""
 _JUMP_TIME = 0.05
 """A jump is at least as long as the path driven in this time at cruising speed [s]."""
 
@@ -81,8 +86,11 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
         now = rig.channels["position"].unit or "m"
         evidence = f"95 % of the speeds reach {path.cruise:.3g} m/s and of the accelerations {_acceleration(path):.3g} "
         evidence += f"m/s2, read as {now}"
-        units = [unit for unit in ("cm", "mm", "m", "ft") if unit != now and _plausible(path, now, unit)]
-        cures = tuple((Edit("channels.position.unit", unit),) for unit in units)
+        per_unit = partial(unit_factor, "position")
+        units = [
+            unit for unit in ("cm", "mm", "m", "ft") if unit != now and _plausible(path, per_unit(unit) / per_unit(now))
+        ]
+        cures = tuple((Edit("channels.position.unit", unit),) for unit in units) or _scales(rig, path)
         remedy = str(cures[0][0]) if cures else "fix channels.position.unit or scale"
         return [Finding("fatal", "position", "moves too fast", evidence, remedy, 1.0, cures)]
     return []
@@ -96,16 +104,24 @@ def _acceleration(path: Path) -> float:
     return float(np.percentile(change, 95)) if len(change) else 0.0
 
 
-def _plausible(path: Path, now: str, unit: str) -> bool:
-    """Whether a vehicle drives like that if the positions are in another unit."""
-    factor = unit_factor("position", unit) / unit_factor("position", now)
+def _scales(rig: Rig, path: Path) -> tuple[tuple[Edit, ...], ...]:
+    """Powers of ten by which positions may be too large, where no unit explains it."""
+    source = rig.channels["position"]
+    factors = [factor for factor in (0.01, 0.001, 0.1) if _plausible(path, factor)]
+    return tuple((Edit("channels.position.scale", rounded(source.scale * factor)),) for factor in factors)
+
+
+def _plausible(path: Path, factor: float) -> bool:
+    """Whether a vehicle drives like that if the positions are this many times what they are read as."""
     return factor * path.cruise < _FASTEST and 0.05 < factor * _acceleration(path) < _HARDEST
 
 
 def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
     """Findings on positions; `origin` is where the log's time starts [s]."""
     place = drive.channels["position"]
-    return check_faults(drive) + _jumps(place, path, origin) + _level(place) + _noise(drive, path)
+    return (
+        check_faults(drive) + _jumps(place, path, origin) + _kicked(path, origin) + _level(place) + _noise(drive, path)
+    )
 
 
 def check_faults(drive: Drive) -> list[Finding]:
@@ -184,6 +200,23 @@ def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
             share,
         )
     ]
+
+
+def _kicked(path: Path, origin: float) -> list[Finding]:
+    """A velocity that is another from one instant to the next, and stays: positions that run away."""
+    rows = round(_BESIDE / STEP)
+    apart = rows + round(_BETWEEN / STEP)
+    if len(path.time) < 2 * apart:
+        return []
+    velocity = np.median(np.lib.stride_tricks.sliding_window_view(path.velocity, rows, axis=0), axis=-1)
+    change = np.hypot(*(velocity[apart:] - velocity[:-apart]).T)
+    if not np.nanmax(change, initial=0.0) > _HARDEST * apart * STEP:
+        return []
+    at = int(np.nanargmax(change))
+    before, after = (float(np.hypot(*velocity[row])) for row in (at, at + apart))
+    evidence = f"at {path.time[at + apart] - origin:.1f} s, from {before:.3g} to {after:.3g} m/s, and it stays so"
+    how = "no rig line fixes it: cut the log there, or take another pose"
+    return [Finding("warning", "position", "changes its velocity in an instant", evidence, how, 0.7)]
 
 
 def _level(place: Channel) -> list[Finding]:

@@ -76,8 +76,8 @@ class RememberedLog(Log):
         return self._log.topics
 
     def quantities(self, topic: Topic) -> tuple[str, ...]:
-        """Fields that are checked: no entries of arrays (scans, covariances) unless the rig reads them (joints)."""
-        plain = tuple(f for f in topic.fields if not is_array_entry(f))[:_MAX_FIELDS]
+        """Fields that are checked: no entries of arrays (scans, covariances) but named ones and what the rig reads."""
+        plain = tuple(f for f in topic.fields if f in topic.joints or not is_array_entry(f))[:_MAX_FIELDS]
         needed = {field for source in self._sources if source.topic == topic.name for field in source.fields}
         more = tuple(f for f in topic.fields if f in needed and f not in plain)
         return plain + more or topic.fields[:1]

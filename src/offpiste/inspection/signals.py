@@ -14,8 +14,7 @@ from offpiste.rig.channels import ChannelSource, Wrap, known_channels, unit_fact
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
-_PERIODS = (65536.0, 6553.6, 655.36)
-"""A 16-bit counter, whole or in tenths or hundredths."""
+_PERIODS = (65536.0, 6553.6, 655.36)  # a 16-bit counter, whole or in tenths or hundredths
 _SPIKE = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
 _MAX_SPIKES = 0.02
@@ -35,6 +34,7 @@ class Signal:
         values: converted by the rig, without what it calls not valid; the same as `raw` without a rig.
         range: limits of the channel, where it has some.
         largest: as recorded, that is a measurement and no fault.
+        beside: least and largest usual values of the channel's other components: one interval is valid for all.
     """
 
     where: str
@@ -43,6 +43,7 @@ class Signal:
     values: Float[np.ndarray, " m"]
     range: tuple[float, float] | None = None
     largest: float = LARGEST
+    beside: tuple[float, float] = (np.inf, -np.inf)
 
     def cure(self, entry: str, value: object) -> tuple[str, tuple[tuple[Edit, ...], ...]]:
         """A remedy that sets one entry of the channel, in words and as edits; words alone where no channel reads it."""
@@ -76,7 +77,8 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         for i, field in enumerate(source.fields):
             where = f"{name} ({place(source.topic, field)})"
             most = largest(name) / abs(source.scale * unit_factor(name, source.unit) or 1.0)
-            signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most))
+            beside = _usual(np.delete(converted, i, axis=1))
+            signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most, beside))
     return signals
 
 
@@ -135,7 +137,7 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     none = np.zeros(len(values), dtype=bool)
     if len(values) < 50 or len(np.unique(values[:: max(len(values) // 1000, 1)])) <= 4:
         return none
-    away = np.abs(values - median_filter(values, 7, mode="nearest"))
+    away = np.abs(values - median_filter(values, 7, mode="mirror"))
     low, high = np.percentile(values, (0.5, 99.5))
     spikes: Bool[np.ndarray, " n"] = (away > _SPIKE * np.percentile(away, 95)) & (away > 0.5 * (high - low))
     return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
@@ -185,9 +187,10 @@ def _spiked(signal: Signal) -> list[Finding]:
         return []
     usual, at = values[~spikes], values[spikes]
     low, high = _limits(usual, at) if signal.range is None else _around(signal.range)
-    # A quick foot on a pedal looks like that, too, but it stays within what the pedal can show.
+    low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
+    # A quick foot on a pedal stays within what the pedal can show, and a bump within twice what rates usually span.
     floor, ceiling = signal.range or (float(usual.min()), float(usual.max()))
-    room = (ceiling - floor) / 4
+    room = (ceiling - floor) / (4 if signal.range else 1)
     if at.max() < ceiling + room and at.min() > floor - room:
         return []
     inside = int(((at >= low) & (at <= high)).sum())
@@ -206,6 +209,14 @@ def _spiked(signal: Signal) -> list[Finding]:
             cures,
         )
     ]
+
+
+def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
+    """Least and largest values of most samples of components, with half of the span as room; none for none."""
+    known = [column[np.isfinite(column)] for column in others.T if np.isfinite(column).any()]
+    ends = [np.percentile(column, (0.1, 99.9)).tolist() for column in known]
+    least = min((low - (high - low) / 2 for low, high in ends), default=np.inf)
+    return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)
 
 
 def _unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from offpiste.inspection.course import leans_inward
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged
-from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit, curvature_per_unit, moving_rows
-from offpiste.logs.channel import Channel
+from offpiste.inspection.lags import LAGS, SURE
+from offpiste.inspection.steering_delays import changing_delay, uneven_delay, window_delays
+from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit, curvature_per_unit
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, absent, number, rounded
@@ -24,8 +23,6 @@ _USUAL: Final = {"steer": 0.1, "steer_angle": 0.04}
 """Delay in the dynamic fit that healthy vehicles have in the middle, and that a remedy leaves [s]."""
 _CLEAR: Final = 0.7
 """Correlation of the steady fit above which scale and changes of the delay are clear."""
-_WINDOW: Final = 8.0
-"""Length of a stretch whose delay is estimated by itself [s]."""
 _SHARES: Final = (0.55, 1.1)
 """Turning over what the wheels' angle asks for. Of 200 healthy channels, none had less than 0.6 in the fit that shows
 more, on ice and with much slip, too, and none more than 1.0 in the fit that shows less."""
@@ -52,8 +49,8 @@ def check_steering(fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *,
             findings.append(_without_effect(name, fit, drive.rig))
             continue
         findings += _sign(name, fit, drive, path)
-        changing = _changing_delay(name, drive.channels[name], path, drive.rig)
-        findings += changing or _delay(name, fit, drive.rig)
+        delays = window_delays(drive.channels[name], path, drive.rig)
+        findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
         findings += _scale(name, fit, drive.rig) if measured else _radius(name, fit)
         findings += _centre(name, fit, drive.rig)
     return findings
@@ -192,36 +189,3 @@ def _radius(name: str, fit: SteeringFit) -> list[Finding]:
     line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase); somewhat more where tyres slid all along"
     remedy = line if name == "steer" else "compare with tan(angle) / wheelbase"
     return [Finding("note", name, "has this scale", evidence, remedy, 0.4)]
-
-
-def _changing_delay(name: str, channel: Channel, path: Path, rig: Rig) -> list[Finding]:
-    """A warning if the delay differs between stretches of the drive in which it turns enough."""
-    lags = _window_lags(channel, path, rig)
-    if len(lags) < 5:
-        return []
-    low, middle, high = np.percentile(lags, (10, 50, 90))
-    if high - low < 0.35 or low > -0.2:
-        return []
-    evidence = (
-        f"the motion comes {low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f}) in {len(lags)} "
-    )
-    evidence += f"stretches of {_WINDOW:.0f} s"
-    how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
-    return [Finding("warning", name, "has a delay that changes", evidence, how + " with [alignment]", 0.9)]
-
-
-def _window_lags(channel: Channel, path: Path, rig: Rig) -> Float[np.ndarray, " w"]:
-    turning = path.forward * lagged(channel, path.time, rig)
-    result = []
-    usual = np.nanstd(path.yaw_rate[moving_rows(path)])
-    for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW):
-        rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
-        if not np.isfinite(path.yaw_rate[rows]).any() or np.nanstd(path.yaw_rate[rows]) < 0.7 * usual:
-            continue
-        fit = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, rows)
-        if fit is None:
-            continue
-        best = fit.best()
-        if abs(fit.r[best]) > 0.93 and 0 < best < len(LAGS) - 1:
-            result.append(float(LAGS[best]))
-    return np.array(result)

@@ -21,17 +21,20 @@ _LATE = 0.3
 
 
 def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
-    """Notes on fields that repeat the steering late."""
+    """Notes on fields that repeat the steering late, and that no channel reads: what is measured follows it rightly."""
     source = drive.rig.channels.get("steer")
     if source is None or source.topic not in recorded:
         return []
     steer = drive.channels["steer"]
+    read = {(one.topic, field) for one in drive.rig.channels.values() for field in one.fields}
     findings = []
     for topic, r in recorded.items():
         if topic == source.topic or len(r.time) < 200:
             continue
         keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.time)
         for field, values in zip(r.fields, r.values[keep].T, strict=True):
+            if (topic, field) in read:
+                continue
             lags, windows = _copy_window_lags(steer.time, steer.values[:, 0], r.time[keep], values)
             if len(lags) < max(5, _MOST * windows) or np.percentile(lags, 10) < -0.15:
                 continue

@@ -32,6 +32,7 @@ class Topic:
         count: number of samples.
         fields: names of the numeric fields; empty where they are known only from a message, and there is none.
         units: of fields, by name, where the log states them beside the names (`offpiste.rig.labels`).
+        joints: what messages call the entries of their arrays, by field (sensor_msgs/JointState).
     """
 
     name: str
@@ -39,6 +40,11 @@ class Topic:
     count: int
     fields: tuple[str, ...]
     units: Mapping[str, str] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)
+
+    def in_words(self, name: str) -> str:
+        """A field with the name of its joint: `position[1] (steering)`."""
+        return f"{name} ({self.joints[name]})" if name in self.joints else name
 
 
 @dataclass(frozen=True)

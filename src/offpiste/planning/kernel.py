@@ -1,7 +1,7 @@
 """Costs of control sequences by one kernel: what `rollouts.driving_costs` computes, several times as fast, on the CPU.
 
-The first call compiles for some 20 seconds; the machine code is kept beside the sources where that folder can be
-written.
+The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
+(`offpiste.kernel_cache`).
 """
 
 import math

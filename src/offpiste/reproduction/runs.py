@@ -24,8 +24,11 @@ from offpiste.training.run import Run, load_run
 from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train
 
-STAGES = ("actuators", "bicycle")
-"""Stages of training that do not read terrain features: fitted with one model, they serve all."""
+STAGES = ("bicycle",)
+"""Stages of training that do not read terrain features: fitted with one model, they serve all.
+
+The actuators' stage does not either; every training shares that (`offpiste.training.actuator_stage`).
+"""
 
 
 def reuse_stages(runs: Path, folder: Path, seed: int) -> None:

@@ -18,7 +18,7 @@ from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.sensors.imperfections import Imperfections
-from offpiste.simulation.sensors.suite import Sensing, SensorSuite, remounted, sensor_suite
+from offpiste.simulation.sensors.suite import Sensing, SensorSuite, observed, remounted, sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
@@ -225,9 +225,9 @@ def record(
         )
         recorder.start(seen, suite.mountings())
         samples = drive(world, parameters, start, controller, steps=steps)
-        for sample in _with_progress(samples, steps, out.name):
+        for sample, seen_there in observed(_with_progress(samples, steps, out.name), sensing, recorder.sensor_stamp_ns):
             recorder.vehicle(sample)
-            for topic, message in sensing.observe(sample, recorder.sensor_stamp_ns) if sensing else ():
+            for topic, message in seen_there:
                 recorder.sensor(topic, message)
             events += [(sample.time, event) for event in sample.events]
             path.extend(sample.position[:2].tolist())

@@ -9,6 +9,7 @@ from torch import Tensor
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators
 from offpiste.geometry import wrap_angle
 
 COMPONENTS = ("position", "yaw", "vx", "vy", "yaw_rate")
@@ -63,13 +64,10 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
 
 
 def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S A"]:
-    """Predicted actuators at the first `FITTED_STEPS` rows after t, along the recorded speed."""
-    constants = actuators.constants()
-    hidden, cell = actuators.start(batch.history)
-    state = batch.actuators
-    speed = torch.cat((batch.state[:, None, 3], batch.target[:, :-1, 3]), dim=1)
-    predicted = []
-    for control, vx in zip(batch.control.unbind(1)[:FITTED_STEPS], speed.unbind(1)[:FITTED_STEPS], strict=True):
-        state, hidden, cell = actuators.step(constants, state, control, vx, hidden, cell)
-        predicted.append(state)
-    return torch.stack(predicted, dim=1)
+    """Actuators at the first `FITTED_STEPS` rows after t, along the recorded speed; by kernels where they can."""
+    speed = torch.cat((batch.state[:, None, 3], batch.target[:, :-1, 3]), dim=1)[:, :FITTED_STEPS]
+    control = batch.control[:, :FITTED_STEPS]
+    start = batch.actuators, *actuators.start(batch.history)
+    if supports_actuators(actuators, control.device, control.dtype):
+        return rollout_actuators(actuators, control, speed, *start)
+    return actuators.rollout(*start, control, speed)

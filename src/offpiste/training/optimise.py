@@ -4,7 +4,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,17 +26,30 @@ from offpiste.training.kept_epoch import KeptEpoch
 
 logger = logging.getLogger(__name__)
 
-Record = Callable[[dict[str, float | int | str]], None]
+Metrics = dict[str, float | int | str]
+"""Of one epoch, with the names of its stage and its number."""
+
+Record = Callable[[Metrics], None]
 """Takes the metrics of one epoch."""
 
 
-def metrics_writer(path: Path) -> Record:
-    """A record that adds each epoch to a file of JSON lines and logs it; an epoch done again replaces its line."""
+def metrics_of(path: Path) -> list[Metrics]:
+    """The epochs in a file of JSON lines; none where there is no file."""
+    return [json.loads(text) for text in path.read_text("utf-8").splitlines()] if path.exists() else []
 
-    def record(line: dict[str, float | int | str]) -> None:
-        lines = [json.loads(text) for text in path.read_text("utf-8").splitlines()] if path.exists() else []
-        others = [other for other in lines if (other["stage"], other["epoch"]) != (line["stage"], line["epoch"])]
-        write_text(path, "".join(json.dumps(each) + "\n" for each in [*others, line]))
+
+def write_metrics(path: Path, lines: Sequence[Metrics]) -> None:
+    """Add epochs to a file of JSON lines; one that is there already is replaced."""
+    new = {(line["stage"], line["epoch"]) for line in lines}
+    others = [line for line in metrics_of(path) if (line["stage"], line["epoch"]) not in new]
+    write_text(path, "".join(json.dumps(line) + "\n" for line in [*others, *lines]))
+
+
+def metrics_writer(path: Path) -> Record:
+    """A record that adds each epoch to a file of JSON lines (`write_metrics`) and logs it."""
+
+    def record(line: Metrics) -> None:
+        write_metrics(path, [line])
         logger.info(
             f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
             f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
@@ -55,7 +68,7 @@ def also_tensorboard(record: Record, folder: Path) -> Record:
         from torch.utils.tensorboard import SummaryWriter
     writer = SummaryWriter(folder)
 
-    def both(line: dict[str, float | int | str]) -> None:
+    def both(line: Metrics) -> None:
         record(line)
         for key in ("train_loss", "validation_loss", "seconds"):
             writer.add_scalar(f"{line['stage']}/{key}", float(line[key]), int(line["epoch"]))

@@ -10,6 +10,8 @@ from torch.nn import functional
 
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
+from offpiste.dynamics.feature_encoder import Compressor
+from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_sampler import HeldCodes, MapTerrain
 from offpiste.state import Terrain, TerrainSource
@@ -55,7 +57,12 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
         raise DatasetError(
             "the model reads terrain features and the dataset has none", how="extract with --pca (see fit-pca)"
         )
-    codes = encoder(batch.ground.features, batch.ground.valid).to(batch.state.dtype)
+    features, valid = batch.ground.features, batch.ground.valid
+    if isinstance(encoder, Compressor) and supports_encoder(encoder, features):
+        codes = encode_cells(encoder, features, valid)
+    else:
+        codes = encoder(features, valid)
+    codes = codes.to(batch.state.dtype)
     ahead = batch.ground.ahead
     if dynamics.holds_codes:
         ahead = ahead[:, :1].expand_as(ahead)
@@ -69,6 +76,8 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
 
 def codes_of_cells(codes: Float[Tensor, "M n"], cells: Int[Tensor, "*S"]) -> Float[Tensor, "*S n"]:
     """`codes[cells]`, whose gradient is the same in every process: indexing's adds up in the order threads come."""
+    if codes.device.type == "cpu" and codes.dtype == torch.float32:
+        return codes_under_wheels(codes, cells)
     return functional.embedding(cells, codes)
 
 

@@ -24,12 +24,13 @@ from offpiste.dynamics.models import initial_actuators, reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.files import check_folder, remove_partials
 from offpiste.state import Trajectory
+from offpiste.training.actuator_stage import fit_actuators
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
-from offpiste.training.losses import actuator_loss, squared_errors, summed_loss
+from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import predict
@@ -81,15 +82,17 @@ def train(
         _warn_beforehand(dataset, validation)
     kept: dict[str, KeptEpoch] = {}
 
+    def keep(name: str, epoch: KeptEpoch) -> None:
+        kept[name] = epoch
+        _log_kept(name, epoch, group)
+
     def fit(stage: Stage) -> None:
-        kept[stage.name] = run_stage(stage, windows, validation, config, folder, record, group)
-        if group.writes:
-            _log_kept(stage.name, kept[stage.name])
+        keep(stage.name, run_stage(stage, windows, validation, config, folder, record, group))
 
     reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(config.device)
     if vehicle.actuators:
         lags = initial_actuators(vehicle, config.seed).to(config.device)
-        fit(Stage("actuators", lags, actuator_loss(lags, windows), config.actuator_epochs))
+        keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
         _freeze(reference, lags)
         _freeze(dynamics, lags)
     scale = loss_scale(reference, windows, config)
@@ -117,7 +120,9 @@ def train(
     return dynamics
 
 
-def _log_kept(stage: str, kept: KeptEpoch) -> None:
+def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
+    if not group.writes:
+        return
     logger.info(kept.line(stage))
     for doubt in kept.doubts(stage):
         logger.warning(doubt)

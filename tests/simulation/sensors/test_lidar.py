@@ -6,7 +6,7 @@ import pytest
 from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sample import Motion, Pose, motionless
-from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, lost_share
+from offpiste.simulation.sensors.lidar import REFLECTIVITY, Lidar, LidarSettings, _reflect, _turn, lost_share
 from offpiste.simulation.sensors.suite import mounted, sensor_suite
 from simulation import scenes
 
@@ -127,3 +127,17 @@ def test_plants_return_points():
         found = points[scan.surface == SURFACES.index(surface)]
         assert len(found) > 10
         assert np.linalg.norm(found[:, :2] - place, axis=1).max() < 3.0
+
+
+def test_rays_turn_with_their_column_and_reflect_by_the_cosine():
+    rng = np.random.default_rng(0)
+    rotation, body = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 4, 3))
+    world, echo = np.empty((20, 3), np.float32), np.empty(20, np.float32)
+    _turn(rotation, body, world)
+    np.testing.assert_allclose(world, np.einsum("cij,crj->cri", rotation, body).reshape(-1, 3), rtol=1e-4, atol=1e-6)
+    surface, normal = (
+        rng.integers(0, len(REFLECTIVITY), 20).astype(np.int8),
+        rng.normal(size=(20, 3)).astype(np.float32),
+    )
+    _reflect(REFLECTIVITY, surface, normal, world, echo)
+    np.testing.assert_allclose(echo, REFLECTIVITY[surface] * np.abs((normal * world).sum(axis=1)), rtol=1e-4, atol=1e-6)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.noise import _VARIANCE, _spline, smooth_noise, smooth_step
 
 
 def test_mean_zero_and_variance_one():
@@ -30,3 +30,15 @@ def test_it_is_smooth_and_the_grain_says_how():
 def test_smooth_step_by_hand_and_backwards():
     np.testing.assert_allclose(smooth_step(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]), 0.0, 2.0), [0, 0, 0.15625, 0.5, 1])
     np.testing.assert_allclose(smooth_step(np.array([0.0, 2.0]), 2.0, 0.0), [1, 0])
+
+
+def test_the_spline_is_summed_term_by_term():
+    rng = np.random.default_rng(4)
+    coefficients = rng.normal(size=(9, 12)).astype(np.float32)
+    first_x, first_y = rng.integers(0, 9, 50), rng.integers(0, 6, 30)
+    weight_x, weight_y = (rng.random((n, 4)).astype(np.float32) for n in (50, 30))
+    field = np.empty((30, 50), np.float32)
+    _spline(coefficients, first_x, weight_x, first_y, weight_y, np.empty(12, np.float32), field)
+    rows = sum(weight_y[:, k, None] * coefficients[first_y + k] for k in range(4))
+    expected = sum(weight_x[:, k] * rows[:, first_x + k] for k in range(4)) / np.float32(_VARIANCE)
+    np.testing.assert_allclose(field, expected, rtol=1e-5, atol=1e-5)

@@ -28,6 +28,15 @@ def test_distance_to_a_square():
     np.testing.assert_allclose(terrain.distance_to_trails((square,), places), [3, 2, 5, terrain.NEAR], atol=1e-3)
 
 
+def test_distances_of_a_grid_are_those_of_its_nodes(network):
+    loops, size = network
+    x, y = np.arange(-size / 2, size / 2, 0.7), np.arange(-0.4 * size, 0.6 * size, 1.1)  # some of it beyond the trails
+    grid = terrain.trail_distance_grid(loops, x, y)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    np.testing.assert_array_equal(grid.ravel(), terrain.distance_to_trails(loops, places))
+    assert 0 < (grid < terrain.NEAR).mean() < 1
+
+
 def test_trails_stay_inside_and_can_be_driven(network):
     loops, size = network
     for loop in loops:

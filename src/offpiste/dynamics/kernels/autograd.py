@@ -1,7 +1,7 @@
 """Rollouts over recorded terrain by kernels, with gradients: what training calls instead of `dynamics.rollout`.
 
-The first call compiles for some 20 seconds; the machine code is kept beside the sources where that folder can be
-written.
+The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
+(`offpiste.kernel_cache`).
 """
 
 from typing import Any

@@ -180,7 +180,16 @@ def advance(v: Values, f: Elementary) -> Values:
     force = Force(*(v[name] + v[more] for name, more in zip(layout.FORCE, layout.CORRECTION, strict=True)))
     steer = drive_train(v, f).steer
     motion = rates(v["yaw"], v["vx"], v["vy"], v["yaw_rate"], steer, normal[0], normal[1], force, constants, f)
-    change = dict(zip(STATE, motion, strict=True))
+    return _forward_euler(v, dict(zip(STATE, motion, strict=True)) | _lag_rates(v, f))
+
+
+def actuate(v: Values, f: Elementary) -> Values:
+    """Actuators' lags alone, along a recorded speed, and forward Euler."""
+    return _forward_euler(v, _lag_rates(v, f))
+
+
+def _lag_rates(v: Values, f: Elementary) -> Values:
+    change: Values = {}
     for one in layout.LAGGING:
         command = v[layout.CONTROLS[CONTROL.index(one.actuator.follows)]]
         own = {name: v[f"{one.label}_{name}"] for name in one.lag.constants}
@@ -188,7 +197,12 @@ def advance(v: Values, f: Elementary) -> Values:
         if one.lag.residual:
             changes[-1] += v[f"{one.label}_residual"]
         change |= {name: v[f"{one.label}_lags"] * rate for name, rate in zip(one.columns, changes, strict=True)}
-    return {after: v[name] + DT * change[name] for after, name in zip(layout.NEXT, layout.STEPPED, strict=True)}
+    return change
+
+
+def _forward_euler(v: Values, change: Values) -> Values:
+    stepped = zip(layout.NEXT, layout.STEPPED, strict=True)
+    return {after: v[name] + DT * change[name] for after, name in stepped if name in change}
 
 
 def cell(v: Values, f: Elementary) -> Values:
@@ -209,17 +223,20 @@ class Loop(NamedTuple):
         rows: quantities by row.
         lanes: length of a row.
         recorded: arguments without an adjoint.
+        learned: constants with an adjoint, in its order.
     """
 
     function: Callable[[Values, Elementary], Values]
     rows: Mapping[str, int]
     lanes: int
     recorded: tuple[str, ...] = ()
+    learned: tuple[str, ...] = layout.LEARNED
 
 
 LOOPS: Final = (
     Loop(sense, layout.ROW, layout.LANES, (*layout.CONTROLS, *layout.NORMAL)),
     Loop(advance, layout.ROW, layout.LANES, (*layout.CONTROLS, *layout.NORMAL)),
+    Loop(actuate, layout.ROW, layout.LANES, (*layout.CONTROLS, "vx"), layout.LAG_CONSTANTS),
     Loop(cell, layout.CELL_ROW, layout.LANES * layout.HIDDEN),
 )
 
@@ -241,12 +258,12 @@ def adjoint(loop: Loop) -> str:
     """Code of the loop's adjoint."""
     tape, outputs = _trace(loop)
     reverse, bars = tape.adjoint({sp.Symbol(f"{name}_bar"): term for name, term in outputs.items()})
-    wanted = [name for name in (*loop.rows, *layout.LEARNED) if name not in loop.recorded]
+    wanted = [name for name in (*loop.rows, *loop.learned) if name not in loop.recorded]
     gradients = {name: bars[sp.Symbol(name)] for name in wanted if sp.Symbol(name) in bars}
     definitions, results = share(tape.definitions() + reverse, gradients)
     stores = []
     for name, term in results.items():
-        array, row = ("w_bar", loop.rows[name]) if name in loop.rows else ("c_bar", layout.LEARNED.index(name))
+        array, row = ("w_bar", loop.rows[name]) if name in loop.rows else ("c_bar", loop.learned.index(name))
         stores.append(f"{array}[{row * loop.lanes} + i] += {text(term)}")
     return _code(loop, f"{loop.function.__name__}_adjoint", definitions, results.values(), stores)
 

@@ -425,6 +425,112 @@ def advance_adjoint(w, c, w_bar, c_bar):
 
 
 @KERNELS.loop
+def actuate(w, c):
+    brake_apply = c[24]
+    brake_release = c[25]
+    steer_gain = c[26]
+    steer_offset = c[27]
+    steer_frequency = c[28]
+    steer_damping = c[29]
+    engine_rate = c[30]
+    engine_idle = c[31]
+    engine_throttle = c[32]
+    engine_speed = c[33]
+    engine_both = c[34]
+    brake_lags = c[38]
+    steer_lags = c[39]
+    engine_lags = c[40]
+    for i in range(32):
+        vx = w[96 + i]
+        brake = w[192 + i]
+        steer = w[224 + i]
+        steer_rate = w[256 + i]
+        engine_rpm = w[288 + i]
+        throttle = w[320 + i]
+        brake_command = w[352 + i]
+        steer_command = w[384 + i]
+        brake_residual = w[864 + i]
+        steer_residual = w[992 + i]
+        t0 = (brake - brake_command)
+        maximum_0 = maximum(-t0, f4(0.0))
+        maximum_1 = maximum(t0, f4(0.0))
+        t1 = f4(0.02)*steer_lags
+        maximum_2 = maximum(vx, -vx)
+        w[1312 + i] = (brake + f4(0.02)*brake_lags*(brake_residual + brake_apply*maximum_0 - brake_release*maximum_1))
+        w[1344 + i] = (steer + steer_rate*t1)
+        w[1376 + i] = (steer_rate + t1*(steer_residual + steer_frequency*(steer_frequency*(steer_offset - steer + steer_command*steer_gain) + f4(-2.0)*steer_damping*steer_rate)))
+        w[1408 + i] = (engine_rpm + f4(0.02)*engine_lags*engine_rate*(engine_idle - engine_rpm + engine_speed*maximum_2 + engine_throttle*throttle + engine_both*maximum_2*throttle))
+
+
+@KERNELS.loop
+def actuate_adjoint(w, c, w_bar, c_bar):
+    brake_apply = c[24]
+    brake_release = c[25]
+    steer_gain = c[26]
+    steer_offset = c[27]
+    steer_frequency = c[28]
+    steer_damping = c[29]
+    engine_rate = c[30]
+    engine_idle = c[31]
+    engine_throttle = c[32]
+    engine_speed = c[33]
+    engine_both = c[34]
+    brake_lags = c[38]
+    steer_lags = c[39]
+    engine_lags = c[40]
+    for i in range(32):
+        vx = w[96 + i]
+        brake = w[192 + i]
+        steer = w[224 + i]
+        steer_rate = w[256 + i]
+        engine_rpm = w[288 + i]
+        throttle = w[320 + i]
+        brake_command = w[352 + i]
+        steer_command = w[384 + i]
+        next_brake_bar = w_bar[1312 + i]
+        next_steer_bar = w_bar[1344 + i]
+        next_steer_rate_bar = w_bar[1376 + i]
+        next_engine_rpm_bar = w_bar[1408 + i]
+        t7 = f4(0.02)*brake_lags*next_brake_bar
+        maximum_0_bar = brake_apply*t7
+        maximum_1_bar = -brake_release*t7
+        t0 = (brake - brake_command)
+        step_5 = step(t0, f4(0.0))
+        t1 = -t0
+        step_7 = step(t1, f4(0.0))
+        t8 = f4(0.02)*steer_lags
+        t9 = next_steer_rate_bar*t8
+        t10 = t9*(steer_frequency*steer_frequency)
+        t11 = f4(0.04)*steer_frequency*steer_lags
+        t4 = f4(0.02)*engine_lags
+        t5 = engine_rate*t4
+        maximum_0 = maximum(t1, f4(0.0))
+        maximum_1 = maximum(t0, f4(0.0))
+        t2 = -vx
+        maximum_2 = maximum(vx, t2)
+        t3 = engine_both*throttle
+        t6 = next_engine_rpm_bar*t5
+        t12 = t6*throttle
+        w_bar[192 + i] += (next_brake_bar + maximum_1_bar*step_5 - maximum_0_bar*step_7)
+        w_bar[224 + i] += (next_steer_bar - t10)
+        w_bar[256 + i] += (next_steer_bar*t8 + next_steer_rate_bar*(f4(1.0) - steer_damping*t11))
+        w_bar[288 + i] += next_engine_rpm_bar*(f4(1.0) - t5)
+        w_bar[864 + i] += t7
+        w_bar[992 + i] += t9
+        c_bar[0 + i] += maximum_0*t7
+        c_bar[32 + i] += -maximum_1*t7
+        c_bar[64 + i] += steer_command*t10
+        c_bar[96 + i] += t10
+        c_bar[128 + i] += t9*(f4(-2.0)*steer_damping*steer_rate + f4(2.0)*steer_frequency*(steer_offset - steer + steer_command*steer_gain))
+        c_bar[160 + i] += -next_steer_rate_bar*steer_rate*t11
+        c_bar[192 + i] += next_engine_rpm_bar*t4*(engine_idle - engine_rpm + engine_speed*maximum_2 + engine_throttle*throttle + maximum_2*t3)
+        c_bar[224 + i] += t6
+        c_bar[256 + i] += t12
+        c_bar[288 + i] += maximum_2*t6
+        c_bar[320 + i] += maximum_2*t12
+
+
+@KERNELS.loop
 def cell(w):
     for i in range(128):
         input_gate = w[0 + i]

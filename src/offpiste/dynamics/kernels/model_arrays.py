@@ -1,5 +1,6 @@
 """What the kernels read of a model, as arrays: a record, the vector of constants, three networks."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
 from offpiste.dynamics.inputs import unknown_normals
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.network import Weights, network, weights
+from offpiste.dynamics.kernels.network import Network, Weights, network, weights
 from offpiste.dynamics.kernels.rollout import Networks, Record
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import Terrain
@@ -43,10 +44,16 @@ def record(
     codes: Float[Tensor, "B T C"],
 ) -> Record:
     """What the rollout is given."""
-    recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
     tensors = controls, terrain.normal, unknown_normals(terrain), codes
     commanded, normals, unknown, read = (tensor.detach().contiguous().numpy() for tensor in tensors)
-    return Record(commanded, normals, unknown, read, np.array(recorded))
+    return Record(commanded, normals, unknown, read, recorded_channels(vehicle))
+
+
+def recorded_channels(vehicle: Vehicle) -> np.ndarray:
+    """Which of the actuators, then of the controls, the log has."""
+    return np.array(
+        [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
+    )
 
 
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
@@ -74,16 +81,19 @@ def compensator_weights(dynamics: Dynamics) -> Weights:
 
 def constants(dynamics: Dynamics, learned: Float[Tensor, " K"]) -> np.ndarray:
     """The vector of `layout.CONSTANTS`, from the bicycle's."""
-    vehicle, (_, actuators) = dynamics.vehicle, kernel_parts(dynamics)
-    switches: dict[str, float] = {
+    with torch.no_grad():
+        lags = kernel_parts(dynamics)[1].flat_constants()
+    return np.concatenate((learned.detach().numpy(), lags.numpy(), switches(dynamics.vehicle)), dtype=np.float32)
+
+
+def switches(vehicle: Vehicle) -> list[float]:
+    """What the channels of a vehicle switch on (`layout.SWITCHES`)."""
+    values: dict[str, float] = {
         **{f"{name}_measured": actuator in vehicle.actuators for name, actuator in layout.MEASURED.items()},
         **{f"{one.label}_lags": one.steps(vehicle) for one in layout.LAGGING},
         "max_steer": vehicle.max_steer,
     }
-    with torch.no_grad():
-        lags = actuators.flat_constants()
-    parts = learned.detach().numpy(), lags.numpy(), [switches[name] for name in layout.SWITCHES]
-    return np.concatenate(parts, dtype=np.float32)
+    return [float(values[name]) for name in layout.SWITCHES]
 
 
 def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
@@ -108,21 +118,33 @@ def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
         first_hidden=0,
         first_output=layout.ROW[layout.CORRECTION[0]],
     )
+    matrices = [weights(actuators.networks.get(one.label)) for one in layout.LAGGING if one.lag.residual]
     hidden = layout.HIDDEN if parts.compensator is not None else 0
-    residuals = []
-    for one in layout.LAGGING:
-        if one.lag.residual:
-            result = actuators.networks.get(one.label)
-            command = layout.CONTROLS[CONTROL.index(one.actuator.follows)]
-            residuals.append(
-                network(
-                    result,
-                    weights(result),
-                    inputs=[layout.ROW[row] for row in (*one.columns, command, "vx")],
-                    first_hidden=hidden,
-                    first_output=layout.ROW[f"{one.label}_residual"],
-                )
+    return first, *residual_networks(actuators, matrices, first_hidden=hidden)
+
+
+def residual_networks(
+    actuators: Actuators, matrices: Sequence[Weights], *, first_hidden: int
+) -> tuple[Network, Network]:
+    """The networks of the brake and the steering.
+
+    Args:
+        matrices: their weights.
+        first_hidden: hidden unit of the first one among those of all networks.
+    """
+    residuals, hidden = [], first_hidden
+    for one, of in zip((one for one in layout.LAGGING if one.lag.residual), matrices, strict=True):
+        result = actuators.networks.get(one.label)
+        command = layout.CONTROLS[CONTROL.index(one.actuator.follows)]
+        residuals.append(
+            network(
+                result,
+                of,
+                inputs=[layout.ROW[row] for row in (*one.columns, command, "vx")],
+                first_hidden=hidden,
+                first_output=layout.ROW[f"{one.label}_residual"],
             )
-            hidden += layout.HIDDEN if result is not None else 0
+        )
+        hidden += layout.HIDDEN if result is not None else 0
     brake, steer = residuals
-    return first, brake, steer
+    return brake, steer

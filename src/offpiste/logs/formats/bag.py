@@ -19,6 +19,7 @@ from offpiste.logs.ros.bag_files import (
     field_getter,
     fields_of,
     headers_only,
+    joints_of,
     open_readers,
     reported,
     stamp_of,
@@ -35,6 +36,7 @@ from offpiste.rig.camera import CameraModel, model_from_message
 _IMAGE_TYPES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _CLOUD_TYPES: Final = ("sensor_msgs/msg/PointCloud2",)
 _CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
+_JOINTS: Final = "sensor_msgs/msg/JointState"
 _TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -115,7 +117,8 @@ class BagLog(Log):
         except LogError as error:
             notes.append(f"topic '{name}': {error}")
             return Topic(name, error.what, count, ())
-        return Topic(name, main.msgtype, count, fields)
+        joints = joints_of(first(), fields) if main.msgtype == _JOINTS else {}
+        return Topic(name, main.msgtype, count, fields, joints=joints)
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
         """Time of arrival [ns] and decoded message."""

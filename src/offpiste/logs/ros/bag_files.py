@@ -23,6 +23,8 @@ _NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int
 MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
 """Makes the decoder of a connection's messages, given the path of its bag for errors."""
 
+_JOINT_ARRAYS = {"position": "", "velocity": "_vel", "effort": "_effort"}
+"""Arrays of sensor_msgs/JointState, with what is put behind the names of their entries."""
 _MAX_ENTRIES = 36
 """Longest array that is listed entry by entry: a 6 x 6 covariance; longer ones are bulk data."""
 
@@ -70,6 +72,22 @@ def fields_of(store: Typestore, msgtype: str, first: Callable[[], object], prefi
             else:
                 size = min(len(attrgetter(path)(message)), _MAX_ENTRIES)
             yield from (f"{path}[{i}]" for i in range(size))
+
+
+def joints_of(message: object, fields: Sequence[str]) -> dict[str, str]:
+    """What a message with names of joints (sensor_msgs/JointState) calls entries of its arrays, by field.
+
+    A velocity or an effort has its kind behind the joint's name: a position is what the joint is.
+    """
+    names = getattr(message, "name", None)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return {}
+    result = {}
+    for field in fields:
+        array, _, index = field.removesuffix("]").partition("[")
+        if array in _JOINT_ARRAYS and int(index) < len(names) and names[int(index)]:
+            result[field] = names[int(index)] + _JOINT_ARRAYS[array]
+    return result
 
 
 def _encoding(connection: Connection) -> str:

@@ -160,7 +160,7 @@ SHADOWS: Final = ("roof", "hood", "cargo bed", "seats", "chassis")
 
 @dataclass(frozen=True)
 class Appearance:
-    """Inputs of shading beside the hits of rays."""
+    """Inputs of shading beside the hits of rays; `shadow_boxes` and `paint` as in `Vehicle`."""
 
     ground: GroundTexture
     light: Light
@@ -169,7 +169,7 @@ class Appearance:
 
 
 def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: float = 0.12) -> Appearance:
-    """Appearance of a world on one drive; takes about 2 s for the shadows.
+    """Appearance of a world on one drive; takes about half a second, most of it for the shadows.
 
     The world's seed decides on textures, tints and colours of plants, the drive's on light and clouds.
     `WorldSettings.appearance_noise` scales all of it.
@@ -182,11 +182,12 @@ def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: floa
     of_world, of_drive = np.random.default_rng([world.settings.seed, 5]), np.random.default_rng([drive_seed, 6])
     light = draw_light(of_drive, noise)
     boxes = np.array([box for name, box in BOXES.items() if name in SHADOWS])
+    around = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
     paint = [next((colour for part, colour in PAINT.items() if part in name), PLASTIC) for name in BOXES]
     return Appearance(
         ground=_ground(world, scene, light, of_world, of_drive, ragged),
         light=light,
-        shadow_boxes=boxes,
+        shadow_boxes=np.concatenate((around[None], boxes)),
         paint=np.array(paint),
     )
 

@@ -27,23 +27,23 @@ grass, while a steep one hits a blade in one of ten cases."""
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles of one surface.
+    """Triangles or quadrilaterals of one surface.
 
     Attributes:
         surface: name in `SURFACES`.
         vertices: [m].
-        faces: indices of vertices.
-        item: the plant, or box, that each triangle belongs to.
+        faces: indices of vertices; of quadrilaterals, 1 and 3 are the diagonal that they are folded along.
+        item: the plant, or box, that each face belongs to.
     """
 
     surface: str
     vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
+    faces: Int[np.ndarray, "f corners"]
     item: Int[np.ndarray, " f"]
 
 
 def ground_mesh(world: World) -> Mesh:
-    """Two triangles a cell of the heightfield; all normals point up."""
+    """Two triangles, as one quadrilateral, a cell of the heightfield; all normals point up."""
     ny, nx = world.elevation.shape
     vertices = np.empty((ny, nx, 3), np.float32)
     vertices[..., 0] = world.origin[0] + world.resolution * np.arange(nx)
@@ -51,7 +51,7 @@ def ground_mesh(world: World) -> Mesh:
     vertices[..., 2] = world.elevation
     node = np.arange(ny * nx, dtype=np.int32).reshape(ny, nx)
     a, b, c, d = node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]
-    faces = np.stack((a, b, c, a, c, d), axis=-1).reshape(-1, 3)
+    faces = np.stack((b, c, d, a), axis=-1).reshape(-1, 4)
     return Mesh("ground", vertices.reshape(-1, 3), faces, np.zeros(len(faces), np.int32))
 
 

@@ -10,17 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import RAYS
-from offpiste.errors import extra
 from offpiste.simulation.rendering import meshes
+from offpiste.simulation.rendering.embree import FirstHits, Part, ray_caster
 from offpiste.simulation.rendering.meshes import SURFACES, Mesh, box_mesh
 from offpiste.simulation.world.world import World
-
-with extra("sim"):
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-NOTHING = 1e30
-"""Embree's distances above this mean that nothing was hit."""
 
 BLOCK = 8192
 """Rays of one block: few enough that its arrays stay in the cache."""
@@ -53,13 +46,11 @@ class Scene:
 
     def __init__(self, parts: Sequence[Mesh], *, threads: int = 2) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="offpiste-rays")
-        self._embree = EmbreeScene()
         parts = [part for part in parts if len(part.faces)]
-        self._meshes = [TriangleMesh(self._embree, part.vertices, part.faces) for part in parts]
+        self._caster = ray_caster([Part(part.vertices, part.faces) for part in parts])
         self._surfaces = np.array([SURFACES.index(part.surface) for part in parts], np.int8)
         self._first = np.cumsum([0, *(len(part.item) for part in parts)])
         self._items = np.concatenate([np.zeros(0, np.int32), *(part.item for part in parts)])
-        self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # Embree builds its tree here
 
     def spread(self, rays: int, block: Callable[[int, int], None], *, size: int = BLOCK) -> None:
         """Call `block(first, last)` on parts of the rays, in several threads."""
@@ -67,14 +58,21 @@ class Scene:
         for _ in self._pool.map(lambda part: block(*part), pairwise(cuts)):
             pass
 
-    def cast(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-        """`cast_rays`, in the calling thread alone."""
-        origins, directions = _single(origins), _single(directions)
-        result = self._embree.run(origins, directions, output=True)
-        surface, item = np.empty(len(directions), np.int8), np.empty(len(directions), np.int32)
-        hits = Hits(result["tfar"], surface, item, result["Ng"])
-        tables = (self._surfaces, self._first, self._items)
-        _identify(result["geomID"], result["primID"], directions, *tables, hits.distance, surface, item, hits.normal)
+    def cast(
+        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"], nearer: Hits | None = None
+    ) -> Hits:
+        """`cast_rays`, in the calling thread alone; origins may be one for all rays.
+
+        Args:
+            nearer: other hits of the same rays, which are kept where they are the nearer ones.
+        """
+        directions = _single(directions)
+        hits = _no_hits(len(directions)) if nearer is None else Hits(*(one.copy() for one in vars(nearer).values()))
+        part, face = np.empty(len(directions), np.int32), np.empty(len(directions), np.int32)
+        self._caster.intersect(_single(origins), directions, FirstHits(hits.distance, part, face, hits.normal))
+        _identify(
+            part, face, directions, self._surfaces, self._first, self._items, hits.surface, hits.item, hits.normal
+        )
         return hits
 
     def occluded(
@@ -85,7 +83,7 @@ class Scene:
 
         def block(first: int, last: int) -> None:
             rays = _single(origins[first:last]), _single(directions[first:last])
-            blocked[first:last] = self._embree.run(*rays, query="OCCLUDED") == 0
+            blocked[first:last] = self._caster.occluded(*rays)
 
         self.spread(len(directions), block)
         return blocked
@@ -94,7 +92,7 @@ class Scene:
 def world_scene(world: World, *, threads: int = 2) -> Scene:
     """Scene of a world's ground and plants; the same world gives the same leaves and blades.
 
-    Building takes about 4 s and 500 MB at 320 m and 0.25 m.
+    Building takes about 1 s and 300 MB at 320 m and 0.25 m.
     """
     rng = np.random.default_rng([world.settings.seed, 3])
     plants = (meshes.trunk_mesh(world.trees), meshes.crown_mesh(world.trees, rng), meshes.bush_mesh(world.bushes, rng))
@@ -135,16 +133,20 @@ def _single(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, dtype=np.float32)
 
 
+def _no_hits(n: int) -> Hits:
+    return Hits(
+        np.full(n, np.inf, np.float32), np.zeros(n, np.int8), np.full(n, -1, np.int32), np.zeros((n, 3), np.float32)
+    )
+
+
 @RAYS.entry
-def _identify(geometry, triangle, directions, surfaces, first, items, distance, surface, item, normal):  # type: ignore[no-untyped-def]
-    # Surface and item, from Embree's numbers of meshes and triangles; normals of unit length, towards the ray's origin.
-    for n in range(len(distance)):
-        if geometry[n] < 0 or distance[n] > NOTHING:
-            distance[n], surface[n], item[n] = np.inf, 0, -1
-            normal[n, 0] = normal[n, 1] = normal[n, 2] = 0.0
+def _identify(part, face, directions, surfaces, first, items, surface, item, normal):  # type: ignore[no-untyped-def]
+    # Surface and item, from numbers of parts and faces; normals of unit length, towards the ray's origin.
+    for n in range(len(part)):
+        if part[n] < 0:
             continue
-        surface[n] = surfaces[geometry[n]]
-        item[n] = items[first[geometry[n]] + triangle[n]]
+        surface[n] = surfaces[part[n]]
+        item[n] = items[first[part[n]] + face[n]]
         x, y, z = normal[n]
         scale = 1.0 / np.sqrt(x * x + y * y + z * z)
         if x * directions[n, 0] + y * directions[n, 1] + z * directions[n, 2] > 0:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from offpiste.compilation import RAYS
+from offpiste.simulation.rendering.own_shadow import sunlit
 from offpiste.simulation.rendering.texture_noise import hashed, octaves, pebbles, value_noise
 
 SKY, GROUND, TRUNK, CROWN, BUSH, GRASS, BODY = range(7)
@@ -24,6 +25,10 @@ TRACK_OFFSET, TRACK_WIDTH = 0.66, 0.17
 
 STONE_SIZE, BLADE_WIDTH, BLADE_LENGTH, RIPPLE_LENGTH = 0.05, 0.012, 0.09, 0.13
 """Sizes of texture that is not noise [m]."""
+
+
+TOGETHER = 128
+"""Places on the ground that are shaded together: few enough that their noise stays in the cache."""
 
 
 class GroundTexture(NamedTuple):
@@ -55,6 +60,26 @@ class GroundTexture(NamedTuple):
     plants: np.ndarray
 
 
+def shading_buffers(octave_count: int) -> tuple[np.ndarray, ...]:
+    """Buffers of `shade_rays`, which a thread uses alone."""
+    n = TOGETHER
+    channels, colour = np.zeros(CHANNELS, np.float32), np.zeros(3, np.float32)
+    place, facing, footprint, finest = np.zeros((2, n)), np.zeros(n), np.zeros(n), np.zeros(n, np.float32)
+    noise, work = np.zeros((2, octave_count, n), np.float32), np.zeros((6, n), np.float32)
+    return (
+        channels,
+        colour,
+        place,
+        facing,
+        footprint,
+        finest,
+        noise,
+        np.zeros(n, np.int64),
+        np.zeros((2, n), np.int32),
+        work,
+    )
+
+
 @RAYS.inlined
 def read_nodes(ground, x, y, c):  # type: ignore[no-untyped-def]
     """All channels at (x, y), bilinear, 0..1, into `c`; clamped at the border."""
@@ -72,34 +97,35 @@ def read_nodes(ground, x, y, c):  # type: ignore[no-untyped-def]
 
 
 @RAYS.inlined
-def shade_ground(ground, light, x, y, facing, phase, footprint, shadow, n, d, c, out):  # type: ignore[no-untyped-def]
-    """Colour of the ground.
+def shade_ground(ground, light, x, y, facing, phase, footprint, shadow, noise, w, c, out):  # type: ignore[no-untyped-def]
+    """Colour of the ground at one place.
 
     Args:
         facing: cosine between the surface's normal and the ray.
         phase: cosine between the ray back and the sun.
         footprint: size of the pixel on the ground [m].
         shadow: 0 where the vehicle itself keeps the sun off.
-        n, d, c: buffers of octaves, their slopes, and channels.
+        noise, w: `octaves`' noise and slopes, and the place's number among them.
+        c: buffer of channels.
         out: [3], overwritten.
     """
-    octaves(ground.lattice, ground.turn, ground.sun, x, y, footprint, n, d)
-    wander_x, wander_y = n[6] + 0.5 * n[4], n[5] - 0.5 * n[3]
+    n0, n1, n2, n3, n4 = noise[0, 0, w], noise[0, 1, w], noise[0, 2, w], noise[0, 3, w], noise[0, 4, w]
+    n5, n6, n7, n8, n9 = noise[0, 5, w], noise[0, 6, w], noise[0, 7, w], noise[0, 8, w], noise[0, 9, w]
+    wander_x, wander_y = n6 + 0.5 * n4, n5 - 0.5 * n3
     read_nodes(ground, x + ground.ragged * wander_x, y + ground.ragged * wander_y, c)
 
-    hue = min(
-        max(np.float32(0.5) + np.float32(0.35) * (n[9] - n[8] + n[7] - n[6] + n[5]), np.float32(0)), np.float32(1)
-    )
+    hue = min(max(np.float32(0.5) + np.float32(0.35) * (n9 - n8 + n7 - n6 + n5), np.float32(0)), np.float32(1))
     for channel in range(3):
         root = c[LOW + channel] + hue * (c[HIGH + channel] - c[LOW + channel])
         out[channel] = root * root
-    fine, middle, coarse = n[0] + n[1] + n[2], n[3] + n[4] + n[5], n[6] + n[7] + n[8] + n[9]
+    fine, middle, coarse = n0 + n1 + n2, n3 + n4 + n5, n6 + n7 + n8 + n9
     tone = MOST_RELIEF * (c[FINE] * (fine + 0.5 * middle) + c[COARSE] * (coarse + 0.5 * middle))
-    relief = MOST_RELIEF * c[RELIEF] * (d[0] + d[1] + d[2] + d[3] + d[4] + d[5])
+    slopes = noise[1, 0, w] + noise[1, 1, w] + noise[1, 2, w] + noise[1, 3, w] + noise[1, 4, w] + noise[1, 5, w]
+    relief = MOST_RELIEF * c[RELIEF] * slopes
 
     if c[STONES] > 0.02 and footprint < STONE_SIZE / 2:
         sharp = min(STONE_SIZE / (2 * footprint) - 1, 1.0)
-        tone += c[STONES] * sharp * pebbles(ground.lattice, x / STONE_SIZE + 0.25 * n[2], y / STONE_SIZE + 0.25 * n[1])
+        tone += c[STONES] * sharp * pebbles(ground.lattice, x / STONE_SIZE + 0.25 * n2, y / STONE_SIZE + 0.25 * n1)
     if c[BLADES] > 0.02:
         # Blades hide the soil the more, the flatter one looks.
         bare = np.exp(-3 * c[BLADES] / facing)
@@ -107,14 +133,14 @@ def shade_ground(ground, light, x, y, facing, phase, footprint, shadow, n, d, c,
             out[channel] += bare * (ground.soil[channel] - out[channel])
         if footprint < 2 * BLADE_WIDTH:
             sharp = min(2 * BLADE_WIDTH / footprint - 1, 1.0)
-            lean = 3.0 * n[8] + 1.5 * n[6]
+            lean = 3.0 * n8 + 1.5 * n6
             cos, sin = np.cos(lean), np.sin(lean)
             across, along = (cos * x + sin * y) / BLADE_WIDTH, (cos * y - sin * x) / BLADE_LENGTH
             tone += c[BLADES] * sharp * value_noise(ground.lattice, across, along)[0]
     if c[RIPPLES] > 0.02 and footprint < RIPPLE_LENGTH / 2:
         sharp = min(RIPPLE_LENGTH / (2 * footprint) - 1, 1.0)
-        along = (0.8 * x + 0.6 * y) / RIPPLE_LENGTH + 4.0 * n[9] + 2.5 * n[8] + 1.2 * n[7] + 0.5 * n[6]
-        relief += c[RIPPLES] * sharp * np.cos(2 * np.pi * along) * (1 + n[6])
+        along = (0.8 * x + 0.6 * y) / RIPPLE_LENGTH + 4.0 * n9 + 2.5 * n8 + 1.2 * n7 + 0.5 * n6
+        relief += c[RIPPLES] * sharp * np.cos(2 * np.pi * along) * (1 + n6)
     if c[TRAIL] < 0.5:
         off = (c[TRAIL] * TRAIL_REACH - TRACK_OFFSET + 0.05 * wander_x) / TRACK_WIDTH
         track = max(1 - 0.3 * off * off, 0.0) ** 2 * min(TRACK_WIDTH / footprint, 1.0)
@@ -170,66 +196,70 @@ def shade_sky(lattice, light, dx, dy, dz, out):  # type: ignore[no-untyped-def]
         out[channel] = clear + 0.8 * cloud * (0.85 - clear)
 
 
-@RAYS.inlined
-def sunlit(boxes, px, py, pz, sx, sy, sz):  # type: ignore[no-untyped-def]
-    """0 where a ray from p towards s meets one of the boxes, else 1 (slab test, Kay and Kajiya, SIGGRAPH 1986)."""
-    for b in range(len(boxes)):
-        x0, x1 = (boxes[b, 0, 0] - px) / sx, (boxes[b, 1, 0] - px) / sx
-        y0, y1 = (boxes[b, 0, 1] - py) / sy, (boxes[b, 1, 1] - py) / sy
-        z0, z1 = (boxes[b, 0, 2] - pz) / sz, (boxes[b, 1, 2] - pz) / sz
-        enter = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), 0.0))
-        if enter < min(min(max(x0, x1), max(y0, y1)), max(z0, z1)):
-            return 0.0
-    return 1.0
-
-
 @RAYS.entry
 def shade_rays(  # type: ignore[no-untyped-def]
-    ground, light, boxes, paint, pixel, origin, position, rotation, rays, distance, surface, item, normal, out
+    ground, light, vehicle, pixel, origin, rays, distance, surface, item, normal, buffers, out
 ):
     """Linear RGB of rays that have been cast.
 
     Args:
-        boxes: of the vehicle that throw shadows [n, 2, 3], in the body frame.
-        paint: colour of each box of the vehicle [n, 3].
         pixel: angle of a pixel [rad].
         origin: of the rays, in the world frame [m].
-        position, rotation: `world_from_body`.
         rays, normal: in the world frame; normals of the vehicle itself in the body frame.
+        buffers: `shading_buffers`.
         out: [n, 3], overwritten.
     """
-    n, d, c, colour = np.zeros(len(ground.turn)), np.zeros(len(ground.turn)), np.zeros(CHANNELS), np.zeros(3)
-    sun_body = rotation.T @ light.sun
-    sx, sy, sz = sun_body[0] + 1e-9, sun_body[1] + 1e-9, sun_body[2] + 1e-9
+    c, colour, place, facing, footprint, finest, noise, index, cells, work = buffers
+    waiting = 0
     for r in range(len(rays)):
         dx, dy, dz = rays[r, 0], rays[r, 1], rays[r, 2]
-        kind = surface[r]
+        kind, t = surface[r], distance[r]
+        nx, ny, nz = normal[r, 0], normal[r, 1], normal[r, 2]
         if kind == SKY:
             shade_sky(ground.lattice, light, dx, dy, dz, out[r])
-            continue
-        nx, ny, nz = normal[r, 0], normal[r, 1], normal[r, 2]
-        if kind == BODY:
-            facing = max(nx * sx + ny * sy + nz * sz, 0.0)
-            for channel in range(3):
-                sky = (0.6 + 0.4 * nz) * light.sky_colour[channel]
-                out[r, channel] = paint[item[r], channel] * (0.8 * facing * light.sun_colour[channel] + sky)
-            continue
-        t = distance[r]
-        x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
-        bx, by, bz = x - position[0], y - position[1], z - position[2]
-        shadow = 1.0
-        if bx * bx + by * by < 64.0:
-            px = rotation[0, 0] * bx + rotation[1, 0] * by + rotation[2, 0] * bz
-            py = rotation[0, 1] * bx + rotation[1, 1] * by + rotation[2, 1] * bz
-            pz = rotation[0, 2] * bx + rotation[1, 2] * by + rotation[2, 2] * bz
-            shadow = sunlit(boxes, px, py, pz, sx, sy, sz)
-        phase = -(dx * light.sun[0] + dy * light.sun[1] + dz * light.sun[2])
-        if kind == GROUND:
-            facing = max(-float(dx * nx + dy * ny + dz * nz), 0.02)
-            footprint = max(t * pixel / np.sqrt(facing), 1e-4)  # geometric mean of length and width
-            shade_ground(ground, light, x, y, facing, phase, footprint, shadow, n, d, c, colour)
+        elif kind == BODY:
+            shade_body(light, vehicle, item[r], nx, ny, nz, out[r])
+        elif kind == GROUND:
+            index[waiting] = r
+            place[0, waiting], place[1, waiting] = origin[0] + t * dx, origin[1] + t * dy
+            facing[waiting] = max(-float(dx * nx + dy * ny + dz * nz), 0.02)
+            # Geometric mean of length and width.
+            footprint[waiting] = max(t * pixel / np.sqrt(facing[waiting]), 1e-4)
+            finest[waiting] = 0.5 / footprint[waiting]
+            waiting += 1
         else:
+            x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
+            shadow = sunlit(vehicle, x, y, z)
+            phase = -(dx * light.sun[0] + dy * light.sun[1] + dz * light.sun[2])
             shade_plant(ground, light, kind, item[r], x, y, z, nx, ny, nz, phase, shadow, c, colour)
-        clear = np.exp(-light.haze * t)
-        for channel in range(3):
-            out[r, channel] = light.horizon_colour[channel] + clear * (colour[channel] - light.horizon_colour[channel])
+            through_haze(light, t, colour, out[r])
+        if waiting == TOGETHER or (waiting > 0 and r == len(rays) - 1):
+            x_all, y_all = place[0, :waiting], place[1, :waiting]
+            tables = (ground.lattice, ground.turn, ground.sun)
+            octaves(*tables, x_all, y_all, finest[:waiting], cells, work, noise[0], noise[1])
+            for w in range(waiting):
+                g = index[w]
+                dx, dy, dz, t = rays[g, 0], rays[g, 1], rays[g, 2], distance[g]
+                shadow = sunlit(vehicle, x_all[w], y_all[w], origin[2] + t * dz)
+                phase = -(dx * light.sun[0] + dy * light.sun[1] + dz * light.sun[2])
+                look = (facing[w], phase, footprint[w], shadow)
+                shade_ground(ground, light, x_all[w], y_all[w], *look, noise, w, c, colour)
+                through_haze(light, t, colour, out[g])
+            waiting = 0
+
+
+@RAYS.inlined
+def shade_body(light, vehicle, box, nx, ny, nz, out):  # type: ignore[no-untyped-def]
+    """Colour of the vehicle itself; its normal is in the body frame."""
+    facing = max(nx * vehicle.sun[0] + ny * vehicle.sun[1] + nz * vehicle.sun[2], 0.0)
+    for channel in range(3):
+        sky = (0.6 + 0.4 * nz) * light.sky_colour[channel]
+        out[channel] = vehicle.paint[box, channel] * (0.8 * facing * light.sun_colour[channel] + sky)
+
+
+@RAYS.inlined
+def through_haze(light, distance, colour, out):  # type: ignore[no-untyped-def]
+    """A colour as it is seen through the air, which has that of the horizon."""
+    clear = np.exp(-np.float32(light.haze) * distance)
+    for channel in range(3):
+        out[channel] = light.horizon_colour[channel] + clear * (colour[channel] - light.horizon_colour[channel])

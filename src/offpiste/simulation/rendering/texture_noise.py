@@ -18,8 +18,8 @@ WAVELENGTHS: Final = 0.0125 * 2.0 ** np.arange(10)
 PERIOD: Final = 128
 """Period of the table, a power of two."""
 
-_WRAP = np.int32(PERIOD - 1)
-_ONE, _TWO, _THREE, _SIX = np.float32(1), np.float32(2), np.float32(3), np.float32(6)
+_WRAP, _NEXT = np.int32(PERIOD - 1), np.uint32(1)
+_ZERO, _ONE, _TWO, _THREE, _SIX = np.float32(0), np.float32(1), np.float32(2), np.float32(3), np.float32(6)
 
 
 def random_lattice(rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
@@ -48,9 +48,14 @@ def value_noise(lattice, x, y):  # type: ignore[no-untyped-def]
     low_x, low_y = np.floor(x), np.floor(y)
     i, j = np.int32(low_x) & _WRAP, np.int32(low_y) & _WRAP
     u, v = np.float32(x - low_x), np.float32(y - low_y)
-    corner = lattice[j, i]
-    along_x, along_y = lattice[j, i + 1] - corner, lattice[j + 1, i] - corner
-    twist = lattice[j + 1, i + 1] - corner - along_x - along_y
+    return blended(lattice[j, i], lattice[j, i + 1], lattice[j + 1, i], lattice[j + 1, i + 1], u, v)
+
+
+@RAYS.inlined
+def blended(corner, right, far, opposite, u, v):  # type: ignore[no-untyped-def]
+    """Noise between the four corners of a cell, and its slopes, at (u, v) of the way from the first."""
+    along_x, along_y = right - corner, far - corner
+    twist = opposite - corner - along_x - along_y
     s, t = u * u * (_THREE - _TWO * u), v * v * (_THREE - _TWO * v)
     value = corner + along_x * s + (along_y + twist * s) * t
     slope_x = (along_x + twist * t) * (_SIX * u * (_ONE - u))
@@ -58,28 +63,57 @@ def value_noise(lattice, x, y):  # type: ignore[no-untyped-def]
     return value, slope_x, slope_y
 
 
-@RAYS.inlined
-def octaves(lattice, turn, sun, x, y, footprint, value, slope):  # type: ignore[no-untyped-def]
-    """Noise of each octave, faded where a pixel is too large for it (Nyquist), and how much it faces the sun.
+@RAYS.loop
+def octaves(lattice, turn, sun, x, y, finest, cells, work, value, slope):  # type: ignore[no-untyped-def]
+    """Noise of each octave at many places, faded where a pixel is too large for it, and how much it faces the sun.
+
+    Places are taken together, so that all but reading the table runs in vectors.
 
     Args:
         turn: `octave_turns`.
         sun: horizontal direction to the sun in each octave's lattice [O, 2].
-        footprint: size of a pixel on the ground [m].
-        value, slope: [O], overwritten.
+        x, y: places [n], in double precision [m].
+        finest: highest frequency that a pixel can show (Nyquist), over the distance between pixels [n] [1/m].
+        cells, work: buffers of integers and numbers [2, n or more], [6, n or more].
+        value, slope: [O, n or more], overwritten.
     """
-    finest = _ONE / (_TWO * np.float32(footprint))
+    places, sharpest = len(x), _ZERO
+    column, row, off_x, off_y = cells[0], cells[1], work[0], work[1]
+    corner, right, far, opposite = work[2], work[3], work[4], work[5]
+    for n in range(places):
+        sharpest = max(sharpest, finest[n])
     for o in range(len(turn) - 1, -1, -1):
         cos, sin = turn[o, 0], turn[o, 1]
-        fade = min(finest / np.sqrt(cos * cos + sin * sin) - _ONE, _ONE)
-        if fade <= 0:
+        wavelength = _ONE / np.sqrt(cos * cos + sin * sin)
+        if sharpest * wavelength <= _ONE:
             for finer in range(o + 1):
-                value[finer] = slope[finer] = 0.0
+                for n in range(places):
+                    value[finer, n] = slope[finer, n] = 0
             break
         # Lattices are shifted against each other: no place in the world is the origin of all.
-        result, slope_x, slope_y = value_noise(lattice, cos * x + sin * y + o * 17, cos * y - sin * x + o * 29)
-        value[o] = fade * result
-        slope[o] = -fade * (slope_x * sun[o, 0] + slope_y * sun[o, 1])
+        shift_x, shift_y = float(o * 17), float(o * 29)
+        # Loops over more arrays than these are not compiled to vectors: one axis, one result after the other.
+        for n in range(places):
+            at = cos * x[n] + sin * y[n] + shift_x
+            low = np.floor(at)
+            off_x[n], column[n] = np.float32(at - low), np.int32(low) & _WRAP
+        for n in range(places):
+            at = cos * y[n] - sin * x[n] + shift_y
+            low = np.floor(at)
+            off_y[n], row[n] = np.float32(at - low), np.int32(low) & _WRAP
+        for n in range(places):
+            i, j = np.uint32(column[n]), np.uint32(row[n])
+            corner[n], right[n] = lattice[j, i], lattice[j, i + _NEXT]
+            far[n], opposite[n] = lattice[j + _NEXT, i], lattice[j + _NEXT, i + _NEXT]
+        values, slopes, sun_x, sun_y = value[o], slope[o], sun[o, 0], sun[o, 1]
+        for n in range(places):
+            fade = min(max(finest[n] * wavelength - _ONE, _ZERO), _ONE)
+            result, _, _ = blended(corner[n], right[n], far[n], opposite[n], off_x[n], off_y[n])
+            values[n] = fade * result
+        for n in range(places):
+            fade = min(max(finest[n] * wavelength - _ONE, _ZERO), _ONE)
+            _, slope_x, slope_y = blended(corner[n], right[n], far[n], opposite[n], off_x[n], off_y[n])
+            slopes[n] = -fade * (slope_x * sun_x + slope_y * sun_y)
 
 
 @RAYS.inlined

@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float, UInt8
 from offpiste.compilation import RAYS
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
+from offpiste.simulation.rendering.own_shadow import Vehicle
 from offpiste.simulation.rendering.scene import Hits, Scene, body_hits, cast_rays, nearest
-from offpiste.simulation.rendering.shading import shade_rays
+from offpiste.simulation.rendering.shading import shade_rays, shading_buffers
 from offpiste.simulation.rendering.texture_noise import hashed
 from offpiste.simulation.sample import Pose
 
@@ -140,14 +141,16 @@ def _shade(
     origin = world_from_body.apply(camera.origin[None])[0]
     turned = np.ascontiguousarray(rotation.T, np.float32)
     pixel = 1 / float(max(np.diag(camera.settings.model.matrix)[:2]))
-    look = (appearance.ground, appearance.light, appearance.shadow_boxes, appearance.paint, pixel)
+    sun = rotation.T @ appearance.light.sun + 1e-9
+    vehicle = Vehicle(position, rotation, sun, appearance.shadow_boxes, appearance.paint)
+    look = (appearance.ground, appearance.light, vehicle, pixel, origin)
 
     def block(first: int, last: int) -> None:
         rays = camera.rays[first:last] @ turned
         own = Hits(**{name: values[first:last] for name, values in vars(camera.own).items()})
-        hits = nearest(own, scene.cast(np.broadcast_to(origin, rays.shape), rays))
+        hits = scene.cast(origin[None], rays, own)
         result = (hits.distance, hits.surface, hits.item, hits.normal)
-        shade_rays(*look, origin, position, rotation, rays, *result, linear[first:last])
+        shade_rays(*look, rays, *result, shading_buffers(len(appearance.ground.turn)), linear[first:last])
 
     scene.spread(len(linear), block)
 

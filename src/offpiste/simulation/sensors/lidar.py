@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from offpiste.compilation import RAYS
 from offpiste.simulation.rendering.scene import Scene, body_hits, cast_rays, nearest
 from offpiste.simulation.sample import Motion, Pose
 
@@ -92,12 +93,11 @@ class Lidar:
         s, shape = self.settings, self._ray.shape[:2]
         position, rotation = motion.at(start + self._time)
         origin = position + rotation @ self._origin
-        ray_world = np.einsum("cij,crj->cri", rotation, self._ray_body)
-        hits = cast_rays(scene, np.repeat(origin, s.rings, axis=0), ray_world.reshape(-1, 3))
-        hits = nearest(self._own, hits)
-
-        incidence = np.abs(np.einsum("ni,ni->n", hits.normal, ray_world.reshape(-1, 3).astype(np.float32)))
-        echo = REFLECTIVITY[hits.surface] * incidence
+        ray_world = np.empty((shape[0] * shape[1], 3), np.float32)
+        _turn(rotation, self._ray_body, ray_world)
+        hits = nearest(self._own, cast_rays(scene, np.repeat(origin.astype(np.float32), s.rings, axis=0), ray_world))
+        echo = np.empty(len(ray_world), np.float32)
+        _reflect(REFLECTIVITY, hits.surface, hits.normal, ray_world, echo)
         seen = (hits.distance > s.min_range) & (hits.distance < s.max_range)
         seen &= rng.random(len(echo)) > lost_share(s, hits.distance, echo)
         distance = hits.distance + s.range_noise * rng.standard_normal(len(echo))
@@ -110,6 +110,25 @@ class Lidar:
             time=self._time[column].astype(np.float32),
             surface=hits.surface[seen],
         )
+
+
+@RAYS.entry
+def _turn(rotation, ray_body, ray_world):  # type: ignore[no-untyped-def]
+    """Rays [columns, rings, 3] turned by each column's rotation, one after the other."""
+    columns, rings = ray_body.shape[:2]
+    for c in range(columns):
+        for r in range(rings):
+            x, y, z = ray_body[c, r, 0], ray_body[c, r, 1], ray_body[c, r, 2]
+            for i in range(3):
+                ray_world[c * rings + r, i] = rotation[c, i, 0] * x + rotation[c, i, 1] * y + rotation[c, i, 2] * z
+
+
+@RAYS.entry
+def _reflect(reflectivity, surface, normal, ray, echo):  # type: ignore[no-untyped-def]
+    """Reflectivity times the cosine of incidence."""
+    for n in range(len(echo)):
+        facing = normal[n, 0] * ray[n, 0] + normal[n, 1] * ray[n, 1] + normal[n, 2] * ray[n, 2]
+        echo[n] = reflectivity[surface[n]] * abs(facing)
 
 
 def lost_share(

@@ -1,7 +1,8 @@
 """Which sensors the vehicle carries, and what they record along a drive."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -176,3 +177,34 @@ class Sensing:
         scan = lidar.scan(self._scene, motion, samples[0].time, self._rng)
         stamp, name = stamp_ns(samples[0].time), lidar.settings.name
         return f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name)
+
+
+AHEAD: Final = 25
+"""Samples that a vehicle may be ahead of its sensors; their messages wait in memory."""
+
+
+def observed(
+    samples: Iterable[VehicleSample], sensing: Sensing | None, stamp_ns: StampNs
+) -> Iterator[tuple[VehicleSample, list[tuple[str, Any]]]]:
+    """Samples of a drive, each with the measurements that it completes.
+
+    Sensors are simulated one sample after the other in a thread of their own, while the vehicle drives on.
+    """
+    if sensing is None:
+        yield from ((sample, []) for sample in samples)
+        return
+
+    def measured(sample: VehicleSample) -> list[tuple[str, Any]]:
+        return list(sensing.observe(sample, stamp_ns))
+
+    waiting: deque[tuple[VehicleSample, Future[list[tuple[str, Any]]]]] = deque()
+    worker = ThreadPoolExecutor(1, thread_name_prefix="offpiste-sensors")
+    try:
+        for sample in samples:
+            waiting.append((sample, worker.submit(measured, sample)))
+            if len(waiting) > AHEAD:
+                oldest, messages = waiting.popleft()
+                yield oldest, messages.result()
+        yield from ((sample, messages.result()) for sample, messages in waiting)
+    finally:
+        worker.shutdown(cancel_futures=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.simulation.world.ground import lay_grounds, mix_properties
-from offpiste.simulation.world.terrain import carve_trails, distance_to_trails, make_hills, make_trails
+from offpiste.simulation.world.terrain import carve_trails, make_hills, make_trails, trail_distance_grid
 from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
 from offpiste.simulation.world.world import BareTerrain, World, WorldSettings, find_world_preset
 
@@ -34,8 +34,7 @@ def make_world(settings: WorldSettings) -> World:
 
     # Trails and the heightfield.
     trails = make_trails(random["trails"], float(x[-1] - x[0]))
-    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    trail_distance = distance_to_trails(trails, places).reshape(nodes, nodes)
+    trail_distance = trail_distance_grid(trails, x, y)
     hills = make_hills(random["hills"], preset, x, y)
     elevation = carve_trails(random["carving"], preset, x, y, hills, trails, trail_distance)
 

@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter
 
+from offpiste.compilation import PHYSICS
+
 
 def smooth_noise(
     rng: np.random.Generator,
@@ -24,13 +26,29 @@ def smooth_noise(
     (first_x, weight_x), (first_y, weight_y) = _weights(x, float(knots_x)), _weights(y, float(knots_y))
     coefficients = rng.standard_normal((first_y[-1] + 4, first_x[-1] + 4)).astype(np.float32)
     coefficients = gaussian_filter(coefficients, 1.0, mode="wrap", truncate=4.0)
-    # Term by term: a matrix product's last bits would depend on the number of threads.
-    rows = sum(weight_y[:, k, None] * coefficients[first_y + k] for k in range(4))
-    return sum(weight_x[:, k] * rows[:, first_x + k] for k in range(4)) / np.float32(_VARIANCE)
+    field = np.empty((len(y), len(x)), np.float32)
+    _spline(coefficients, first_x, weight_x, first_y, weight_y, np.empty(coefficients.shape[1], np.float32), field)
+    return field
 
 
 _VARIANCE = 0.2440
 """Variance along one axis of a cubic B-spline whose coefficients were smoothed over one knot, mean over an interval."""
+
+
+@PHYSICS.entry
+def _spline(coefficients, first_x, weight_x, first_y, weight_y, row, field):  # type: ignore[no-untyped-def]
+    """Sum of the coefficients around each place, by their weights; `row` is a buffer."""
+    for j in range(len(first_y)):
+        a, b, c, d = weight_y[j]
+        at = first_y[j]
+        for i in range(len(row)):
+            near = a * coefficients[at, i] + b * coefficients[at + 1, i]
+            row[i] = near + c * coefficients[at + 2, i] + d * coefficients[at + 3, i]
+        for i in range(len(first_x)):
+            at_x = first_x[i]
+            near = weight_x[i, 0] * row[at_x] + weight_x[i, 1] * row[at_x + 1]
+            sum_of_four = near + weight_x[i, 2] * row[at_x + 2] + weight_x[i, 3] * row[at_x + 3]
+            field[j, i] = sum_of_four / np.float32(_VARIANCE)
 
 
 def _weights(at: Float[np.ndarray, " n"], knots: float) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:

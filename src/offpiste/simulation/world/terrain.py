@@ -55,9 +55,41 @@ def distance_to_trails(
     trails: tuple[Float[np.ndarray, "_ 2"], ...], places: Float[np.ndarray, "m 2"]
 ) -> Float[np.ndarray, " m"]:
     """Distance to the nearest centre line, `NEAR` where it is farther [m]."""
-    lines = np.concatenate([resample(loop, 0.1) for loop in trails])
-    distance, _ = cKDTree(lines).query(places, distance_upper_bound=NEAR)
+    distance, _ = cKDTree(_dense(trails)).query(places, distance_upper_bound=NEAR)
     return np.minimum(distance, NEAR).astype(np.float32)
+
+
+def trail_distance_grid(
+    trails: tuple[Float[np.ndarray, "_ 2"], ...], x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, "ny nx"]:
+    """`distance_to_trails` of the nodes of a grid [m]: from each point of the lines to the nodes around it.
+
+    Args:
+        x, y: evenly spaced coordinates of the columns and rows [m].
+    """
+    square = np.full((len(y), len(x)), NEAR * NEAR)
+    _nearest_squares(_dense(trails), x, y, NEAR, square)
+    return np.sqrt(square).astype(np.float32)
+
+
+def _dense(trails: tuple[Float[np.ndarray, "_ 2"], ...]) -> Float[np.ndarray, "n 2"]:
+    return np.concatenate([resample(loop, 0.1) for loop in trails])
+
+
+@PHYSICS.entry
+def _nearest_squares(points, x, y, reach, square):  # type: ignore[no-untyped-def]
+    """Lower each node's squared distance to that of the nearest point, if it lies within reach."""
+    step_x, step_y = x[1] - x[0], y[1] - y[0]
+    for p in range(len(points)):
+        first = max(int((points[p, 0] - reach - x[0]) / step_x), 0)
+        last = min(int((points[p, 0] + reach - x[0]) / step_x) + 2, len(x))
+        low = max(int((points[p, 1] - reach - y[0]) / step_y), 0)
+        high = min(int((points[p, 1] + reach - y[0]) / step_y) + 2, len(y))
+        for j in range(low, high):
+            across = y[j] - points[p, 1]
+            for i in range(first, last):
+                along = x[i] - points[p, 0]
+                square[j, i] = min(square[j, i], along * along + across * across)
 
 
 def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray, "m 2"]:

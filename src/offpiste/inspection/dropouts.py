@@ -1,0 +1,64 @@
+"""Check of channels that fall to one value for a while and come back, as a connection that is lost does."""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.findings import Finding
+from offpiste.logs.drive import Drive
+
+_CHECKED: Final = ("steer", "steer_angle", "linear_velocity", "angular_velocity", "yaw_rate", "wheel_speed")
+"""Channels that change steadily, as wheels turn and bodies move; a pedal is let go in an instant."""
+_LEAST: Final = 4
+"""Samples of one value that are a fall; fewer are spikes."""
+_USUAL: Final = 99.0
+"""Percentile of the steps that the channel makes while it changes."""
+_LARGER: Final = 4.0
+"""The steps into and out of a fall are this many times as large ..."""
+_LARGEST: Final = 1.5
+"""... and this many times as large as the largest of all others: a driver may turn the wheel at once, too ..."""
+_SHARE: Final = 0.05
+"""... and at least this share of what the channel spans."""
+
+
+def check_dropouts(drive: Drive, path: Path) -> list[Finding]:
+    """A finding for each channel that falls to one value and comes back while the vehicle moves."""
+    findings = []
+    for name in _CHECKED:
+        if name not in drive.channels or len(drive.channels[name].time) < 100:
+            continue
+        channel = drive.channels[name]
+        runs = _falls(channel.values)
+        begin, end = channel.time[runs[:, 0]], channel.time[runs[:, 1]]
+        moving = np.interp(begin, path.time, np.nan_to_num(path.speed)) > MOVING
+        if not moving.any():
+            continue
+        begin, lasts = begin[moving], (end - begin)[moving]
+        longest = int(lasts.argmax())
+        to = ", ".join(f"{value:.3g}" for value in channel.values[runs[moving][longest, 0]])
+        times = "once" if len(lasts) == 1 else f"{len(lasts)} times, {lasts.sum():.1f} s in all"
+        evidence = f"{times}, to {to} for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on"
+        evidence += "; the steps there and back are no other's size"
+        how = "no rig line fixes it: cut the log there, or leave the channel out"
+        share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
+        findings.append(Finding("warning", name, "falls to one value and comes back", evidence, how, share))
+    return findings
+
+
+def _falls(values: Float[np.ndarray, "n k"]) -> Int[np.ndarray, "r 2"]:
+    """First and last samples of runs of one value with an unusually large step before and after them."""
+    steps = np.abs(np.diff(values, axis=0)).max(axis=1)
+    if not (steps > 0).any():
+        return np.zeros((0, 2), int)
+    least = max(_LARGER * float(np.percentile(steps[steps > 0], _USUAL)), _SHARE * float(np.ptp(values, axis=0).max()))
+    changes = np.flatnonzero(steps > 0) + 1
+    first, last = np.append(0, changes), np.append(changes, len(values)) - 1
+    into, out = np.append(0.0, steps), np.append(steps, 0.0)
+    falls = (into[first] > least) & (out[last] > least) & (last - first + 1 >= _LEAST)
+    others = np.ones(len(steps), bool)
+    others[first[falls] - 1] = others[last[falls]] = False
+    if np.minimum(into[first], out[last])[falls].min(initial=np.inf) < _LARGEST * steps[others].max(initial=0.0):
+        return np.zeros((0, 2), int)
+    return np.stack((first, last), axis=1)[falls]

@@ -1,0 +1,65 @@
+"""Check of the rig's ranges of valid values: a range that drops measurements, not only faults."""
+
+from typing import Final
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.logs.channel import convert, largest
+from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.rig import Rig
+
+_USUAL: Final = 99.5
+"""Percentile of the steps from sample to sample that measurements make."""
+_LARGER: Final = 2.0
+"""A fault leaves the measurements by a step this many times as large."""
+_SHARE: Final = 0.005
+"""Share of the samples from which it matters that they are dropped."""
+
+
+def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
+    """A finding for each channel whose `valid` interval drops values that continue those before and after them."""
+    findings = []
+    for name, source in rig.channels.items():
+        r = recorded.get(source.topic)
+        if source.valid is None or r is None or not set(source.fields) <= set(r.fields):
+            continue
+        columns = r.values[:, [r.fields.index(field) for field in source.fields]]
+        values = convert(name, msgspec.structs.replace(source, clip=None), columns)
+        values = values[(np.abs(np.nan_to_num(values, nan=np.inf)) <= largest(name)).all(axis=1)]
+        outside = ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
+        measured = _continuing(values, outside)
+        if measured.sum() <= _SHARE * len(values):
+            continue
+        reached = values[measured | ~outside]
+        low, high = float(reached.min()), float(reached.max())
+        room = (high - low) / 20
+        edit = Edit(f"channels.{name}.valid", [rounded(low - room), rounded(high + room)])
+        evidence = f"{measured.sum()} of {len(values)} samples ({measured.mean():.1%}), between {low:.3g} and "
+        evidence += (
+            f"{high:.3g}, lie outside of {source.valid[0]:g} to {source.valid[1]:g} and continue their neighbours"
+        )
+        share = float(measured.mean())
+        findings.append(Finding("warning", name, "valid drops measurements", evidence, str(edit), share, ((edit,),)))
+    return findings
+
+
+def _continuing(values: Float[np.ndarray, "n k"], outside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Samples outside of the range in runs that no larger step leads to, through or from than samples inside make."""
+    result = np.zeros(len(values), bool)
+    if not outside.any() or outside.all():
+        return result
+    steps = np.abs(np.diff(values, axis=0)).max(axis=1)
+    inside = ~outside[1:] & ~outside[:-1]
+    if not inside.any():
+        return result
+    large = steps > _LARGER * float(np.percentile(steps[inside], _USUAL))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], outside, [False]))))
+    for first, end in edges.reshape(-1, 2):
+        # Step i leads from sample i to sample i + 1: from the one before the run to the one behind it.
+        if not large[max(first - 1, 0) : end].any():
+            result[first:end] = True
+    return result

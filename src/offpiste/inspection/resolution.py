@@ -1,0 +1,80 @@
+"""Check of the resolution: channels that are recorded in steps so coarse that the motion between two is lost."""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.driven_path import Path
+from offpiste.inspection.findings import Finding
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+
+_EVEN: Final = 0.01
+"""Distances between recorded values are multiples of the step to this share of it."""
+_ONE_BY_ONE: Final = 0.8
+"""Share of the changes that go to the next step: what is driven in steps, by keys or a switch, leaps further."""
+_LEVELS: Final = (4, 12)
+"""Numbers of steps over which a steering is coarse: with fewer, it is switched."""
+_COARSE_PLACE: Final = (0.05, 0.03)
+"""Steps of a position from which they matter [m]: at least, and as a share of what is driven in a second."""
+_COARSE_VELOCITY: Final = (0.05, 0.1)
+"""Steps of a velocity from which they matter [m/s]: at least, and as a share of the cruising speed."""
+
+
+def check_resolution(drive: Drive, path: Path) -> list[Finding]:
+    """A finding for each channel whose steps are too coarse to drive by."""
+    findings = []
+    for name in ("position", "linear_velocity"):
+        least, share = _COARSE_PLACE if name == "position" else _COARSE_VELOCITY
+        step = _step(drive.channels[name].values[:, :2]) if name in drive.channels else 0.0
+        if step > max(least, share * path.cruise):
+            findings.append(_finding(name, step, f"all its values are multiples of {step:.3g}"))
+    for name in ("steer", "steer_angle"):
+        if name not in drive.channels:
+            continue
+        levels = _levels(drive.channels[name])
+        if _LEVELS[0] <= len(levels) <= _LEVELS[1]:
+            step = float(levels[1] - levels[0])
+            findings.append(_finding(name, step, f"it takes {len(levels)} values, {step:.3g} apart, one by one"))
+    return findings
+
+
+def _finding(name: str, step: float, evidence: str) -> Finding:
+    how = "no rig line fixes it: record it with more digits (as float64, or in smaller units), or take another field"
+    return Finding("warning", name, "is recorded in coarse steps", evidence, how, 0.6)
+
+
+def _step(values: Float[np.ndarray, "n k"]) -> float:
+    """The coarsest step that all values of a column are multiples of, apart from an offset; 0 where there is none."""
+    columns = [np.diff(_distinct(column)) for column in values[np.isfinite(values).all(axis=1)].T]
+    return max((float(apart.min()) for apart in columns if len(apart) > 1 and _multiples(apart)), default=0.0)
+
+
+def _levels(channel: Channel) -> Float[np.ndarray, " s"]:
+    """Values of a channel that keeps to evenly spaced ones and goes from each to the next; empty for any other."""
+    values = channel.values[np.isfinite(channel.values[:, 0]), 0]
+    levels = _distinct(values)
+    apart = np.diff(levels)
+    if not _LEVELS[0] <= len(levels) <= _LEVELS[1] or not _multiples(apart):
+        return np.zeros(0)
+    at = np.rint((values - levels[0]) / apart.min())
+    changes = np.abs(np.diff(at))
+    changes = changes[changes > 0]
+    one_by_one = len(changes) > 2 * len(levels) and np.mean(changes == 1) > _ONE_BY_ONE
+    return levels if one_by_one else np.zeros(0)
+
+
+def _distinct(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " s"]:
+    """The distinct values in order; those that differ by rounding alone are one."""
+    ordered = np.unique(values)
+    if len(ordered) < 2:
+        return ordered
+    rounding = 1e-9 * max(float(np.abs(ordered).max()), float(ordered[-1] - ordered[0]))
+    return np.asarray(ordered[np.diff(ordered, prepend=-np.inf) > rounding])
+
+
+def _multiples(apart: Float[np.ndarray, " s"]) -> bool:
+    """Whether distances are multiples of the smallest."""
+    shares = apart / apart.min()
+    return bool((np.abs(shares - np.rint(shares)) < _EVEN * np.maximum(shares, 1.0)).all())

@@ -1,0 +1,103 @@
+"""Delays of the turning behind the steering, by stretches: clocks that drift, copies that are late by turns."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import theilslopes
+
+from offpiste.inspection.driven_path import Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import LAGS, fit_lags, lagged
+from offpiste.inspection.steering_fit import moving_rows
+from offpiste.logs.channel import Channel
+from offpiste.rig.rig import Rig
+
+_WINDOW: Final = 8.0
+"""Length of a stretch [s]; each begins in the middle of the one before."""
+_TURNS: Final = 0.5
+"""Spread of a stretch's yaw rates over the drive's, at least."""
+_FITS: Final = 0.85
+"""Correlation of the turning with the steering in a stretch, at least."""
+_FEW: Final = 5
+"""Stretches that show a change ..."""
+_SEVERAL: Final = 8
+"""... and a slight one."""
+_DRIFT: Final = 0.15
+"""Change of the delay over the drive that is surely exceeded [s]; of 60 healthy channels none exceeds 0.08."""
+_WIDE: Final = (0.35, 25.0, -0.2)
+"""Width of the delays (10 to 90 %) that is a change [s], and how early the motion comes [s] in this share [%] then: a
+vehicle does not turn before it is steered."""
+_SLIGHT: Final = (0.2, 10.0, -0.1)
+"""The same of a slight change."""
+_MIDDLE: Final = 0.15
+"""Median of the delays up to which a slight change counts: where most are usual, few stretches deceive [s]."""
+
+
+@dataclass(frozen=True)
+class WindowDelays:
+    """How late the turning is in each stretch that turns enough.
+
+    Attributes:
+        time: middle of the stretch [s].
+        delay: of the yaw rate behind speed times steering [s].
+    """
+
+    time: Float[np.ndarray, " w"]
+    delay: Float[np.ndarray, " w"]
+
+    @property
+    def words(self) -> str:
+        """The delays in words."""
+        low, middle, high = np.percentile(self.delay, (10, 50, 90))
+        spread = f"{low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f})"
+        return f"the motion comes {spread} in {len(self.delay)} stretches of {_WINDOW:.0f} s"
+
+
+def window_delays(channel: Channel, path: Path, rig: Rig) -> WindowDelays:
+    """Delays by stretches, of those in which the vehicle turns enough and as it is steered."""
+    turning = path.forward * lagged(channel, path.time, rig)
+    usual = np.nanstd(path.yaw_rate[moving_rows(path)])
+    found = []
+    for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW / 2):
+        rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
+        if not np.isfinite(path.yaw_rate[rows]).any() or np.nanstd(path.yaw_rate[rows]) < _TURNS * usual:
+            continue
+        fit = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, rows)
+        if fit is None:
+            continue
+        best = fit.best()
+        if abs(fit.r[best]) > _FITS and 0 < best < len(LAGS) - 1:
+            found.append((start + _WINDOW / 2, fit.delay(best)[0]))
+    time, delay = np.array(found).reshape(-1, 2).T
+    return WindowDelays(time, delay)
+
+
+def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
+    """A warning if the delay grows or shrinks all along, or differs widely and the motion comes first in some."""
+    if len(delays.delay) < _FEW:
+        return []
+    slope, _, least, most = theilslopes(delays.delay, delays.time, 0.99)
+    lasts = float(np.ptp(delays.time))
+    if max(least, -most) * lasts > _DRIFT:
+        evidence = f"{delays.words}, and {slope * lasts:+.2f} s more at the end than at the beginning "
+        evidence += f"({least * lasts:+.2f} to {most * lasts:+.2f}, 99 %)"
+        how = "no constant delay fixes it: record it with the clock of the pose, or align its clock with [alignment]"
+        return [Finding("warning", name, "has a clock that drifts", evidence, how, 0.9)]
+    return _uneven(name, delays, *_WIDE)
+
+
+def uneven_delay(name: str, delays: WindowDelays) -> list[Finding]:
+    """A warning if the delay differs slightly between stretches, where no constant delay is wrong."""
+    if len(delays.delay) < _SEVERAL or np.median(delays.delay) > _MIDDLE:
+        return []
+    return _uneven(name, delays, *_SLIGHT)
+
+
+def _uneven(name: str, delays: WindowDelays, spread: float, share: float, before: float) -> list[Finding]:
+    low, high = np.percentile(delays.delay, (10, 90))
+    if high - low < spread or np.percentile(delays.delay, share) > before:
+        return []
+    how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
+    return [Finding("warning", name, "has a delay that changes", delays.words, how + " with [alignment]", 0.9)]

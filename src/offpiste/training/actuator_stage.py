@@ -1,0 +1,148 @@
+"""Fits the actuators' delay models, once for all runs: they are stored under a digest of all that they follow from.
+
+They follow from dataset, vehicle, settings of their stage and seed alone, whichever model is trained. An entry of the
+user's cache is one safetensors file with its own digest, written whole or not at all.
+"""
+
+import logging
+import platform
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numba
+import numpy as np
+import torch
+
+from offpiste.cache import cache_folder
+from offpiste.checksums import sha256_of_arrays
+from offpiste.compilation import single_threaded_torch, sources_digest, target_machine
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import Vehicle
+from offpiste.dynamics.actuator_lags import lagging_of
+from offpiste.dynamics.actuators import Actuators
+from offpiste.errors import RunError
+from offpiste.training.checkpoint import load_tensors, save_tensors
+from offpiste.training.config import TrainConfig
+from offpiste.training.distributed import ALONE, Group
+from offpiste.training.kept_epoch import KeptEpoch
+from offpiste.training.losses import FITTED_STEPS, actuator_loss
+from offpiste.training.optimise import Record, Stage, metrics_of, run_stage, write_metrics
+
+logger = logging.getLogger(__name__)
+
+NAME: Final = "actuators"
+"""Of the stage, and stem of its files."""
+
+FORMAT: Final = 1
+"""Version of an entry and of its digest."""
+
+SETTINGS: Final = (
+    "actuator_epochs", "batch", "stride", "learning_rate", "constants_learning_rate", "gradient_clip", "start", "seed",
+    "device",
+)  # fmt: skip
+"""Settings of a training that the actuators' stage reads."""
+
+SOURCES: Final = ("dynamics", "training", "dataset/windows.py", "channels.py", "conventions.py", "compilation.py")
+"""Code that the fit runs through, relative to the package."""
+
+
+def fit_actuators(
+    actuators: Actuators,
+    config: TrainConfig,
+    windows: Windows,
+    validation: Windows,
+    folder: Path,
+    record: Record,
+    group: Group = ALONE,
+) -> KeptEpoch:
+    """Fit the actuators' models, or take those of an earlier run with the same digest: the weights are the same.
+
+    Raises:
+        TrainingError: as `run_stage`.
+    """
+    fitted, validated = (part.without_terrain(FITTED_STEPS) for part in (windows, validation))
+    key, done = "", (folder / f"{NAME}.safetensors").exists()
+    if group.writes and not done:
+        key = stage_key(fitted, validated, actuators.vehicle, config, group.size)
+        done = take_stage(key, folder)
+    group.together(None)
+    loss = actuator_loss(actuators, windows.without_terrain())
+    with single_threaded_torch():
+        stage = Stage(NAME, actuators, loss, config.actuator_epochs)
+        kept = run_stage(stage, fitted, validated, config, folder, record, group)
+    if group.writes and not done:
+        store_stage(key, folder)
+    return kept
+
+
+def stage_key(windows: Windows, validation: Windows, vehicle: Vehicle, config: TrainConfig, processes: int) -> str:
+    """Digest of all that fitted actuators follow from: recorded rows, channels, settings, code and machine.
+
+    Args:
+        windows, validation: of the two parts, as the stage reads them.
+        processes: that train together; their sums are rounded otherwise.
+    """
+    arrays = windows.motion() | {"rows to train": windows.rows, "rows to validate": validation.rows}
+    settings = asdict(config)
+    lags = {
+        one.label: [one.actuator.name, one.actuator.follows, one.columns, one.lag.residual, *_code_of(one.lag.change)]
+        + [[name, *bounds] for name, bounds in one.lag.constants.items()]
+        for one in lagging_of(vehicle)
+    }
+    about = {
+        "format": FORMAT,
+        "settings": {name: settings[name] for name in SETTINGS},
+        "horizon": windows.horizon,
+        "channels": [vehicle.control, vehicle.actuators, vehicle.control_columns, vehicle.actuator_columns],
+        "lags": lags,
+        "processes": processes,
+        "code": sources_digest(SOURCES),
+        "versions": [torch.__version__, numba.__version__, np.__version__, platform.python_version()],
+        "machine": [target_machine(), torch.backends.cpu.get_cpu_capability()],
+    }
+    return sha256_of_arrays(arrays, about)
+
+
+def _code_of(function: Any) -> list[str]:
+    """What a function does, wherever an extension defines it."""
+    code = function.__code__
+    return [code.co_code.hex(), repr(code.co_names), repr([c for c in code.co_consts if not hasattr(c, "co_code")])]
+
+
+def stage_entry(key: str) -> Path:
+    """The file of an entry."""
+    return cache_folder() / "stages" / f"{NAME}-{key[:32]}.safetensors"
+
+
+def take_stage(key: str, run: Path) -> bool:
+    """Put the stored stage into a run, as if it had been fitted there; False where there is none that can be read."""
+    entry = stage_entry(key)
+    if not entry.is_file():
+        return False
+    try:
+        weights, about = load_tensors(entry)
+        if about.get("key") != key:
+            raise RunError("is of another stage", where=entry)
+        metrics, kept = about["metrics"], about["kept"]
+    except (RunError, KeyError) as error:
+        logger.warning(f"{entry}: cannot be used, the actuators are fitted again ({error})")
+        return False
+    # The stage's own file comes last: with it, the stage is done.
+    write_metrics(run / "metrics.jsonl", metrics)
+    save_tensors(run / f"{NAME}.safetensors", weights, **kept)
+    logger.info(f"{NAME}: taken from {entry}, fitted before on the same data with the same settings and seed")
+    return True
+
+
+def store_stage(key: str, run: Path) -> None:
+    """Keep a run's fitted stage for other runs; a cache that cannot be written is left alone."""
+    entry = stage_entry(key)
+    weights, kept = load_tensors(run / f"{NAME}.safetensors")
+    metrics = [line for line in metrics_of(run / "metrics.jsonl") if line["stage"] == NAME]
+    try:
+        save_tensors(entry, weights, key=key, kept=kept, metrics=metrics)
+    except OSError as error:
+        logger.info(f"{NAME}: fitted; not kept for other runs ({error})")
+    else:
+        logger.info(f"{NAME}: fitted, and kept for other runs in {entry}")

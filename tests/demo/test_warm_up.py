@@ -1,0 +1,31 @@
+"""What `offpiste warm-up` compiles is what training calls."""
+
+import numpy as np
+import torch
+
+from feature_datasets import dataset_with_features
+from offpiste.compilation import KERNELS
+from offpiste.dataset.windows import Windows
+from offpiste.demo.warm_up import compile_training
+from offpiste.dynamics.kernels import actuators, encoder, rollout
+from offpiste.training.build import build, vehicle_of
+from offpiste.training.prediction import predict
+
+ENTRIES = (
+    rollout.forward, rollout.backward, encoder.encode_forward, encoder.encode_backward, encoder.add_by_cell,
+    actuators.lag_forward, actuators.lag_backward,
+)  # fmt: skip
+
+
+def test_training_compiles_nothing_more(tmp_path) -> None:
+    assert KERNELS.part
+    compile_training()
+    compiled = [set(entry.signatures) for entry in ENTRIES]
+    assert all(compiled)
+    dataset = dataset_with_features(tmp_path / "data.zarr")
+    model, windows = build("dc", vehicle_of(dataset), seed=0), Windows(dataset, "train")
+    model.actuators.requires_grad_(False)
+    predict(model, windows.gather(np.arange(3))).state.sum().backward()
+    with torch.no_grad():
+        predict(model, windows.gather(np.arange(3)))
+    assert [set(entry.signatures) for entry in ENTRIES] == compiled

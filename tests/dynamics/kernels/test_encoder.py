@@ -1,0 +1,123 @@
+"""The encoder's kernels against the eager layers in float64: codes, and the gradients of all weights."""
+
+import copy
+
+import pytest
+import torch
+from torch import Tensor
+
+from offpiste.dynamics.feature_encoder import Compressor, Identity
+from offpiste.dynamics.kernels.encoder import CELLS, CHUNK, codes_under_wheels, encode_cells, supports_encoder
+
+TOLERANCE = 2e-5
+"""Of the largest value of each tensor."""
+
+
+def example(features: int = 8, size: int = 4) -> Compressor:
+    """Random weights, means and scales, in float64."""
+    torch.manual_seed(0)
+    encoder = Compressor(features, size=size)
+    for parameter in encoder.parameters():
+        parameter.data += 0.3 * torch.randn_like(parameter)
+    encoder.mean += torch.randn_like(encoder.mean)
+    encoder.scale *= 0.5 + torch.rand_like(encoder.scale)
+    return encoder.double()
+
+
+def cells(count: int, features: int) -> tuple[Tensor, Tensor]:
+    """Random cells, some without features (NaN), a few far outside of what the scale says."""
+    draw = torch.Generator().manual_seed(count)
+    values, valid = torch.randn(count, features, generator=draw), torch.rand(count, generator=draw) < 0.7
+    values[::11] *= 30
+    values[~valid] = torch.nan
+    return values, valid
+
+
+def run(encoder: Compressor, values: Tensor, valid: Tensor, *, eager: bool) -> tuple[Tensor, dict[str, Tensor]]:
+    """Codes, and the gradients of a weighted sum of them."""
+    values = values.to(encoder.mean.dtype)
+    assert supports_encoder(encoder, values) is not eager
+    codes = encoder(values, valid) if eager else encode_cells(encoder, values, valid)
+    weight = torch.randn(codes.shape, generator=torch.Generator().manual_seed(1)).to(codes.dtype)
+    encoder.zero_grad()
+    (weight * codes).sum().backward()
+    return codes, {name: p.grad.clone() for name, p in encoder.named_parameters() if p.grad is not None}
+
+
+@pytest.mark.parametrize(
+    ("count", "features", "size"),
+    [(1, 8, 4), (CELLS, 40, 4), (CELLS + 1, 5, 1), (300, 2, 3), (CHUNK * CELLS + 70, 40, 16)],
+)
+def test_kernels_agree_with_the_eager_layers(count: int, features: int, size: int) -> None:
+    encoder, (values, valid) = example(features, size), cells(count, features)
+    wanted, wanted_gradients = run(encoder, values, valid, eager=True)
+    found, gradients = run(copy.deepcopy(encoder).float(), values, valid, eager=False)
+    assert gradients.keys() == wanted_gradients.keys()
+    pairs = [(found, wanted), *((gradients[name], wanted_gradients[name]) for name in gradients)]
+    assert all((a.double() - b).abs().max() < TOLERANCE * b.abs().max() for a, b in pairs)
+
+
+def test_features_beyond_those_that_are_read_change_nothing() -> None:
+    encoder, (values, valid) = example(5).float(), cells(100, 9)
+    assert torch.equal(encode_cells(encoder, values, valid), encode_cells(encoder, values[:, :5], valid))
+
+
+def test_cells_without_features_have_the_code_of_missing_ones() -> None:
+    encoder, (values, valid) = example().float(), cells(100, 8)
+    codes = encode_cells(encoder, values, torch.zeros_like(valid))
+    torch.testing.assert_close(codes, encoder.missing().expand_as(codes), atol=1e-5, rtol=1e-5)
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    encoder, (values, valid) = example().float(), cells(50, 8)
+    _, gradients = run(encoder, values, valid, eager=False)
+    for name, parameter in encoder.named_parameters():
+        before, sums = parameter.detach().clone(), []
+        along = torch.randn(before.shape, generator=torch.Generator().manual_seed(2))
+        for step in (1e-2, -1e-2):
+            parameter.data = before + step * along
+            codes, _ = run(encoder, values, valid, eager=False)
+            weight = torch.randn(codes.shape, generator=torch.Generator().manual_seed(1))
+            sums.append(float((weight * codes).detach().double().sum()))
+        parameter.data = before
+        wanted, scale = float((gradients[name] * along).sum()), float(gradients[name].norm() * along.norm())
+        assert (sums[0] - sums[1]) / 2e-2 == pytest.approx(wanted, abs=0.02 * scale)
+
+
+def test_numbers_do_not_depend_on_gradients_and_threads() -> None:
+    encoder, (values, valid) = example().float(), cells(5 * CHUNK * CELLS, 8)
+    found, gradients = run(encoder, values, valid, eager=False)
+    with torch.no_grad():
+        assert torch.equal(encode_cells(encoder, values, valid), found)
+    threads = torch.get_num_threads()
+    try:
+        for other in (1, 3):
+            torch.set_num_threads(other)
+            codes, again = run(encoder, values, valid, eager=False)
+            assert torch.equal(codes, found)
+            assert all(torch.equal(again[name], gradients[name]) for name in gradients)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_what_the_kernels_cannot_do_is_left_to_torch() -> None:
+    values, _ = cells(3, 8)
+    assert supports_encoder(example().float(), values)
+    assert not supports_encoder(example(), values)
+    assert not supports_encoder(Identity(8), values)
+    assert not supports_encoder(example().float(), values.nan_to_num().requires_grad_())
+
+
+@pytest.mark.parametrize("kind", [torch.int32, torch.int64])
+def test_codes_under_wheels_and_their_gradient_are_those_of_indexing(kind: torch.dtype) -> None:
+    draw = torch.Generator().manual_seed(0)
+    codes = torch.randn(30, 3, generator=draw, requires_grad=True)
+    # Some cells many times, some never.
+    rows = torch.randint(0, 25, (7, 11, 4), generator=draw).to(kind)
+    weight = torch.randn(7, 11, 4, 3, generator=draw)
+    found = codes_under_wheels(codes, rows)
+    assert torch.equal(found, codes[rows.long()])
+    (given,) = torch.autograd.grad((weight * found).sum(), codes)
+    (wanted,) = torch.autograd.grad((weight.double() * codes.double()[rows.long()]).sum(), codes)
+    torch.testing.assert_close(given, wanted, atol=1e-5, rtol=1e-5)
+    assert not given[25:].any()

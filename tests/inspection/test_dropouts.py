@@ -1,0 +1,62 @@
+"""Falls to one value and back: found where a channel else changes steadily."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.dropouts import check_dropouts
+from offpiste.inspection.findings import Finding
+from offpiste.logs.drive import drive_from_log
+
+CLEAN = drive_log(seed=0)
+for _field in ("command", "angle"):  # a wheel that is turned slowly
+    CLEAN = CLEAN.change("steering", _field, lambda values: 0.9 * np.sin(0.1 + np.arange(len(values)) / 40))
+
+
+def _found(log: MemoryLog) -> list[Finding]:
+    drive = drive_from_log(log, rig())
+    return check_dropouts(drive, driven_path(drive))
+
+
+def _fallen(topic: str, field: str, count: int) -> MemoryLog:
+    """The log with a field at zero for a while, from where it is largest on."""
+    first = int(np.abs(CLEAN.data[topic][1][field]).argmax()) - count // 2
+
+    def fall(values: np.ndarray) -> np.ndarray:
+        values[first : first + count] = 0.0
+        return values
+
+    return CLEAN.change(topic, field, fall)
+
+
+@pytest.mark.parametrize(
+    ("topic", "field", "name"),
+    [("steering", "command", "steer"), ("steering", "angle", "steer_angle"), ("odom", "vx", "linear_velocity")],
+)
+def test_a_fall_is_named_with_its_time(topic: str, field: str, name: str) -> None:
+    log = _fallen(topic, field, 8)
+    if field == "vx":  # all components fall at once
+        held = log.data[topic][1]["vx"] == 0
+        log = log.change(topic, "vy", lambda v: np.where(held, 0.0, v)).change(
+            topic, "vz", lambda v: np.where(held, 0.0, v)
+        )
+    (finding,) = _found(log)
+    time, columns = log.data[topic]
+    since = time[np.flatnonzero(columns[field] == 0)[0]] - time[0]
+    assert (finding.severity, finding.where) == ("warning", name)
+    assert f"from {since:.2f} s on" in finding.evidence
+
+
+def test_a_wheel_that_is_turned_at_once_again_and_again_is_driven_so() -> None:
+    random = np.random.default_rng(0)
+
+    def switched(values: np.ndarray) -> np.ndarray:
+        return np.repeat(random.uniform(-1, 1, len(values) // 25 + 1), 25)[: len(values)]
+
+    assert _found(CLEAN.change("steering", "command", switched)) == []
+
+
+def test_pedals_are_let_go_in_an_instant_and_clean_logs_do_not_fall() -> None:
+    assert _found(_fallen("pedals", "throttle", 30)) == []
+    assert _found(CLEAN) == []

@@ -1,0 +1,61 @@
+"""Delays of the turning by stretches: clocks that drift, copies that are late by turns, constant delays."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.steering_delays import WindowDelays, changing_delay, uneven_delay, window_delays
+from offpiste.logs.drive import drive_from_log
+
+CLEAN = drive_log(seed=0, seconds=120.0)
+
+
+def _delays(log: MemoryLog) -> WindowDelays:
+    drive = drive_from_log(log, rig())
+    return window_delays(drive.channels["steer"], driven_path(drive), rig())
+
+
+def _late(by: np.ndarray | float) -> MemoryLog:
+    """The log with its command `by` late [s]."""
+    time, _ = CLEAN.data["steering"]
+    return CLEAN.change("steering", "command", lambda values: np.interp(time - by, time, values))
+
+
+@pytest.mark.parametrize("by", [0.0, 0.3, -0.4])
+def test_stretches_show_the_delay(by: float) -> None:
+    """The bicycle turns at once."""
+    delays = _delays(_late(by))
+    assert len(delays.delay) > 10
+    assert np.median(delays.delay) == pytest.approx(-by, abs=0.03)
+    assert changing_delay("steer", delays) == []
+    assert uneven_delay("steer", delays) == []
+
+
+@pytest.mark.parametrize("drift", [0.5, -0.5])
+def test_a_clock_that_drifts_is_named_with_its_change(drift: float) -> None:
+    time, _ = CLEAN.data["steering"]
+    (finding,) = changing_delay("steer", _delays(_late(drift * (time - time[0]) / np.ptp(time))))
+    assert (finding.severity, finding.what) == ("warning", "has a clock that drifts")
+    said = float(finding.evidence.split("and ")[1].split(" s")[0])
+    assert said == pytest.approx(-drift, abs=0.12)
+
+
+def test_a_copy_that_is_late_by_turns_has_a_delay_that_changes() -> None:
+    time, _ = CLEAN.data["steering"]
+    by_turns = np.where(((time - time[0]) // 15) % 2 == 0, 0.0, 0.8)
+    (finding,) = changing_delay("steer", _delays(_late(by_turns)))
+    assert finding.what == "has a delay that changes"
+
+
+def test_few_early_stretches_do_not_count() -> None:
+    time = np.arange(20.0)
+    mostly_usual = WindowDelays(time, np.array([0.3, 0.25, -0.2] + [0.28, 0.22] * 8 + [-0.15]))
+    assert changing_delay("steer", mostly_usual) == []
+    assert uneven_delay("steer", mostly_usual) == []
+
+
+def test_a_slight_change_counts_where_most_are_early() -> None:
+    delays = WindowDelays(np.arange(10.0), np.array([0.05, -0.2, 0.0, -0.25, 0.1, -0.2, 0.0, -0.1, 0.1, -0.2]))
+    (finding,) = uneven_delay("steer", delays)
+    assert "10 stretches" in finding.evidence

@@ -1,0 +1,61 @@
+"""Sensors beside a vehicle that drives on."""
+
+import threading
+from types import SimpleNamespace
+from unittest.mock import create_autospec
+
+import pytest
+
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sensors.suite import AHEAD, Sensing, observed
+
+
+def samples(count, at=None):
+    for n in range(count):
+        if n == at:
+            raise KeyboardInterrupt
+        sample = create_autospec(VehicleSample, instance=True)
+        sample.time = float(n)
+        yield sample
+
+
+def sensing(observe):
+    made = create_autospec(Sensing, instance=True)
+    made.observe = observe
+    return made
+
+
+@pytest.mark.parametrize("count", [0, 1, AHEAD, 3 * AHEAD])
+def test_each_sample_comes_with_its_own_measurements_in_order(count):
+    threads = set()
+
+    def observe(sample, stamp_ns):
+        threads.add(threading.current_thread())
+        yield "/topic", stamp_ns(sample.time)
+
+    found = list(observed(samples(count), sensing(observe), lambda time: int(10 * time)))
+    assert [sample.time for sample, _ in found] == list(range(count))
+    assert [messages for _, messages in found] == [[("/topic", 10 * n)] for n in range(count)]
+    assert len(threads) == min(count, 1)
+    assert threading.current_thread() not in threads
+
+
+def test_without_sensors_samples_pass_as_they_are():
+    assert [messages for _, messages in observed(samples(3), None, int)] == [[], [], []]
+
+
+def test_an_error_of_a_sensor_reaches_the_drive():
+    def observe(sample, stamp_ns):
+        if sample.time == 2:
+            raise OSError("broken")
+        yield "/topic", SimpleNamespace()
+
+    with pytest.raises(OSError, match="broken"):
+        list(observed(samples(100), sensing(observe), int))
+
+
+def test_an_interruption_leaves_no_thread():
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        list(observed(samples(100, at=40), sensing(lambda sample, stamp_ns: iter(())), int))
+    assert threading.active_count() == before

@@ -1,0 +1,77 @@
+"""Machine code is kept in the user's folder, in processes of their own: Numba looks for its folders once."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CODE = """
+import logging, sys
+logging.basicConfig(level=logging.INFO, format="%(message)s")
+sys.path.insert(0, sys.argv[1])
+import called
+print(called.double(3.0))
+"""
+MODULE = """
+from offpiste.compilation import Compiler
+
+COMPILER = Compiler((), part="the doubling", seconds=7)
+
+@COMPILER.entry
+def double(x):
+    return x + x
+
+@COMPILER.entry
+def triple(x):
+    return x + x + x
+
+triple(1.0)
+"""
+WAITS = "compiling the doubling once, about 7 s; `offpiste warm-up` does it ahead\n"
+
+
+@pytest.fixture
+def module(tmp_path: Path) -> Path:
+    folder = tmp_path / "module"
+    folder.mkdir()
+    (folder / "called.py").write_text(MODULE)
+    return folder
+
+
+def called(module: Path, cache: Path) -> str:
+    """What a process logs that calls the entries."""
+    others = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
+    environment = others | {"OFFPISTE_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, str(module)], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "6.0\n"
+    return done.stderr
+
+
+def test_the_first_call_says_what_it_waits_for_and_others_do_not_wait(module: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert called(module, cache) == WAITS  # once, not for each entry
+    assert len(list((cache / "kernels").rglob("*.nbc"))) == 2
+    assert not list(module.rglob("*.nbc"))
+    assert called(module, cache) == ""
+
+
+def test_damaged_machine_code_is_compiled_again(module: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    called(module, cache)
+    for ending, content in (("*.nbc", b"\x80"), ("*.nbi", b""), ("*.nbi", b"no pickle")):
+        for kept in cache.rglob(ending):
+            kept.write_bytes(content)
+        said = called(module, cache)
+        assert said.count("cannot be used, and is compiled again") == 2
+        assert WAITS in said
+        assert called(module, cache) == ""
+
+
+def test_a_folder_that_cannot_be_made_is_done_without(module: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    assert called(module, tmp_path / "file") == WAITS
+    assert list(module.rglob("*.nbc")), "beside the sources, which can be written here"

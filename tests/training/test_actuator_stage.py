@@ -1,0 +1,116 @@
+"""Actuators that are fitted once: the same weights whether fitted or taken, and never those of something else."""
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+import kill
+from offpiste.cache import VARIABLE
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics.models import initial_actuators
+from offpiste.training import actuator_stage
+from offpiste.training.actuator_stage import stage_key
+from offpiste.training.build import vehicle_of
+from offpiste.training.config import TrainConfig
+from offpiste.training.losses import FITTED_STEPS, actuator_loss
+from offpiste.training.train import train
+
+QUICK = TrainConfig("b", epochs=1, bicycle_epochs=1, actuator_epochs=2, stride=60, batch=32)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("steering")
+    kill.recorded_steering(folder, np.random.default_rng(0))
+    return open_dataset(folder / "features.zarr")
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache" / "stages"
+
+
+def files(run: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in run.glob("*.safetensors")}
+
+
+def epochs(run: Path) -> list[dict]:
+    return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_a_second_run_takes_what_the_first_has_fitted(
+    dataset: Dataset, cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    train(dataset, QUICK, tmp_path / "fitted")
+    assert "actuators: fitted, and kept for other runs in" in caplog.text
+    caplog.clear()
+    train(dataset, replace(QUICK, model="dc"), tmp_path / "other")
+    assert f"actuators: taken from {cache}" in caplog.text
+    train(dataset, QUICK, tmp_path / "taken")
+    assert files(tmp_path / "taken") == files(tmp_path / "fitted")
+    assert [e for e in epochs(tmp_path / "taken") if e["stage"] == "actuators"] == epochs(tmp_path / "fitted")[:2]
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_a_damaged_entry_is_fitted_again(
+    dataset: Dataset, cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    train(dataset, QUICK, tmp_path / "first")
+    (entry,) = cache.iterdir()
+    whole = entry.read_bytes()
+    other = entry.with_name("other.safetensors")
+    for number, damaged in enumerate((whole[:-100], whole[:-1] + bytes([whole[-1] ^ 1]), b"")):
+        entry.write_bytes(damaged)
+        caplog.clear()
+        train(dataset, QUICK, tmp_path / f"again-{number}")
+        assert "cannot be used, the actuators are fitted again" in caplog.text
+        assert files(tmp_path / f"again-{number}") == files(tmp_path / "first")
+        assert load_file(entry).keys() == load_file(tmp_path / "first" / "actuators.safetensors").keys()
+    assert not other.exists()
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
+    train(dataset, QUICK, tmp_path / "run")
+    assert "actuators: fitted; not kept for other runs" in caplog.text
+
+
+def test_the_key_changes_with_all_that_the_fit_reads(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = vehicle_of(dataset)
+
+    def key(config: TrainConfig = QUICK, *, processes: int = 1, part: str = "train", **changed: object) -> str:
+        of = [Windows(dataset, name, start=config.start).without_terrain(FITTED_STEPS) for name in (part, "validation")]
+        return stage_key(*of, replace(vehicle, **changed), config, processes)
+
+    settings = {"seed": 1, "batch": 31, "stride": 3, "actuator_epochs": 3, "start": "smoothed", "learning_rate": 0.1}
+    others = [key(replace(QUICK, **{name: value})) for name, value in settings.items()]
+    others += [key(processes=2), key(part="test"), key(actuators=())]
+    monkeypatch.setattr(actuator_stage, "sources_digest", lambda sources: "other")
+    others.append(key())
+    monkeypatch.undo()
+    assert len({key(), *others}) == len(others) + 1
+    alike = replace(QUICK, model="dc", epochs=7, bicycle_epochs=9, codes=2, refit_constants=True)
+    assert key(alike) == key() == key(mass=1.0, codes=2)
+
+
+def test_motion_alone_gives_the_same_loss(dataset: Dataset) -> None:
+    windows, lags = Windows(dataset, "train"), initial_actuators(vehicle_of(dataset), 0)
+    loss = actuator_loss(lags, windows)
+    index = np.arange(0, len(windows), 50)
+    with torch.no_grad():
+        whole = loss(windows.gather(index))
+        assert torch.equal(loss(windows.without_terrain().gather(index)), whole)
+        assert torch.equal(loss(windows.without_terrain(FITTED_STEPS).gather(index)), whole)
