@@ -4,14 +4,13 @@
 
 finishes `offpiste reproduce fig4 --size laptop` in `--reproduction` and the control experiment `oracle` in `--controls`
 where they are not, takes of each model the run with the least validation loss, and replaces the folder `--out`.
+`python -m experiments.closed_loop_table --cards` adds how planners drive with them.
 """
 
 import json
 import shutil
-import subprocess
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -24,6 +23,7 @@ from experiments.control_experiments.errors import MAP, errors_of, evaluation_in
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
+from experiments.provenance import commit, today
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
@@ -196,11 +196,12 @@ def card_of(
         lookup=LOOKUP.get(model.name, "the map as the vehicle had it"),
         seed=model.best.seed,
         seeds=tuple(each.seed for each in model.runs),
-        commit=_commit(),
-        date=datetime.now(UTC).date().isoformat(),
+        commit=commit(),
+        date=today(),
         figures=tuple(figures),
         over_seeds=figures_of("all", model.errors, None if blind is None else blind.errors, groups[0][1]),
         not_for=NOT_FOR,
+        warnings=tuple(dataset.findings),
     )
 
 
@@ -230,11 +231,6 @@ def _copy(run_folder: Path, to: Path) -> None:
     about = load_json(run_folder / "model.json")
     features = list(open_dataset(about["dataset"]).features)
     save_json(to / "model.json", {**about, "dataset": "", "split": "drives:parts.txt", "features": features})
-
-
-def _commit() -> str:
-    command = ["git", "describe", "--always", "--dirty"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from experiments.closed_loop_table.cards import write_driving
 from experiments.closed_loop_table.drives import DEVELOPMENT, TEST, drive_all, entries, places
 from experiments.closed_loop_table.table import write_table
 from experiments.command import run
@@ -43,6 +44,8 @@ class ClosedLoop:
     """Latencies of the first dc and the first ceiling, beside 0.1 [s]."""
     keep_logs: bool = False
     """Keep the log of every drive: 150 MB each."""
+    cards: bool = False
+    """Write the driven cost against that of `b` into the cards of the runs that have one: models that ship."""
     faults: bool = False
     """Instead, drive each sensor fault once with every given run, into OUT/faults."""
 
@@ -68,6 +71,8 @@ class ClosedLoop:
         if not self.faults:
             results = drive(entries(planners, self.latencies), out=self.out, settings=settings)
             logger.info(write_table(results, self.out, self.seconds))
+            if self.cards:
+                write_driving(planners, results, self.seconds)
             return
         kinds: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "none")
         for kind in kinds:

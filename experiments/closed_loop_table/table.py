@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.evaluation.intervals import MIN_UNITS, resampling
+from offpiste.evaluation.intervals import MIN_UNITS, PairedDifference, resampling
 from offpiste.files import write_text
 
 MEASURES: Final = {
@@ -82,12 +82,27 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
     Args:
         limit: of a drive's time: what did not finish counts with that [s].
     """
+    drives = by_row(results)
+    return "\n".join([*_means(drives, limit), "", *_differences(drives, limit)]) + "\n"
+
+
+def by_row(results: Sequence[dict[str, Any]]) -> Drives:
+    """Results sorted by row, seed of the run, and course."""
     rows = list(dict.fromkeys(r["row"] for r in results))
     courses = list(dict.fromkeys((r["world"], r["seed"]) for r in results))
     seeds = {row: list(dict.fromkeys(r["run_seed"] for r in results if r["row"] == row)) for row in rows}
     by = {(r["row"], r["run_seed"], r["world"], r["seed"]): r for r in results}
-    drives = {row: {s: [by.get((row, s, *course)) for course in courses] for s in seeds[row]} for row in rows}
-    return "\n".join([*_means(drives, limit), "", *_differences(drives, limit)]) + "\n"
+    return {row: {s: [by.get((row, s, *course)) for course in courses] for s in seeds[row]} for row in rows}
+
+
+def driven_cost_against(drives: Drives, row: str, base: str, limit: float) -> PairedDifference | None:
+    """Driven cost of a row relative to another's on the same courses (-0.1: 10 % below); None on too few."""
+    mine, its = _paired_runs(drives[row], drives[base])
+    found = paired(_values(mine, "driven_cost", limit), _values(its, "driven_cost", limit)) if mine else None
+    if found is None:
+        return None
+    mean, low, high = (float(np.expm1(value)) for value in (found.mean, found.low, found.high))
+    return PairedDifference(mean, (low, high))
 
 
 def _means(drives: Drives, limit: float) -> list[str]:

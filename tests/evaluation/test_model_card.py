@@ -5,7 +5,16 @@ import pytest
 
 from offpiste.errors import RunError
 from offpiste.evaluation.intervals import Levels, PairedDifference
-from offpiste.evaluation.model_card import CARD, PAGE, GroupFigures, ModelCard, card_page, load_card, write_card
+from offpiste.evaluation.model_card import (
+    CARD,
+    PAGE,
+    CourseFigures,
+    GroupFigures,
+    ModelCard,
+    card_page,
+    load_card,
+    write_card,
+)
 
 ALL = GroupFigures(
     "all", 640, Levels(12, 60), PairedDifference(3.04, (2.5, 3.5)), PairedDifference(-0.24, (-0.3, -0.2))
@@ -51,3 +60,12 @@ def test_no_card_is_one_line(tmp_path, content):
     with pytest.raises(RunError, match="has no card that can be read") as error:
         load_card(tmp_path)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("high", "shown"), [(0.34, False), (-0.1, True)])
+def test_the_page_says_how_a_planner_drives_and_whether_that_is_shown(high, shown):
+    driving = CourseFigures(20, PairedDifference(-0.2, (-0.54, high)), "abc", "2026-11-23")
+    page = card_page(msgspec.structs.replace(CARD_OF_ONE, driving=driving))
+    assert f"On 20 courses in worlds that no model had seen, its driven cost is -20 % [-54, {100 * high:.0f}]" in page
+    assert ("no difference is shown" in page) != shown
+    assert "drives with it" not in card_page(CARD_OF_ONE)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.evaluation.model_card import load_card
+from offpiste.evaluation.model_card import driving_words, load_card
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.training.prediction import in_parts, roll_out
 from offpiste.training.run import load_run
@@ -94,7 +94,8 @@ def closing_words(predictions: Predictions) -> Iterator[str]:
         f"Here, from {len(predictions.row)} moments of the drive, dc's predictions end {abs(100 * gain):.0f} %"
         f" {nearer} where the vehicle then was: {dc:.2f} m off after 5 s instead of {b:.2f} m."
     )
-    figures = load_card(predictions.folders["dc"]).over_seeds
+    card = load_card(predictions.folders["dc"])
+    figures = card.over_seeds
     if figures.against_b is not None:
         low, high = (-100 * bound for bound in reversed(figures.against_b.ci95))
         yield (
@@ -102,6 +103,8 @@ def closing_words(predictions: Predictions) -> Iterator[str]:
             f" {figures.windows} windows in {figures.levels.drives} worlds that no model had seen,"
             f" {figures.levels.seeds} trainings each. A single drive may say otherwise."
         )
+    if card.driving is not None:
+        yield f"How dc drives: {driving_words(card.driving).replace('`', '')}"
 
 
 def ending(result: Mapping[str, Any]) -> str:

@@ -32,6 +32,21 @@ class GroupFigures(msgspec.Struct, frozen=True):
     against_b: PairedDifference | None = None
 
 
+class CourseFigures(msgspec.Struct, frozen=True):
+    """How a planner with the model drives the proving ground's courses.
+
+    Attributes:
+        courses: number of them, each in a world of its own that no model has seen.
+        against_b: driven cost relative to that of the `b` that ships beside it, on the same courses.
+        commit, date: of the code that drove, and when.
+    """
+
+    courses: int
+    against_b: PairedDifference
+    commit: str
+    date: str
+
+
 class ModelCard(msgspec.Struct, frozen=True):
     """Card of a trained model.
 
@@ -46,6 +61,7 @@ class ModelCard(msgspec.Struct, frozen=True):
         over_seeds: of the runs of all seeds, on all windows.
         not_for: what it must not be used for.
         warnings: of `inspect` on the logs that it was trained on.
+        driving: on courses, where that was measured.
     """
 
     name: str
@@ -62,6 +78,7 @@ class ModelCard(msgspec.Struct, frozen=True):
     not_for: tuple[str, ...]
     licence: str = "Apache-2.0"
     warnings: tuple[str, ...] = ()
+    driving: CourseFigures | None = None
 
 
 def load_card(folder: Path) -> ModelCard:
@@ -97,6 +114,10 @@ def card_page(card: ModelCard) -> str:
         facts["Warnings of `inspect` on the logs"] = "; ".join(card.warnings)
     lines = [f"# {card.name}", "", card.about, "", *(f"- **{name}**: {text}" for name, text in facts.items()), ""]
     lines += [figures_table(card).markdown()]
+    if card.driving is not None:
+        found = card.driving
+        lines += ["## How a planner drives with it", ""]
+        lines += [f"{driving_words(found)} Commit {found.commit}, {found.date}.", ""]
     lines += ["## What it must not be used for", "", *(f"- {use}" for use in card.not_for), ""]
     return "\n".join(lines)
 
@@ -113,11 +134,25 @@ def figures_table(card: ModelCard) -> TextTable:
     return TextTable("How well it predicts", names, lines, about)
 
 
+def driving_words(driving: CourseFigures) -> str:
+    """Figures of courses in a sentence, and whether they show a difference."""
+    mean, (low, high) = driving.against_b.mean, driving.against_b.ci95
+    shown = "" if low > 0 or high < 0 else ", so no difference is shown"
+    return (
+        f"On {driving.courses} courses in worlds that no model had seen, its driven cost is {_percent(mean)}"
+        f" {interval((100 * low, 100 * high), 0)} against that of `b`{shown}."
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:+.0f} %"
+
+
 def _cells(figures: GroupFigures) -> Sequence[str]:
     error, gain = figures.error_m, figures.against_b
     against = ""
     if gain is not None:
         low, high = (100 * bound for bound in gain.ci95)
-        against = f"{100 * gain.mean:+.0f} % {interval((low, high), 0)}"
+        against = f"{_percent(gain.mean)} {interval((low, high), 0)}"
     text = f"{number(error.mean)} {interval(error.ci95)}"
     return (str(figures.windows), figures.levels.text(), text, against)

@@ -61,10 +61,12 @@ def window_delays(channel: Channel, path: Path, rig: Rig) -> WindowDelays:
     usual = np.nanstd(path.yaw_rate[moving_rows(path)])
     found = []
     for start in np.arange(path.time[0], path.time[-1] - _WINDOW, _WINDOW / 2):
-        rows: Bool[np.ndarray, " n"] = (path.time >= start) & (path.time < start + _WINDOW)
-        if not np.isfinite(path.yaw_rate[rows]).any() or np.nanstd(path.yaw_rate[rows]) < _TURNS * usual:
+        rows = slice(*np.searchsorted(path.time, (start, start + _WINDOW)))
+        yaw_rate = path.yaw_rate[rows]
+        if not np.isfinite(yaw_rate).any() or np.nanstd(yaw_rate) < _TURNS * usual:
             continue
-        fit = fit_lags(path.yaw_rate, path.forward[:, None], turning, LAGS, rows)
+        every: Bool[np.ndarray, " n"] = np.ones(len(yaw_rate), bool)
+        fit = fit_lags(yaw_rate, path.forward[rows, None], turning[:, rows], LAGS, every)
         if fit is None:
             continue
         best = fit.best()
