@@ -21,6 +21,9 @@ def run(*arguments: str) -> int:
     return int(exit_.value.code or 0)
 
 
+QUICK = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100")
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive, extracted and trained on: what the commands read."""
@@ -30,9 +33,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert driven[0].seconds == 120.0
     dataset = str(folder / "dataset.zarr")
     assert run("extract", str(folder / "drive.mcap"), *RIG, "--out", dataset) == 0
-    quick = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100")
-    assert run("train", dataset, "--out", str(folder / "b"), *quick) == 0
+    assert run("train", dataset, "--out", str(folder / "b"), *QUICK) == 0
     return folder
+
+
+def test_train_ends_with_the_next_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset, out = str(folder / "dataset.zarr"), str(folder / "b")
+    assert run("train", dataset, "--out", out, *QUICK, "--resume") == 0
+    assert capsys.readouterr().out.endswith(f"next: offpiste evaluate {out} --dataset {dataset}\n")
 
 
 def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,13 +6,14 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from offpiste.closed_loop.planner import load_planner
+from offpiste.closed_loop.planner import differing_vehicle, load_planner
 from offpiste.conventions import CONTROL
 from offpiste.dynamics import Vehicle
 from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
+from offpiste.rig.rig import load_rig
 from offpiste.training.build import build
 from offpiste.training.checkpoint import save_json, save_tensors
 from offpiste.training.config import Weights
@@ -114,3 +115,11 @@ def test_a_run_that_never_saw_a_throttle_is_refused(tmp_path):
     save_tensors(folder / "model.safetensors", build("b", vehicle, seed=0).state_dict())
     with pytest.raises(RunError, match="without the throttle that a planner would choose"):
         load_planner(folder)
+
+
+def test_another_vehicle_is_described_and_a_similar_one_is_not():
+    own = load_rig("proving_ground").vehicle
+    same = Vehicle(1.05 * own.mass, own.wheelbase, own.max_steer, CONTROL, ())
+    assert differing_vehicle(same, own) is None
+    other = Vehicle(2 * own.mass, own.wheelbase, own.max_steer, CONTROL, ())
+    assert differing_vehicle(other, own) == f"mass {2 * own.mass:.4g} kg, not {own.mass:.4g}"

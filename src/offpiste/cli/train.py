@@ -42,6 +42,7 @@ class Train:
             if self.ddp:
                 raise RunError("--folds and --ddp exclude each other", how="train the folds one after the other")
             train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume)
+            self._say_next()
             return 0
         with joined(self.train.device) if self.ddp else nullcontext(ALONE) as group:
             train(
@@ -52,4 +53,11 @@ class Train:
                 tensorboard=self.tensorboard,
                 group=group,
             )
+            if group.writes:
+                self._say_next()
         return 0
+
+    def _say_next(self) -> None:
+        from offpiste.progress import show
+
+        show(f"next: offpiste evaluate {self.out} --dataset {self.dataset}")

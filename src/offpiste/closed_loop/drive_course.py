@@ -13,7 +13,7 @@ from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_co
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
-from offpiste.closed_loop.planner import Planner
+from offpiste.closed_loop.planner import Planner, differing_vehicle
 from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.errors import Progress
@@ -118,6 +118,8 @@ def drive_course(
     chosen, suite = choose_course(world, settings.world.seed, settings.course), sensor_suite(settings.sensors)
     if planner.extractor is None and not settings.keep_log:
         suite = SensorSuite((), suite.lidars)
+    if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
+        logger.warning(f"{planner.folder} was trained on another vehicle than the proving ground's: {apart}")
     fault = Fault(settings.fault, settings.fault_start)
     runtime = Runtime(
         planner.dynamics,

@@ -74,6 +74,8 @@ def evaluate_runs(
     )
     write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
+    if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
+        logger.info("rows with the lookup 'map' decide: a planner knows the map, and not where the wheels will be")
     if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
         logger.info(
             f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"

@@ -158,6 +158,7 @@ def test_loops_turn_left_and_right(mojave):
     ("change", "said"),
     [
         ({"preset": "moon"}, r"no world 'moon'; there are: .*mojave"),
+        ({"preset": "moon.json"}, r"no world 'moon.json', and no TOML file; give a TOML file, or one of: .*mojave"),
         ({"size": 0.0}, "size is 0.0; choose 60 to 2000 m"),
         ({"size": float("nan")}, "size is nan"),
         ({"resolution": -0.25}, "resolution is -0.25"),

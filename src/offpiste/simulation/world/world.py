@@ -214,4 +214,9 @@ def find_world_preset(world: str) -> WorldPreset:
     Raises:
         OffpisteError: there is no such name or file, or the file is wrong.
     """
-    return read_world_preset(Path(world)) if world.endswith(".toml") else WORLDS[world]
+    if world.endswith(".toml"):
+        return read_world_preset(Path(world))
+    if Path(world).suffix and world not in WORLDS:
+        how = f"give a TOML file, or one of: {', '.join(WORLDS)}"
+        raise OffpisteError(f"no world '{world}', and no TOML file", how=how)
+    return WORLDS[world]
