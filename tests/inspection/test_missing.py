@@ -1,6 +1,7 @@
-"""Channels that the log does not have: named with what is there, and cured by a name that is nearly the same."""
+"""Channels that the log does not have, cured by a name that is nearly the same; controls that nothing reads."""
 
-from simulated import drive_log, rig
+import numpy as np
+from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
 
@@ -35,3 +36,41 @@ def test_a_pose_is_never_declared_absent() -> None:
     assert finding.where == "position"
     assert finding.cures == ()
     assert "[channels.position]" in finding.remedy
+
+
+PEDALS = "".join(f'[channels.{name}]\ntopic = "pedals"\nfields = ["{name}"]\n' for name in ("throttle", "brake"))
+NO_PEDALS = (('absent = ["brake_pressure"', 'absent = ["throttle", "brake", "brake_pressure"'), (PEDALS, ""))
+
+
+def notes(log, *changes):
+    return [f for f in inspect_log(log, rig(*changes)).findings if f.what == "is not read"]
+
+
+def test_pedals_that_nothing_reads_are_named():
+    (finding,) = notes(CLEAN, *NO_PEDALS)
+    assert (finding.severity, finding.where) == ("note", "throttle, brake")
+    assert "pedals" in finding.evidence
+    assert "throttle, brake" in finding.evidence
+    assert "[channels.throttle]" in finding.remedy
+
+
+def test_all_controls_read_or_none_there_is_nothing_to_say():
+    assert notes(CLEAN) == []
+    without = MemoryLog({name: topic for name, topic in CLEAN.data.items() if name != "pedals"})
+    assert notes(without, *NO_PEDALS) == []
+
+
+def test_a_column_that_never_changes_is_no_control():
+    still = CLEAN.change("pedals", "throttle", np.zeros_like).change("pedals", "brake", np.zeros_like)
+    assert notes(still, *NO_PEDALS) == []
+
+
+def test_other_topics_are_no_controls():
+    time, columns = CLEAN.data["pedals"]
+    rest = {name: topic for name, topic in CLEAN.data.items() if name != "pedals"}
+    assert notes(MemoryLog(rest | {"sensors": (time, {"a": columns["throttle"]})}), *NO_PEDALS) == []
+    gas = MemoryLog(rest | {"sensors": (time, {"a": columns["throttle"], "gas": columns["brake"]})})
+    (finding,) = notes(gas, *NO_PEDALS)
+    assert finding.evidence.startswith("nothing reads sensors")
+    assert "gas" in finding.evidence
+    assert " a" not in finding.evidence

@@ -15,7 +15,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.heading_drift import check_heading_drift
 from offpiste.inspection.lags import LagFit
-from offpiste.inspection.missing import check_missing
+from offpiste.inspection.missing import check_missing, check_unread
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
@@ -117,6 +117,10 @@ def _draft_values(topics: Topics) -> list[Finding]:
     return check_draft_values(topics.rig) if topics.rig is not None and topics.given else []
 
 
+def _unread(topics: Topics) -> list[Finding]:
+    return check_unread(topics.recorded, topics.rig) if topics.rig is not None else []
+
+
 def _stamps(topics: Topics) -> list[Finding]:
     return check_stamps(topics.inspected, topics.clock, used=topics.used)
 
@@ -128,6 +132,7 @@ TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
     _dropped,
     _stamps,
     _draft_values,
+    _unread,
 )
 """Checks of topics as recorded; a fatal finding ends the inspection."""
 

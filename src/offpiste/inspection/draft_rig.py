@@ -11,7 +11,14 @@ from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
 from offpiste.inspection.draft_channels import Entry, draft_channels
 from offpiste.inspection.draft_sensors import draft_sensors
-from offpiste.inspection.draft_values import GUESSED, MASS, WHEELS, estimated_wheelbase, wheels_of
+from offpiste.inspection.draft_values import (
+    GUESSED,
+    MASS,
+    WHEELS,
+    estimated_max_steer,
+    estimated_wheelbase,
+    wheels_of,
+)
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.drive import drive_from_log
@@ -34,7 +41,7 @@ absent = {absent}
 [vehicle]               # measure your vehicle, and say in `source` where the numbers come from
 source = {source}
 mass = {mass}           # [kg] with its load
-max_steer = {max_steer:<11} # [rad] road-wheel angle at steer = 1
+max_steer = {max_steer:<11} # [rad] road-wheel angle at steer = 1{by_motion}
 pose_point = "unknown"  # which point of the vehicle the pose is of
 # x forward, y left of the pose point [m]: front-left, front-right, rear-left, rear-right
 wheel_positions = {wheels}
@@ -47,10 +54,17 @@ _LISTED = 60
 
 @dataclass(frozen=True)
 class _Seen:
-    """What the log shows through a rig that knows it not yet: the frame of its velocity, its wheelbase [m] or 0."""
+    """What the log shows through a rig that does not know it yet.
+
+    Attributes:
+        frame: of its velocity.
+        wheelbase: [m], or 0.
+        max_steer: [rad], or 0; of the rig's wheelbase.
+    """
 
     frame: str = "unknown"
     wheelbase: float = 0.0
+    max_steer: float = 0.0
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -81,7 +95,9 @@ def draft_rig(log: Log) -> str:
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
-    seen = _Seen(_frame(log, rig) if "linear_velocity" in rig.channels else "unknown", estimated_wheelbase(log, rig))
+    frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
+    wheelbase = estimated_wheelbase(log, rig)
+    seen = _Seen(frame, wheelbase, estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase))
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -94,7 +110,7 @@ def _text(log: Log, seen: _Seen) -> str:
             how=f"write a rig that names one; it has: {_contents(log)}",
         )
     absent = undeclared(entries)
-    parts = [_header(log, entries, absent, seen.wheelbase)]
+    parts = [_header(log, entries, absent, seen)]
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
     for channel, entry in entries.items():
         parts += [
@@ -115,20 +131,21 @@ def _joints(log: Log, entry: Entry) -> str:
     return f"; {', '.join(named)}" if named else ""
 
 
-def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], wheelbase: float) -> str:
-    name = log.path.resolve().name.split(".")[0]
+def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Seen) -> str:
+    name, wheelbase = log.path.resolve().name.split(".")[0], seen.wheelbase
     wheels = WHEELS if not wheelbase else wheels_of(wheelbase)
     source = f"{GUESSED}: mass and wheel positions are a small car's"
     if wheelbase:
         source = f"{GUESSED}: a wheelbase of {wheelbase:.3g} m by yaw rate and steering angle; the rest is made up"
-    max_steer = next((entry.max_angle for entry in entries.values() if entry.max_angle), _MAX_STEER)
+    stated = next((entry.max_angle for entry in entries.values() if entry.max_angle), 0.0)
     return _HEADER.format(
         name=name,
         quoted=_toml(name),
         absent=_toml(absent),
         source=_toml(source),
         mass=MASS,
-        max_steer=max_steer,
+        max_steer=stated or seen.max_steer or _MAX_STEER,
+        by_motion="; by the yaw rate, for this wheelbase" if seen.max_steer and not stated else "",
         wheels=_toml(wheels),
     )
 

@@ -5,9 +5,10 @@ from typing import Final
 import numpy as np
 
 from offpiste.errors import OffpisteError
-from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.logs.drive import drive_from_log
+from offpiste.inspection.steering_fit import steering_fits
+from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.rig import Rig, Vehicle
 
@@ -31,11 +32,10 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
     """
     if "steer_angle" not in rig.channels:
         return 0.0
-    try:
-        drive = drive_from_log(log, rig)
-        path = driven_path(drive)
-    except OffpisteError:
+    driven = _driven(log, rig)
+    if driven is None:
         return 0.0
+    drive, path = driven
     angle = drive.channels["steer_angle"].linear(path.time, max_gap=rig.clock.max_gap)[:, 0]
     turning = path.forward * np.tan(angle)
     rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
@@ -45,6 +45,31 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
         return 0.0
     wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
     return wheelbase if _WHEELBASES[0] < wheelbase < _WHEELBASES[1] else 0.0
+
+
+def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:
+    """Angle of the road wheels at steer = 1 by yaw rate = speed * steer * tan(angle) / wheelbase, from the poses [rad].
+
+    Args:
+        wheelbase: that the angle is for [m].
+
+    Returns:
+        0 where the rig has no steering, or the vehicle does not clearly follow it.
+    """
+    driven = _driven(log, rig) if "steer" in rig.channels else None
+    fit = None if driven is None else steering_fits(*driven, measured=False).get("steer")
+    if fit is None or fit.gripping.strength < _CLEAR:
+        return 0.0
+    curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
+    return float(f"{np.arctan(curvature * wheelbase):.3g}")
+
+
+def _driven(log: Log, rig: Rig) -> tuple[Drive, Path] | None:
+    try:
+        drive = drive_from_log(log, rig)
+        return drive, driven_path(drive)
+    except OffpisteError:
+        return None
 
 
 def wheels_of(wheelbase: float) -> tuple[tuple[float, float], ...]:

@@ -1,9 +1,13 @@
-"""Check of the rig's channels for topics and fields that the log does not have."""
+"""Checks of the rig's channels against the log's topics and fields: what the log lacks, and what nothing reads."""
 
+import re
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from typing import Final
 
+import numpy as np
+
+from offpiste.channels import CONTROLS
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.rig.channels import ChannelSource
@@ -13,6 +17,15 @@ from offpiste.rig.rig import Rig
 _NEEDED: Final = ("position", "orientation", "yaw")
 """Channels that no log is usable without: they are not declared absent."""
 _LISTED: Final = 12
+_COMMAND: Final = "joy|com+and|cmd|control"
+_NAMES: Final = {
+    "throttle": "throttle|(?<![a-z])gas(?![a-z])|pedal|accelerator",
+    "brake": "brak(e|ing)|pedal",
+    "steer": "steer",
+}
+"""What topics and fields of a control are called."""
+_FIELDS: Final = 6
+"""Fields of a topic that are listed."""
 
 
 def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
@@ -53,3 +66,33 @@ def _renamed(fields: Sequence[str], there: Sequence[str]) -> list[str]:
     """The nearest name of each field, where all have one and no two the same; empty otherwise."""
     nearest = [f if f in there else next(iter(get_close_matches(f, there, 1)), "") for f in fields]
     return nearest if all(nearest) and len(set(nearest)) == len(nearest) else []
+
+
+def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
+    """A note if the rig lacks a control, and topics or fields that it does not read are named like one."""
+    lacking = [control.name for control in CONTROLS if control.name not in rig.channels]
+    named = re.compile("|".join((_COMMAND, *(_NAMES[name] for name in lacking))), re.IGNORECASE)
+    there = list(_unread(recorded, rig, named)) if lacking else []
+    if not there:
+        return []
+    names = ", ".join(lacking)
+    remedy = f"if one of them is it, give [channels.{lacking[0]}] its topic and fields, and take it out of `absent`"
+    return [Finding("note", names, "is not read", f"nothing reads {'; '.join(there)}", remedy, 0.3)]
+
+
+def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> Iterator[str]:
+    """What is named like a control and not read, in words: topic, type and fields."""
+    for name, r in recorded.items():
+        read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
+        still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _varies(column)}
+        fields = [field for field in r.topic.fields if field not in read | still]
+        if read or not named.search(name):
+            fields = [field for field in fields if named.search(r.topic.in_words(field))]
+        if fields:
+            listed = ", ".join(map(r.topic.in_words, fields[:_FIELDS])) + (", ..." if len(fields) > _FIELDS else "")
+            yield f"{name} ({r.topic.type}: {listed})" if name else listed
+
+
+def _varies(column: np.ndarray) -> bool:
+    finite = column[np.isfinite(column)]
+    return bool(len(finite)) and bool(np.ptp(finite) > 0)

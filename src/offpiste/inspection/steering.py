@@ -51,7 +51,7 @@ def check_steering(fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *,
         findings += _sign(name, fit, drive, path)
         delays = window_delays(drive.channels[name], path, drive.rig)
         findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
-        findings += _scale(name, fit, drive.rig) if measured else _radius(name, fit)
+        findings += _scale(name, fit, drive.rig) if measured else _radius(name, fit, drive.rig)
         findings += _centre(name, fit, drive.rig)
     return findings
 
@@ -182,10 +182,12 @@ def _other_places(rig: Rig, factor: float) -> Edit | None:
     return None
 
 
-def _radius(name: str, fit: SteeringFit) -> list[Finding]:
-    """The scale of the steering where no wheelbase is known."""
+def _radius(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
+    """The scale of the steering where the wheelbase is a guess."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
-    line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase); somewhat more where tyres slid all along"
+    wheelbase = rig.vehicle.wheelbase
+    line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase): {np.arctan(curvature * wheelbase):.3f} at a "
+    line += f"wheelbase of {wheelbase:.3g} m; somewhat more where tyres slid all along"
     remedy = line if name == "steer" else "compare with tan(angle) / wheelbase"
     return [Finding("note", name, "has this scale", evidence, remedy, 0.4)]
