@@ -193,6 +193,27 @@ def test_layers_written_over_are_as_good_as_new():
             np.testing.assert_array_equal(getattr(layers, name), value)
 
 
+@pytest.mark.parametrize(("spread", "steep"), [(6.0, 1.0), (6.0, 0.02), (2.0, 0.1)])
+@pytest.mark.parametrize("channels", [0, 2])
+def test_single_cells_are_read_as_the_layers_have_them(spread, steep, channels):
+    held, rng = VoxelMap(channels, SMALL), np.random.default_rng(1)
+    one, other = Flattener(held, FlattenSettings()), Flattener(held, FlattenSettings())
+    for step in range(3):
+        held.recentre(np.array([2.5 * step, -1.0 * step]), 0.3 * step)
+        points = rng.uniform(-spread, spread, (600, 3)) * [1, 1, steep] + np.array([2.5 * step, -1.0 * step, 0])
+        features = rng.normal(size=(600, channels)).astype(np.float32)
+        held.insert(points, features, rng.random(600) < 0.5, rng.uniform(1, 40, 600).astype(np.float32))
+        rows, columns = rng.permutation(np.mgrid[: 2 * N, : 2 * N].reshape(2, -1).T).T
+        if step != 1:
+            one.layers()
+        cells, layers = one.cells(rows, columns), other.layers()
+        assert layers.known.any()
+        assert not layers.known.all()
+        assert layers.valid.any()
+        for name in cells._fields:
+            np.testing.assert_array_equal(getattr(cells, name), getattr(layers, name)[rows, columns], err_msg=name)
+
+
 # --- planes ----------------------------------------------------------------------------------------------------------
 PLANES = {"z = x": (1.0, 0.0), "z = y": (0.0, 1.0), "z = -x/2 + y/3": (-0.5, 1 / 3)}
 

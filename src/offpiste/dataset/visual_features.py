@@ -11,8 +11,9 @@ from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, S
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.sensor_log import SensorLog
+from offpiste.mapping.pipeline import MapPipeline
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
-from offpiste.mapping.terrain_map import TerrainLayers, wheel_positions
+from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
@@ -69,7 +70,7 @@ def with_visual_features(
     recorder = FeatureSetRecorder(passes, resolution=grid.size, reach=grid.reach, features=extractor.channels)
     cameras = pinhole_cameras(log, extractor.patch)
     for moment in replay(log, cameras, extractor.extract, extractor.channels, settings):
-        recorder.update(moment.time, moment.vehicle[:2], _reader(moment.layers))
+        recorder.update(moment.time, moment.vehicle[:2], _reader(moment.map))
         if snapshots is not None:
             snapshots.update(moment, rows)
         report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
@@ -86,23 +87,23 @@ def with_visual_features(
     return replace(rows, normal=normal, cells=cells)
 
 
-def _reader(layers: TerrainLayers) -> Callable[[np.ndarray], MapCellValues]:
-    first = np.floor(layers.origin / layers.resolution).astype(np.int64)  # the origin is a centre: cell i starts at i
-    ny, nx = layers.elevation.shape
+def _reader(terrain: MapPipeline) -> Callable[[np.ndarray], MapCellValues]:
+    grid = terrain.voxel_map
+    first = np.floor(grid.origin / grid.settings.size).astype(np.int64)  # the origin is a centre: cell i starts at i
 
     def read(cells: np.ndarray) -> MapCellValues:
         at = cells - first
-        inside = np.asarray(((at >= 0) & (at < [nx, ny])).all(axis=1))
+        inside = np.asarray(((at >= 0) & (at < grid.cells)).all(axis=1))
         column, row = np.where(inside[:, None], at, 0).T
-        valid, ground = inside & layers.valid[row, column], inside & layers.known[row, column]
-        normal = layers.normal[row, column].astype(np.float32)
-        known = inside & np.isfinite(normal).all(axis=1)
+        there = terrain.cells(row, column)
+        valid, ground = inside & there.valid, inside & there.known
+        known = inside & np.isfinite(there.normal).all(axis=1)
         return MapCellValues(
-            features=np.where(valid[:, None], layers.features[row, column], np.nan).astype(np.float32),
+            features=np.where(valid[:, None], there.features, np.float32(np.nan)),
             valid=valid,
-            distance=np.where(valid, layers.distance[row, column], np.nan).astype(np.float32),
-            elevation=np.where(ground, layers.elevation[row, column], np.nan).astype(np.float32),
-            normal=np.where(known[:, None], normal, np.float32(np.nan)),
+            distance=np.where(valid, there.distance, np.float32(np.nan)),
+            elevation=np.where(ground, there.elevation, np.nan).astype(np.float32),
+            normal=np.where(known[:, None], there.normal, np.float32(np.nan)),
         )
 
     return read

@@ -1,4 +1,4 @@
-"""Gaps filled from the nearest cell, and the layers written: loops over blocks of rows.
+"""Gaps filled from the nearest cell, and the layers written: loops over blocks of rows, and one over chosen cells.
 
 The nearest cell is found for a whole row at once: neighbours are visited from the furthest to the nearest, and each
 overwrites those before it. Rows are cut into `blocks`; a call takes those from `first` to `last`.
@@ -152,3 +152,47 @@ def write_layers(first, last, blocks, floor, low, offsets, surface, buffers, lay
             write_flags(
                 buffers.which[j], buffers.which_feature[j], layers.observed[j], layers.known[j], layers.valid[j]
             )
+
+
+@MAPPING.entry
+def read_cells(rows, columns, floor, low, offsets, limit, surface, buffers, out):  # type: ignore[no-untyped-def]
+    """Read what `write_layers` would write into some cells, without the others.
+
+    Args:
+        rows, columns: of the cells; all in the map [K].
+        floor, low, offsets, limit, surface, buffers: as in `fill_gaps` and `write_layers`.
+        out: `voxels_to_layers.MapCells`.
+    """
+    n, channels = buffers.height.shape[0], out.features.shape[1]
+    for q in range(len(rows)):
+        j, i = rows[q], columns[q]
+        found, found_feature = -1, -1
+        for k in range(len(offsets)):
+            jj, ii = j + offsets[k, 0], i + offsets[k, 1]
+            if 0 <= jj < n and 0 <= ii < n and buffers.height[jj, ii] == buffers.height[jj, ii]:
+                found = k
+                break
+        jj, ii = j + offsets[max(found, 0), 0], i + offsets[max(found, 0), 1]
+        rise_x, rise_y, ground = buffers.rise_x[jj, ii], buffers.rise_y[jj, ii], buffers.height[jj, ii]
+        up = np.float32(1) / np.sqrt(np.float32(1) + (rise_x * rise_x + rise_y * rise_y))
+        out.known[q] = found >= 0
+        out.elevation[q] = floor + buffers.centre[jj, ii]
+        out.normal[q, 0], out.normal[q, 1], out.normal[q, 2] = -rise_x * up, -rise_y * up, up
+        for k in range(len(offsets)):
+            jj, ii = j + offsets[k, 0], i + offsets[k, 1]
+            if 0 <= jj < n and 0 <= ii < n:
+                off = buffers.feature_height[jj, ii] - ground
+                if (off <= limit) & (off >= -limit):
+                    found_feature = k
+                    break
+        out.valid[q] = found_feature >= 0
+        out.distance[q] = np.float32(np.nan)
+        for c in range(channels):
+            out.features[q, c] = np.float32(np.nan)
+        if found_feature >= 0:
+            row = low[1] % n + j + offsets[found_feature, 0]
+            across = low[0] % n + i + offsets[found_feature, 1]
+            row, across = row - n if row >= n else row, across - n if across >= n else across
+            out.distance[q] = surface.features[row, across, 0]
+            for c in range(channels):
+                out.features[q, c] = surface.features[row, across, 1 + c]

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from offpiste.mapping.free_space import FreeSpace, FreeSpaceSettings
 from offpiste.mapping.ghosts import GhostFinder, GhostSettings
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
-from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings, MapCells
 
 Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
 """From features to codes, row by row."""
@@ -102,6 +102,10 @@ class MapPipeline:
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
         """The map as it is now; `out`: layers of this pipeline that are no longer needed, written over."""
         return self._flattener.layers(out)
+
+    def cells(self, rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"]) -> MapCells:
+        """What `layers` says of some cells, without making them."""
+        return self._flattener.cells(rows, columns)
 
     def _encoded(self, features: Float[np.ndarray, "N F"], has: Bool[np.ndarray, " N"]) -> Float[np.ndarray, "N E"]:
         assert self._encode is not None

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -134,14 +135,15 @@ class SensorMapper:
 
 @dataclass(frozen=True)
 class Moment:
-    """The map right after a scan.
+    """The map right after a scan; the next one writes it over.
 
     Attributes:
         time: of the scan [s].
         measured: moment of the last measurement that the map holds [s].
         placed: stamp of the last pose that put a measurement into the map [s].
         vehicle: place of the pose point then [m].
-        layers: of the map; written over by the next scan.
+        map: the map.
+        layers_before: of an earlier moment of the same map, to be written over; None at first.
         points_world: the scan itself [m].
         ghosts: points of it that were left out of the map (`mapping.ghosts`).
         projection: the scan in the camera views; None without any.
@@ -154,13 +156,19 @@ class Moment:
     measured: float
     placed: float
     vehicle: Float[np.ndarray, " 3"]
-    layers: TerrainLayers
+    map: MapPipeline
+    layers_before: TerrainLayers | None
     points_world: Float[np.ndarray, "n 3"]
     ghosts: Bool[np.ndarray, " n"]
     projection: Projection | None
     views: tuple[CameraView, ...]
     features: tuple[Float32[np.ndarray, "_ _ F"], ...]
     images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
+
+    @cached_property
+    def layers(self) -> TerrainLayers:
+        """Layers of the map, made when they are first asked for."""
+        return self.map.layers(self.layers_before)
 
 
 def pinhole_cameras(log: SensorLog, patch: int) -> dict[str, PinholeCamera]:
@@ -205,14 +213,14 @@ def replay(
                 mapper.add_image(measured, pose)
             continue
         points, ghosts, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
-        layers = mapper.pipeline.layers(layers)
         measured_until = max(measured_until, measured.end)
-        yield Moment(
+        moment = Moment(
             time=measured.time,
             measured=measured_until,
             placed=log.poses.known(measured_until + MOMENT),
             vehicle=pose[:3, 3],
-            layers=layers,
+            map=mapper.pipeline,
+            layers_before=layers,
             points_world=points,
             ghosts=ghosts,
             projection=projection,
@@ -220,6 +228,8 @@ def replay(
             features=tuple(k.features for k in keyframes),
             images=tuple(k.pixels for k in keyframes),
         )
+        yield moment
+        layers = vars(moment).get("layers", layers)
 
 
 def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " n"]:

@@ -173,9 +173,18 @@ def empty_layers(cells: int, channels: int) -> TerrainLayers:
     Args:
         channels: of the features.
     """
+    every = {layer.name: nothing_known(layer.name, (cells, cells), channels) for layer in LAYERS}
+    return TerrainLayers(np.zeros(2), 1.0, **every)
 
-    def unknown(components: tuple[int, ...], dtype: type) -> np.ndarray:
-        more = tuple(channels if size == CHANNELS else size for size in components)
-        return np.full((cells, cells, *more), False if dtype is bool else np.nan, dtype)
 
-    return TerrainLayers(np.zeros(2), 1.0, **{layer.name: unknown(**layer.metadata) for layer in LAYERS})
+def nothing_known(layer: str, shape: tuple[int, ...], channels: int) -> np.ndarray:
+    """A layer's values for cells in any arrangement, none of them known.
+
+    Args:
+        shape: of the arrangement.
+        channels: of the features.
+    """
+    (declared,) = (each.metadata for each in LAYERS if each.name == layer)
+    dtype, components = declared["dtype"], declared["components"]
+    more = tuple(channels if size == CHANNELS else size for size in components)
+    return np.full((*shape, *more), False if dtype is bool else np.nan, dtype)

@@ -19,9 +19,9 @@ from jaxtyping import Int
 from offpiste.compilation import spread_blocks
 from offpiste.errors import MapError
 from offpiste.mapping.ground import drop_overhangs, read_columns, see_columns
-from offpiste.mapping.infill import fill_gaps, write_layers
+from offpiste.mapping.infill import fill_gaps, read_cells, write_layers
 from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
-from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers
+from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers, nothing_known
 from offpiste.mapping.voxel_map import VoxelMap, check_positive
 
 
@@ -134,6 +134,24 @@ def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
     )
 
 
+class MapCells(NamedTuple):
+    """What the layers say of some cells, in the words of `TerrainLayers`; NaN where unknown.
+
+    Attributes:
+        known, valid: [K].
+        elevation, distance: [m] [K].
+        normal: [K, 3].
+        features: [K, F].
+    """
+
+    known: np.ndarray
+    valid: np.ndarray
+    elevation: np.ndarray
+    distance: np.ndarray
+    normal: np.ndarray
+    features: np.ndarray
+
+
 def flatten(voxel_map: VoxelMap, settings: FlattenSettings | None = None) -> TerrainLayers:
     """The layers of a map; `Flattener` makes them repeatedly without new memory."""
     return Flattener(voxel_map, settings or FlattenSettings()).layers()
@@ -178,21 +196,47 @@ class Flattener:
             out: layers of this map that are no longer needed: written over and returned. Whoever changed them by hand
                 must not give them back.
         """
-        voxel_map, settings = self._map, self.settings
+        voxel_map, buffers, surface = self._map, self._buffers, self._surface
         size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
         out = out or empty_layers(n, voxel_map.channels)
-        buffers, surface, low = self._buffers, self._surface, voxel_map.low
-        reference = round(voxel_map.middle / size)
-        step, reach = np.float32(size), np.float32(settings.vehicle_height)
         arrays = Layers(*(getattr(out, layer.name) for layer in LAYERS))
-        limit, floor = np.float32(settings.feature_height), reference * size
+        limit = np.float32(self.settings.feature_height)
 
-        spread_blocks(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
-        self._since = voxel_map.changes
-        spread_blocks(threads, n, read_columns, low, reference, step, self._overhang_cells, surface, buffers)
-        spread_blocks(threads, n, drop_overhangs, self._overhang_cells, reach, limit, buffers)
-        spread_blocks(threads, threads, fit_planes, threads, self._plane_cells, step, buffers)
+        self._find_ground()
         spread_blocks(threads, threads, smooth_residuals, threads, self._plane_cells, buffers)
         spread_blocks(threads, threads, fill_gaps, threads, self._offsets, limit, buffers)
-        spread_blocks(threads, threads, write_layers, threads, floor, low, self._offsets, surface, buffers, arrays)
+        spread_blocks(
+            threads, threads, write_layers, threads, self._floor, voxel_map.low, self._offsets, surface, buffers, arrays
+        )
         return replace(out, origin=voxel_map.origin, resolution=size)
+
+    def cells(self, rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"]) -> MapCells:
+        """What the layers say of some cells, in a fraction of the time that all of them take."""
+        out = MapCells(*(nothing_known(name, (len(rows),), self._map.channels) for name in MapCells._fields))
+        limit = np.float32(self.settings.feature_height)
+        self._find_ground()
+        read_cells(rows, columns, self._floor, self._map.low, self._offsets, limit, self._surface, self._buffers, out)
+        return out
+
+    @property
+    def _reference(self) -> int:
+        """Level of the floor that heights in the buffers count from."""
+        return round(self._map.middle / self._map.settings.size)
+
+    @property
+    def _floor(self) -> float:
+        return self._reference * self._map.settings.size
+
+    def _find_ground(self) -> None:
+        """Ground, obstacles, feature heights and planes of all columns, unless the buffers have those of the map."""
+        voxel_map, settings, buffers, surface = self._map, self.settings, self._buffers, self._surface
+        if self._since == voxel_map.changes > 0:
+            return
+        size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
+        step, reach, low = np.float32(size), np.float32(settings.vehicle_height), voxel_map.low
+        limit, overhang = np.float32(settings.feature_height), self._overhang_cells
+        spread_blocks(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
+        self._since = voxel_map.changes
+        spread_blocks(threads, n, read_columns, low, self._reference, step, overhang, surface, buffers)
+        spread_blocks(threads, n, drop_overhangs, overhang, reach, limit, buffers)
+        spread_blocks(threads, threads, fit_planes, threads, self._plane_cells, step, buffers)
