@@ -38,6 +38,8 @@ class Extract:
     """Shortest time between snapshots of the map, which are kept for windows that validate and test [s]."""
     latency: float = PERCEPTION_LATENCY
     """Snapshots hold what was measured this long before their windows start, or earlier [s]; `drive` has the same."""
+    shard: str = ""
+    """K/N: only every Nth of these logs, beginning with the Kth; `offpiste merge` brings the N datasets together."""
     processes: int = 0
     """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
     force: bool = False
@@ -47,7 +49,7 @@ class Extract:
 
     def run(self) -> int:
         """Read, resample, write."""
-        from offpiste.dataset.extract import make_dataset
+        from offpiste.dataset.extract import make_dataset, parse_shard
         from offpiste.dataset.map_snapshots import SnapshotSettings
         from offpiste.mapping.replay import MapperSettings
         from offpiste.rig.rig import load_rig
@@ -64,6 +66,7 @@ class Extract:
             min_hindsight=self.min_hindsight,
             snapshots=SnapshotSettings(self.snapshot_seconds, latency=self.latency),
             replay=MapperSettings(self.keyframe_metres),
+            shard=parse_shard(self.shard) if self.shard else (1, 1),
             processes=self.processes,
             force=self.force,
         )

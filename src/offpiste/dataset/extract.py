@@ -172,6 +172,7 @@ def make_dataset(
     min_hindsight: float = MIN_HINDSIGHT,
     snapshots: SnapshotSettings | None = None,
     replay: MapperSettings | None = None,
+    shard: tuple[int, int] = (1, 1),
     processes: int = 1,
     force: bool = False,
 ) -> Dataset:
@@ -183,6 +184,7 @@ def make_dataset(
         device: that the backbone runs on.
         min_hindsight: least share of the ground seen in hindsight along a window (`window_starts.enough_hindsight`).
         snapshots, replay: of visual features.
+        shard: (K, N): only every Nth of the logs, in the order of their names, beginning with the Kth.
         processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
         force: extract logs with fatal findings of `inspect`, too.
 
@@ -191,12 +193,10 @@ def make_dataset(
         LogError, RigError: a log cannot be read with this rig, or has no ground truth; the others are extracted.
         DatasetError: two logs of one name, another dataset at `out`, or several logs that cannot be extracted.
     """
-    if not logs:
-        raise DatasetError("no log is given", how="name one or more logs")
-    names = [drive_name(log) for log in logs]
-    for name in names:
-        if names.count(name) > 1:
-            raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
+    names = _names(logs)
+    mine = set(sorted(names)[shard[0] - 1 :: shard[1]])
+    if not mine:
+        raise DatasetError(f"{len(names)} logs have no shard {shard[0]}/{shard[1]}", how="give fewer shards")
     parts = parse_split(split)
     if empty := empty_parts(parts):
         logger.warning(f"the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
@@ -213,12 +213,12 @@ def make_dataset(
     done = set(drive_names(out))
     if strangers := sorted({name for name, _ in parts.drives} - {*names, *done}):
         logger.warning(f"the split {split} names {_some(strangers)}: no log and no drive of {out} is called so")
-    for name in (name for name in names if name in done):
+    for name in (name for name in names if name in done & mine):
         logger.info(f"{name}: already there")
     jobs = [
         Job(Path(log), name, rig, out, parts, features, pca, device, min_hindsight, snapshots, replay, force)
         for log, name in zip(logs, names, strict=True)
-        if name not in done
+        if name not in done and name in mine
     ]
     processes = processes or (usable_cores() if device == "cpu" else 1)
     try:
@@ -228,9 +228,34 @@ def make_dataset(
             shutil.rmtree(out)  # all logs failed
     _refuse_failed(failed, out)
     dataset = open_dataset(out)
-    if (line := split_warning(dataset)) is not None:
+    if shard[1] == 1 and (line := split_warning(dataset)) is not None:
         logger.warning(line)
     return dataset
+
+
+def _names(logs: Sequence[str | Path]) -> list[str]:
+    """Names of the drives; each has its own."""
+    if not logs:
+        raise DatasetError("no log is given", how="name one or more logs")
+    names = [drive_name(log) for log in logs]
+    for name in names:
+        if names.count(name) > 1:
+            raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
+    return names
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """K and N of "K/N".
+
+    Raises:
+        DatasetError: not two whole numbers, K from 1 to N.
+    """
+    number, _, count = text.partition("/")
+    if not (number.isascii() and number.isdecimal() and count.isascii() and count.isdecimal()) or not (
+        1 <= int(number) <= int(count)
+    ):
+        raise DatasetError(f"'{text}' is no shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
+    return int(number), int(count)
 
 
 def _some(names: Sequence[str]) -> str:

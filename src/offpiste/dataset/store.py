@@ -119,10 +119,10 @@ def create(
     }
     check_folder(path)
     remove_partials(path.parent, path.name)
-    if path.exists() and _attributes(path).get("schema") and not drive_names(path):
+    if path.exists() and attributes_of(path).get("schema") and not drive_names(path):
         shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
-        result = {"features": [], "pca": None, "min_hindsight": 0.0, "latency": latency, **_attributes(path)}
+        result = {"features": [], "pca": None, "min_hindsight": 0.0, "latency": latency, **attributes_of(path)}
         refuse_unlike(path, result, json.loads(json.dumps(meta)))
         remove_partials(path)
         return
@@ -206,7 +206,7 @@ def open_dataset(path: str | Path) -> Dataset:
         DatasetError: none there, of another version, without drives, or a drive that is damaged or invalid.
     """
     path = Path(path)
-    attributes = _attributes(path)
+    attributes = attributes_of(path)
     if (schema := attributes.get("schema")) != SCHEMA:
         raise DatasetError(f"schema {schema}, this offpiste reads {SCHEMA}", where=path, how="extract it again")
     names = drive_names(path)
@@ -279,7 +279,12 @@ def _reading(path: Path, name: str) -> Iterator[None]:
         ) from error
 
 
-def _attributes(path: Path) -> dict[str, Any]:
+def attributes_of(path: Path) -> dict[str, Any]:
+    """What a dataset says of how it was made, as JSON has it.
+
+    Raises:
+        DatasetError: there is none, or its metadata are damaged.
+    """
     damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
     try:
         attributes = dict(zarr.open_group(path, mode="r").attrs)

@@ -1,0 +1,88 @@
+"""Datasets made in shards, on several machines, brought together: what one process would have made, to the bit."""
+
+import filecmp
+import logging
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from offpiste.checksums import CHECKSUMS
+from offpiste.dataset.split_balance import split_warning
+from offpiste.dataset.store import Dataset, attributes_of, drive_names, open_dataset
+from offpiste.dataset.store_validation import refuse_unlike
+from offpiste.errors import DatasetError
+from offpiste.file_check import check_paths
+from offpiste.files import check_folder, remove_partials, write_folder
+from offpiste.progress import track
+
+logger = logging.getLogger(__name__)
+
+
+def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
+    """Copy the drives of datasets that were made alike into one; an interrupted merge resumes.
+
+    Every file is compared with its checksum first. Drives that `out` holds already must be the same.
+
+    Raises:
+        DatasetError: fewer than two datasets, one that is damaged or was made otherwise, two drives of one name.
+    """
+    if len(parts) < 2:
+        raise DatasetError(f"{len(parts)} dataset to merge", how="name two or more")
+    _refuse_twice(parts)
+    first = attributes_of(parts[0])
+    for part in parts[1:]:
+        refuse_unlike(part, attributes_of(part), first)
+    if damaged := check_paths(parts):
+        raise DatasetError(damaged[0], how="restore or extract that dataset again; nothing was merged")
+    check_folder(out)
+    remove_partials(out.parent, out.name)
+    if not out.exists():
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_folder(out, lambda partial: _copy_settings(parts[0], partial))
+    else:
+        refuse_unlike(out, attributes_of(out), first)
+        remove_partials(out)
+    for drive in track([part / name for part in parts for name in drive_names(part)], "merge"):
+        _add(drive, out / drive.name)
+    dataset = open_dataset(out)
+    logger.info(f"{out}: {len(dataset.drives)} drives of {len(parts)} datasets")
+    if (line := split_warning(dataset)) is not None:
+        logger.warning(line)
+    return dataset
+
+
+def _refuse_twice(parts: Sequence[Path]) -> None:
+    where: dict[str, Path] = {}
+    for part in parts:
+        attributes_of(part)  # complains where there is no dataset
+        for name in drive_names(part):
+            if name in where:
+                how = "give each dataset once; drives are identified by their names"
+                raise DatasetError(f"drive '{name}' is in {where[name]}, too", where=part, how=how)
+            where[name] = part
+
+
+def _copy_settings(part: Path, to: Path) -> None:
+    for name in ("zarr.json", CHECKSUMS):
+        shutil.copyfile(part / name, to / name)
+
+
+def _add(drive: Path, to: Path) -> None:
+    if not to.exists():
+        write_folder(to, lambda partial: _copy(drive, partial))
+    elif not _same(filecmp.dircmp(drive, to, ignore=[], hide=[])):
+        how = "choose another --out, or delete it"
+        raise DatasetError(f"holds another drive '{drive.name}' than {drive.parent}", where=to.parent, how=how)
+
+
+def _copy(drive: Path, to: Path) -> None:
+    shutil.copytree(drive, to, dirs_exist_ok=True)
+
+
+def _same(compared: "filecmp.dircmp[str]") -> bool:
+    """Whether two folders hold the same files with the same bytes."""
+    folders = compared.left, compared.right
+    differ = filecmp.cmpfiles(*folders, compared.common_files, shallow=False)
+    return not (compared.left_only or compared.right_only or compared.common_funny or differ[1] or differ[2]) and all(
+        _same(below) for below in compared.subdirs.values()
+    )

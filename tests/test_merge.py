@@ -1,0 +1,114 @@
+"""Shards of a dataset, brought together: the same bytes as one process makes, and what is refused."""
+
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.dataset.extract import make_dataset, parse_shard
+from offpiste.dataset.store import drive_names
+from offpiste.errors import DatasetError
+from offpiste.merge import merge_datasets
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.world import WorldSettings
+
+RIG = load_rig("proving_ground")
+SPLIT = "blocks:0.6,0.2,0.2"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three logs, their dataset, and two shards of it."""
+    folder = tmp_path_factory.mktemp("shards")
+    world = WorldSettings("uniform", size=150.0, resolution=0.5)
+    logs = [folder / f"drive-{number}.mcap" for number in range(3)]
+    for seed, log in enumerate(logs):
+        simulate(DriveSettings(world, 20.0, seed=seed, sensors="none"), log)
+    make_dataset(logs, RIG, folder / "whole.zarr", split=SPLIT)
+    # In another order: which shard a log is in follows from its name.
+    for number in (1, 2):
+        make_dataset(logs[::-1], RIG, folder / f"{number}.zarr", split=SPLIT, shard=(number, 2))
+    return folder
+
+
+@pytest.fixture
+def shards(folder: Path, tmp_path: Path) -> list[Path]:
+    """Copies of the shards."""
+    return [Path(shutil.copytree(folder / f"{number}.zarr", tmp_path / f"{number}.zarr")) for number in (1, 2)]
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+def test_merged_shards_are_what_one_process_makes(folder, shards, tmp_path):
+    assert [drive_names(shard) for shard in shards] == [["drive-0", "drive-2"], ["drive-1"]]
+    out = tmp_path / "merged" / "dataset.zarr"
+    dataset = merge_datasets(shards, out)
+    assert [drive.name for drive in dataset.drives] == ["drive-0", "drive-1", "drive-2"]
+    assert content(out) == content(folder / "whole.zarr")
+
+
+def test_an_interrupted_merge_resumes(folder, shards, tmp_path):
+    out = tmp_path / "dataset.zarr"
+    merge_datasets(shards, out)
+    shutil.rmtree(out / "drive-2")
+    (out / ".drive-2.abc.partial").mkdir()
+    merge_datasets(shards, out)
+    assert content(out) == content(folder / "whole.zarr")
+    assert sorted(path.name for path in out.iterdir() if path.name.startswith(".")) == []
+
+
+def test_a_merge_says_how_much_it_brought_together(shards, tmp_path, caplog):
+    with caplog.at_level(logging.INFO, "offpiste"):
+        merge_datasets(shards, tmp_path / "d.zarr")
+    assert f"{tmp_path / 'd.zarr'}: 3 drives of 2 datasets" in caplog.messages
+
+
+def test_what_does_not_fit_together_is_refused(folder, shards, tmp_path):
+    out = tmp_path / "d.zarr"
+    with pytest.raises(DatasetError, match="1 dataset to merge; name two or more"):
+        merge_datasets(shards[:1], out)
+    with pytest.raises(DatasetError, match=r"drive 'drive-0' is in .*1.zarr, too"):
+        merge_datasets([*shards, folder / "whole.zarr"], out)
+    with pytest.raises(DatasetError, match="not a dataset"):
+        merge_datasets([*shards, tmp_path], out)
+    make_dataset([folder / "drive-1.mcap"], RIG, tmp_path / "other.zarr", split="blocks:0.5,0.25,0.25")
+    with pytest.raises(DatasetError, match="another split"):
+        merge_datasets([shards[0], tmp_path / "other.zarr"], out)
+    assert not out.exists()
+
+
+def test_a_damaged_shard_is_found_before_anything_is_merged(shards, tmp_path):
+    (chunk,) = [file for file in (shards[1] / "drive-1" / "state").rglob("c/*/*") if file.is_file()]
+    damaged = np.frombuffer(chunk.read_bytes(), np.uint8).copy()
+    damaged[len(damaged) // 2] ^= 4
+    chunk.write_bytes(damaged.tobytes())
+    with pytest.raises(DatasetError, match=r"drive-1.*nothing was merged"):
+        merge_datasets(shards, tmp_path / "d.zarr")
+    assert not (tmp_path / "d.zarr").exists()
+
+
+def test_another_drive_of_the_same_name_is_not_replaced(folder, shards, tmp_path):
+    out = tmp_path / "d.zarr"
+    merge_datasets(shards, out)
+    make_dataset(
+        [shutil.copy(folder / "drive-0.mcap", tmp_path / "drive-1.mcap")], RIG, tmp_path / "x.zarr", split=SPLIT
+    )
+    with pytest.raises(DatasetError, match="holds another drive 'drive-1'"):
+        merge_datasets([shards[0], tmp_path / "x.zarr"], out)
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "1/0", "a/2", "1/2/3", "-1/2", "²/3"])
+def test_no_shard(text):
+    with pytest.raises(DatasetError, match="is no shard; give K/N with K from 1 to N"):
+        parse_shard(text)
+
+
+def test_more_shards_than_logs(folder, tmp_path):
+    assert parse_shard("2/2") == (2, 2)
+    with pytest.raises(DatasetError, match="1 logs have no shard 2/2; give fewer shards"):
+        make_dataset([folder / "drive-0.mcap"], RIG, tmp_path / "d.zarr", shard=(2, 2))
