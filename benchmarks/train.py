@@ -278,6 +278,7 @@ def main(
     threads: int = 2,
     repeats: int = 7,
     compile_seconds: int = 300,
+    step_only: bool = False,
 ) -> None:
     """Print both tables.
 
@@ -287,9 +288,15 @@ def main(
         threads: of torch and of the kernels.
         repeats: of everything; medians are printed.
         compile_seconds: torch.compile may take so long to compile; 0 leaves it out.
+        step_only: print what a step of `dc` takes and nothing else.
     """
     torch.set_num_threads(threads)
     trainer = make_trainer(dataset, batch)
+    if step_only:
+        kernel = by_kernel(trainer.model)
+        step = total(in_turn({"": lambda mark: trainer.step(mark, encoded, kernel)}, repeats)[""].values())
+        print(f"step of dc: {step.wall:.0f} ms ({step.processor:.0f} ms)")
+        return
     print(f"{batch} windows of {trainer.windows.horizon} steps, {threads} threads; median wall (processor) [ms]")
     print(recurrent_table(trainer, compile_seconds, repeats), flush=True)
     print(step_table(trainer, repeats))
