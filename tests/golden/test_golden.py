@@ -12,12 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from golden.record import GROUPS, RECORDED, machine, read, recorded_data
+from golden.record import GROUPS, RECORDED, STRICT, machine, read, recorded_data
 
 FOLDER = Path(__file__).parent / "results"
 TOLERANCE = float(os.environ.get("OFFPISTE_GOLDEN_TOLERANCE", "1e-6"))
-STRICT = ("simulated_log", "closed_loop")
-"""Groups whose hashes are of messages."""
 
 
 @pytest.mark.parametrize("group", GROUPS)
