@@ -1,5 +1,7 @@
 """The dataset on disk: what goes in comes out, whole or not at all."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +9,11 @@ import pytest
 import zarr
 
 from factories import circle_rows, small_rig
+from offpiste.checksums import write_checksums
 from offpiste.dataset import store
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
+from offpiste.dataset.stored_arrays import write_arrays
 from offpiste.errors import DatasetError
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -157,6 +161,20 @@ def test_broken_metadata_is_an_error(tmp_path, broken):
     (path / "one" / "state" / "zarr.json").write_text(broken)
     with pytest.raises(DatasetError, match="drive 'one' cannot be read"):
         store.open_dataset(path)
+
+
+def test_an_array_with_fewer_rows_than_the_others_is_an_error_even_where_its_checksums_fit(tmp_path):
+    path = stored(tmp_path)
+    group = zarr.open_group(path / "one", mode="a")
+    values = np.asarray(group["state_causal"])
+    del group["state_causal"]
+    write_arrays(group, {"state_causal": values[:7]})
+    write_checksums(path / "one", (path / "one").rglob("zarr.json"))
+    # In a process of its own: tests check types, which would find it first.
+    command = [sys.executable, "-m", "offpiste", "train", str(path), "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "drive 'one' cannot be read ('state_causal' is float32 of shape (7, 6))" in done.stderr
 
 
 def test_a_missing_array_is_an_error(tmp_path):

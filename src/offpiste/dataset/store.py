@@ -218,8 +218,8 @@ def open_dataset(path: str | Path) -> Dataset:
     split = stored_split(about.split, about.split_drives)
     drives = tuple(_read_drive(path, name) for name in names)
     for drive in drives:
-        refuse_invalid(path, drive.name, drive.rows, about.rig, needs_cells=bool(about.features))
         refuse_misshapen(path, drive.name, drive.rows, drive.part, about)
+        refuse_invalid(path, drive.name, drive.rows, about.rig, needs_cells=bool(about.features))
     return Dataset(path, about.rig, split, drives, about.features, about.min_hindsight, about.pca, about.min_speed)
 
 

@@ -173,6 +173,7 @@ class KittiLog(Log):
         return _numbers(self._cameras(), f"P_rect_{topic[-2:]}", (3, 4))
 
 
+@np.errstate(invalid="ignore", divide="ignore")  # latitudes beyond the poles, and infinite ones
 def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
     """Position [m] and orientation (xyzw) of the OXTS unit: x east, y north, z up, from the first row's position.
 
@@ -182,8 +183,7 @@ def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = np.cos(np.deg2rad(latitude[0])) * _EARTH_RADIUS
     east = scale * np.deg2rad(longitude)
-    with np.errstate(invalid="ignore", divide="ignore"):  # latitudes beyond the poles
-        north = scale * np.log(np.tan(np.deg2rad(90 + latitude) / 2))
+    north = scale * np.log(np.tan(np.deg2rad(90 + latitude) / 2))
     position = np.stack((east, north, altitude), axis=1)
     orientation = Rotation.from_euler("ZYX", np.column_stack((yaw, pitch, roll))).as_quat()
     return np.column_stack((position - position[0], orientation))
