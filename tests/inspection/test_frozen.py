@@ -1,10 +1,15 @@
 """Channels that hold one value: found while the vehicle moves, and where they usually change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import drive_log, rig
 
+from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.inspect import inspect_log
+from offpiste.logs.drive import drive_from_log
 
 CLEAN = drive_log(seed=0)
 WHAT = "holds one value while the vehicle moves"
@@ -50,3 +55,14 @@ def test_controls_in_steps_hold_by_nature() -> None:
 
 def test_a_clean_log_holds_nothing() -> None:
     assert _frozen(CLEAN) == []
+
+
+def test_who_stops_with_the_wheel_turned_and_starts_again_holds_nothing() -> None:
+    time, _ = CLEAN.data["steering"]
+    begin, end = len(time) // 2, int(np.searchsorted(time, time[len(time) // 2] + 8.0))
+    log = CLEAN.change("steering", "angle", lambda values: _held(values, begin, end - begin))
+    drive = drive_from_log(log, rig())
+    path = driven_path(drive)
+    assert [finding.where for finding in check_frozen(drive, path)] == ["steer_angle"]
+    stands = (path.time > time[begin] + 1.0) & (path.time < time[end] - 1.0)
+    assert check_frozen(drive, replace(path, speed=np.where(stands, 0.0, path.speed))) == []

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.driven_path import MOVING, STEP, Path
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -28,10 +28,9 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
     for name, channel in drive.channels.items():
         if name in _POSE or len(channel.time) < 100:
             continue
-        begin, end = _frozen(channel, path)
+        begin, lasts = _frozen(channel, path)
         if not len(begin):
             continue
-        lasts = end - begin
         longest = int(lasts.argmax())
         times = "once" if len(begin) == 1 else f"{len(begin)} times, {lasts.sum():.1f} s in all"
         evidence = f"{times}, the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
@@ -43,17 +42,19 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
 
 
 def _frozen(channel: Channel, path: Path) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
-    """When the unusually long runs of one value begin and end [s]."""
+    """When the unusually long runs of one value begin, and how long they last in motion [s]."""
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
-    moves = ~_rests(channel)[first] & (_moving(path, begin) & _moving(path, end))
+    moves = ~_rests(channel)[first] & (_moving(path, begin) | _moving(path, end))
     if moves.sum() < 50:
         return np.zeros(0), np.zeros(0)
-    lasts = np.sort((end - begin)[moves])
-    least = max(_LEAST, _UNUSUAL * float(np.percentile(lasts, 99)), _ALONE * float(lasts[-3]))
-    long = moves & (end - begin > least) & (last - first >= _SAMPLES)
-    return begin[long], end[long]
+    # Who stops with the wheel turned holds it at the standstill, too.
+    lasts = _time_in_motion(path, end) - _time_in_motion(path, begin)
+    usual = np.sort(lasts[moves])
+    least = max(_LEAST, _UNUSUAL * float(np.percentile(usual, 99)), _ALONE * float(usual[-3]))
+    long = moves & (lasts > least) & (last - first >= _SAMPLES)
+    return begin[long], lasts[long]
 
 
 def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
@@ -66,3 +67,8 @@ def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
 
 def _moving(path: Path, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:
     return np.asarray(np.interp(at, path.time, np.nan_to_num(path.speed)) > MOVING)
+
+
+def _time_in_motion(path: Path, until: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+    """Time in which the vehicle has moved since the path began [s]."""
+    return np.asarray(np.interp(until, path.time, np.cumsum(np.nan_to_num(path.speed) > MOVING) * STEP))
