@@ -1,6 +1,7 @@
 """Pedals: one that never comes back to zero, one that drives backwards."""
 
 import numpy as np
+import pytest
 from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig
 
 from offpiste.conventions import GRAVITY
@@ -93,3 +94,26 @@ def _downhill(braking: float) -> MemoryLog:
             "steering": (START + time[::4], {"command": steer[::4], "angle": MAX_STEER * steer[::4]}),
         }
     )
+
+
+@pytest.mark.parametrize(
+    ("pedal", "unit", "factor", "cure"),
+    [
+        ("throttle", "", 0.01, Edit("channels.throttle.scale", 100.0)),
+        ("throttle", "percent", 1.0, Edit("channels.throttle.unit", "1")),
+        ("brake", "percent", 1.0, Edit("channels.brake.unit", "1")),
+    ],
+)
+def test_a_pedal_that_moves_the_vehicle_as_none_could_is_in_another_unit(pedal, unit, factor, cure) -> None:
+    log = CLEAN.change("pedals", pedal, lambda x: factor * x)
+    field = f'fields = ["{pedal}"]'
+    found = inspect_log(log, rig((field, f'{field}\nunit = "{unit}"' if unit else field)))
+    assert cure in found.cure
+    (finding,) = [f for f in found.findings if f.what == "is too small for what it does"]
+    assert (finding.severity, finding.where) == ("warning", pedal)
+
+
+def test_a_vehicle_that_is_driven_gently_has_its_pedals() -> None:
+    for name in ("throttle", "brake"):
+        gently = CLEAN.change("pedals", name, lambda x: 0.14 * x / x.max())
+        assert not any("too small" in f.what for f in inspect_log(gently, rig()).findings)

@@ -78,6 +78,10 @@ _PRESSED = 0.3
 """A pedal above this is pressed."""
 _CLEAR = 0.3
 """Correlation above which a delay is clear."""
+_STRONGEST = 60.0
+"""Acceleration per pedal that no vehicle has [m/s^2]: six times what tyres hold, since pedals may act at once."""
+_HARDLY = 0.15
+"""A pedal that never leaves this is hardly pressed, or in another unit."""
 
 
 def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[Finding]:
@@ -101,8 +105,28 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
             findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0, (cure,)))
         else:
             findings += check_delay(name, fit, _OWN_DELAY, drive.rig, usual=_USUAL_DELAY[name], clear=_CLEAR, sign=sign)
-            findings += _idle(name, drive, path)
+            findings += _idle(name, drive, path) + _too_small(name, fit, right, drive)
     return findings
+
+
+def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding]:
+    """A finding if a pedal that is hardly pressed moves the vehicle as none could.
+
+    Args:
+        right: index of the lag at which it acts.
+    """
+    largest = float(np.percentile(np.abs(drive.channels[name].values), 99.9))
+    gain, sigma = abs(float(fit.gain[right])), fit.gain_sigma(right)
+    if not 0 < largest < _HARDLY or fit.strength < _CLEAR or gain - SURE * sigma < _STRONGEST:
+        return []
+    source = drive.rig.channels[name]
+    factor = next(f for f in (10.0, 100.0, 1000.0, 1 / largest) if _HARDLY < f * largest <= 1.1)
+    edit = Edit(f"channels.{name}.scale", rounded(factor * source.scale))
+    for unit in ("1", "percent"):
+        if source.unit and np.isclose(unit_factor(name, unit), factor * unit_factor(name, source.unit)):
+            edit = Edit(f"channels.{name}.unit", unit)
+    evidence = f"it never exceeds {largest:.3g}, and full {name} would mean {gain:.0f} ± {sigma:.0f} m/s2"
+    return [Finding("warning", name, "is too small for what it does", evidence, str(edit), 1.0, ((edit,),))]
 
 
 def _without_effect(name: str, fit: LagFit, drive: Drive, path: Path) -> Finding:
