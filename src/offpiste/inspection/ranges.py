@@ -16,6 +16,9 @@ from offpiste.rig.rig import Rig
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
 _CLIPPED = 0.2
 
+PERIODS = (65536.0, 6553.6, 655.36)
+"""Of 16-bit counters, whole or in tenths or hundredths."""
+
 
 def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """Findings on controls and actuators that leave their limits, or that the rig clips there."""
@@ -25,7 +28,8 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         r = recorded.get(source.topic) if source else None
         if source is None or r is None or source.fields[0] not in r.fields:
             continue
-        values = _before_clip(name, source, r.values[:, [r.fields.index(source.fields[0])]])
+        raw = r.values[:, [r.fields.index(source.fields[0])]]
+        values = _before_clip(name, source, raw)
         if len(values) < 20:
             continue
         slack = 0.1 * (high - low)
@@ -35,7 +39,8 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if outside <= (_CLIPPED if source.clip else 0.005):
             continue
         first, last = np.percentile(values, (0.5, 99.5))
-        cure = _cure(name, source, rig, (low, high), (float(first), float(last)))
+        cure = _unwrapped(name, source, raw, (low - slack, high + slack))
+        cure = cure or _cure(name, source, rig, (low, high), (float(first), float(last)))
         findings.append(
             Finding(
                 "warning",
@@ -69,6 +74,24 @@ def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]
     if source.valid is not None:
         values = values[(values >= source.valid[0]) & (values <= source.valid[1])]
     return values
+
+
+def _unwrapped(
+    name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"], fits: tuple[float, float]
+) -> tuple[Edit, ...]:
+    """The edit that undoes the wrap of a counter that stays below zero all the time; empty where that does not fit.
+
+    Args:
+        fits: range that its values have then.
+    """
+    low, high = np.percentile(raw[np.isfinite(raw)], (0.5, 99.5))
+    for period in PERIODS:
+        if source.wrap is not None or not 0.9 * period < low <= high <= period:
+            continue
+        values = convert(name, msgspec.structs.replace(source, clip=None), np.array([[low], [high]]) - period)
+        if (values >= fits[0]).all() and (values <= fits[1]).all():
+            return (Edit(f"channels.{name}.wrap", {"above": period / 2, "period": period}),)
+    return ()
 
 
 def _cure(

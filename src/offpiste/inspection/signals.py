@@ -7,14 +7,13 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.ranges import limits
+from offpiste.inspection.ranges import PERIODS, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import LARGEST, convert, largest
 from offpiste.rig.channels import ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
-_PERIODS = (65536.0, 6553.6, 655.36)  # a 16-bit counter, whole or in tenths or hundredths
 _SPIKE = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
 _MAX_SPIKES = 0.02
@@ -113,7 +112,7 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
     the upper band continues the lower one. Either may hold most of the samples. Values are finite.
     """
     high = float(raw.max())
-    for period in _PERIODS:
+    for period in PERIODS:
         if not 0.9 * period < high <= period or raw.min() < -0.01 * period:
             continue
         ordered = np.sort(raw)

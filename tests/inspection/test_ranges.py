@@ -1,0 +1,38 @@
+"""Controls that leave the range of their unit: another unit, another scale, a counter that wraps."""
+
+import numpy as np
+import pytest
+from simulated import drive_log, rig
+
+from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.edits import Edit
+
+CLEAN = drive_log(seconds=60)
+
+
+def cures(log, **entries):
+    field = 'fields = ["brake"]'
+    lines = "\n".join(f"{key} = {value}" for key, value in entries.items())
+    return inspect_log(log, rig((field, f"{field}\n{lines}"))).cure
+
+
+@pytest.mark.parametrize("period", [65536.0, 6553.6])
+def test_a_counter_that_stays_below_zero_is_unwrapped(period):
+    counts = -150 + 20 * np.random.default_rng(0).standard_normal(len(CLEAN.data["pedals"][0]))
+    log = CLEAN.change("pedals", "brake", lambda x: (counts + 65536) * period / 65536)
+    scale = 65536 / period / 3000
+    assert cures(log, scale=scale, offset=0.05) == (
+        Edit("channels.brake.wrap", {"above": period / 2, "period": period}),
+    )
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100.0, "percent"), (1000.0, "permille")])
+def test_a_pedal_in_another_unit(factor, unit):
+    assert cures(CLEAN.change("pedals", "brake", lambda x: factor * x)) == (Edit("channels.brake.unit", unit),)
+
+
+def test_large_counts_that_are_no_wrapped_zero_are_scaled():
+    log = CLEAN.change("pedals", "brake", lambda x: 60_000 + 5000 * x)
+    scale, offset = cures(log)
+    assert (scale.key, offset.key) == ("channels.brake.scale", "channels.brake.offset")
+    assert scale.value == pytest.approx(1 / 5000 / np.ptp(CLEAN.data["pedals"][1]["brake"]), rel=0.1)
