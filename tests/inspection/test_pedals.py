@@ -5,7 +5,11 @@ import pytest
 from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig
 
 from offpiste.conventions import GRAVITY
+from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.lags import LAGS, LagFit
+from offpiste.inspection.pedals import check_pedals
+from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit
 
 CLEAN = drive_log(seconds=60)
@@ -117,3 +121,16 @@ def test_a_vehicle_that_is_driven_gently_has_its_pedals() -> None:
     for name in ("throttle", "brake"):
         gently = CLEAN.change("pedals", name, lambda x: 0.14 * x / x.max())
         assert not any("too small" in f.what for f in inspect_log(gently, rig()).findings)
+
+
+def test_a_pedal_that_is_a_second_late_is_late_and_not_reversed() -> None:
+    """Driven in waves, a pedal that is half a wave late looks reversed; what explains more is that it is late."""
+    drive = drive_from_log(CLEAN, rig())
+    path = driven_path(drive)
+    whats = {}
+    for explains in (0.8, 0.1):
+        r = explains * np.exp(-(((LAGS + 1.0) / 0.2) ** 2)) - 0.4 * np.exp(-(((LAGS - 0.2) / 0.2) ** 2))
+        fit = LagFit(LAGS, r, r, 1000, np.tile(r, (9, 1)), np.tile(r, (9, 1)))
+        whats[explains] = [(f.what, f.cures[0][0].key) for f in check_pedals({"throttle": fit}, drive, path)]
+    assert whats[0.8] == [("is stamped after the motion that it causes", "channels.throttle.delay")]
+    assert whats[0.1] == [("acts the wrong way", "channels.throttle.scale")]
