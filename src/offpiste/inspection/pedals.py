@@ -97,7 +97,9 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
         late = fit.best(sign=sign)
         if not _has_effect(fit):
             findings += [] if _acts_alone(name, drive, path) else [_without_effect(name, fit, drive, path)]
-        elif abs(fit.r[wrong]) > max(_PEDAL_EFFECT, 2 * max(sign * fit.r[right], 0.0), sign * fit.r[late]):
+        elif abs(fit.r[wrong]) > max(
+            _PEDAL_EFFECT, SURE * fit.r_sigma(wrong), 2 * max(sign * fit.r[right], 0.0), sign * fit.r[late]
+        ):
             evidence = (
                 f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
             )
