@@ -229,7 +229,7 @@ def replay(
             images=tuple(k.pixels for k in keyframes),
         )
         yield moment
-        layers = vars(moment).get("layers", layers)
+        layers = vars(moment).get("layers", layers)  # if they were asked for, their memory serves the next ones
 
 
 def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " n"]:
