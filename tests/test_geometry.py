@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from offpiste.geometry import (
+    local_from_geographic,
     local_polynomial,
     planar_body_from_world,
     rotate_by_minus_yaw,
@@ -127,3 +128,40 @@ def test_the_edge_of_a_gap_is_not_extrapolated():
     values = np.random.default_rng(0).normal(0, 0.01, (len(time), 1))
     found, _ = local_polynomial(time, values, np.array([0.99, 1.2, 4.9, 5.5]), window=0.3, causal=True)
     assert np.isfinite(found[:, 0]).tolist() == [True, False, False, True]
+
+
+def _ellipsoid(place):
+    """Earth-centred coordinates of WGS 84: three lines of any textbook of geodesy."""
+    latitude, longitude = np.deg2rad(place[:, 0]), np.deg2rad(place[:, 1])
+    squared = (2 - 1 / 298.257223563) / 298.257223563
+    radius = 6_378_137.0 / np.sqrt(1 - squared * np.sin(latitude) ** 2)
+    flat = radius * np.cos(latitude)
+    return np.stack((flat * np.cos(longitude), flat * np.sin(longitude), (1 - squared) * radius * np.sin(latitude)), 1)
+
+
+@given(st.floats(-75, 75), st.floats(-180, 180), st.integers(0, 1000))
+def test_geographic_places_keep_their_distances(latitude, longitude, seed):
+    step = np.random.default_rng(seed).uniform(-0.005, 0.005, (20, 2))
+    place = np.array([latitude, longitude]) + step
+    local, exact = local_from_geographic(place), _ellipsoid(place)
+    lengths = np.linalg.norm(np.diff(local, axis=0), axis=1)
+    np.testing.assert_allclose(lengths, np.linalg.norm(np.diff(exact, axis=0), axis=1), rtol=1e-3, atol=1e-3)
+
+
+def test_east_and_north_of_the_nearest_hundredth_of_a_degree():
+    # A degree at 48 degrees north, of a table of WGS 84: 111.200 km of latitude, 74.628 km of longitude.
+    local = local_from_geographic(np.array([[48.001, 11.002, 520.0], [48.0, 11.0, 521.0]]))
+    np.testing.assert_allclose(local, [[149.26, 111.20, 520.0], [0.0, 0.0, 521.0]], atol=0.02)
+
+
+def test_a_log_and_a_part_of_it_have_one_plane_and_unknown_places_are_none():
+    place = np.array([[0.0, 0.0], [np.nan, 11.0], [48.001, 11.0], [48.002, 11.001], [95.0, 11.0]])
+    local = local_from_geographic(place)
+    np.testing.assert_array_equal(np.isnan(local[:, 0]), [True, True, False, False, True])
+    np.testing.assert_array_equal(local_from_geographic(place[3:4]), local[3:4])
+    assert np.isnan(local_from_geographic(np.zeros((2, 2)))).all()
+
+
+def test_across_the_date_line_a_step_stays_a_step():
+    local = local_from_geographic(np.array([[0.001, 179.9999], [0.001, -179.9999]]))
+    np.testing.assert_allclose(np.diff(local, axis=0), [[22.26, 0.0]], atol=0.01)

@@ -1,5 +1,7 @@
 """Angles, quaternions (xyzw), planar rotations and local polynomials. NumPy for rows, torch for batches."""
 
+from typing import Final
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -98,3 +100,37 @@ def local_polynomial(
     coefficients = np.linalg.solve(normal, moments)
     coefficients[~enough] = np.nan
     return coefficients[:, 0], coefficients[:, 1] / window
+
+
+_EQUATOR: Final = 6_378_137.0
+_FLATTENING: Final = 1 / 298.257223563
+"""Of WGS 84's ellipsoid: its radius at the equator [m], and how much flatter it is at the poles."""
+_GRID: Final = 0.01
+"""Tangent planes touch the ellipsoid at multiples of this [degrees]: a log and a part of it have the same."""
+
+
+def local_from_geographic(place: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
+    """East and north of a point near the first known place, from latitude and longitude on WGS 84's ellipsoid.
+
+    Distances on a plane that touches there: 5 km away they are 0.1 % off at 50 degrees of latitude.
+
+    Args:
+        place: latitude, longitude [degrees] and, if there is one, height [m].
+
+    Returns:
+        x east, y north and the height as it was [m]; NaN where a place is none.
+    """
+    # Receivers write 0, 0 until they know where they are.
+    known = (np.abs(place[:, :2]) <= (90.0, 360.0)).all(axis=1) & (place[:, :2] != 0).any(axis=1)
+    local = np.full_like(place, np.nan, dtype=np.float64)
+    local[:, 2:] = place[:, 2:]
+    if not known.any():
+        return local
+    origin = np.round(place[known.argmax(), :2] / _GRID) * _GRID
+    squared = _FLATTENING * (2 - _FLATTENING)
+    bent = 1 - squared * np.sin(np.deg2rad(origin[0])) ** 2
+    along = _EQUATOR * (1 - squared) / bent**1.5
+    across = _EQUATOR / np.sqrt(bent) * np.cos(np.deg2rad(origin[0]))
+    north, east = np.deg2rad(place[known, 0] - origin[0]), np.deg2rad((place[known, 1] - origin[1] + 180) % 360 - 180)
+    local[known, 0], local[known, 1] = across * east, along * north
+    return local

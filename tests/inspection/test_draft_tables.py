@@ -227,3 +227,16 @@ def test_what_was_never_measured_is_noted_until_it_is(tmp_path: Path) -> None:
     assert again.what == finding.what
     assert check_draft_values(edited(rig, [Edit("vehicle.source", "data sheet")])) == []
     assert check_draft_values(load_rig("tartandrive2")) == []
+
+
+def test_latitude_and_longitude_become_metres(tmp_path: Path) -> None:
+    t, x, y, yaw, pedal = (DRIVEN[name] for name in ("t", "x", "y", "yaw", "throttle"))
+    # Metres of a degree at 48 degrees north, of a table of WGS 84.
+    rows = np.stack((t, 11 + x / 74_628, 48 + y / 111_200, 500 + 0 * t, yaw, pedal, DRIVEN["angle"]), axis=1)
+    header = "t,Longitude,Latitude (deg),altitude,yaw,throttle,steering_angle"
+    np.savetxt(tmp_path / "gps.csv", rows, "%.9f", ",", header=header, comments="")
+    rig = drafted(tmp_path / "gps.csv")
+    assert rig.channels["position"].fields == ("Latitude (deg)", "Longitude", "altitude")
+    position = drive_from_log(open_log(tmp_path / "gps.csv"), rig).channels["position"].values
+    np.testing.assert_allclose(np.diff(position[:, :2], axis=0), np.diff(np.stack((x, y), axis=1), axis=0), atol=1e-3)
+    np.testing.assert_array_equal(position[:, 2], 500)

@@ -9,6 +9,7 @@ from simulated import MemoryLog, drive_log, rig
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import parse_rig
 
 CLEAN = drive_log(seconds=60)
@@ -325,14 +326,18 @@ def test_no_pose_at_all() -> None:
     assert "pose" in found.findings[0].what
 
 
-def test_latitude_and_longitude_are_no_position() -> None:
-    def degrees(x: np.ndarray) -> np.ndarray:
-        return 40.44 + x / 111_000
-
-    log = CLEAN.change("odom", "x", degrees).change("odom", "y", degrees)
-    found = inspect_log(log, rig())
+@pytest.mark.parametrize("first", ["x", "y"])
+def test_latitude_and_longitude_are_read_in_their_order(first: str) -> None:
+    log = CLEAN.change("odom", "x", lambda east: east / 84_880 - 79.95)
+    log = log.change("odom", "y", lambda north: north / 111_040 + 40.44)
+    read = rig() if first == "x" else rig(('["x", "y", "z"]', '["y", "x", "z"]'))
+    found = inspect_log(log, read)
     assert not found.usable
     assert "latitude" in found.findings[0].what
+    (cure, *_) = found.findings[0].cures
+    assert cure[0] == Edit("channels.position.unit", "lat lon")
+    assert cure[1:] == ((Edit("channels.position.fields", ["y", "x", "z"]),) if first == "x" else ())
+    assert inspect_log(log, edited(read, cure)).usable
 
 
 def test_the_draft_reads_the_log_and_is_found_right() -> None:

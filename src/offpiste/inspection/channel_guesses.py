@@ -7,6 +7,7 @@ from typing import Final
 
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.logs.log import Log, Topic
+from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label
 
 _AXIS_WORDS: Final = tuple(
@@ -130,7 +131,7 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         return
     named = labels(topic)
     taken: set[str] = set()
-    for guess in (*_together(topic, named), *_vectors(topic, named), *_wheels(topic, named)):
+    for guess in (*_together(topic, named), *_vectors(topic, named), *_places(topic, named), *_wheels(topic, named)):
         if not taken & set(guess.fields):
             yield guess
             taken |= set(guess.fields)
@@ -181,6 +182,20 @@ def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
             guess = _guess(channel, topic, fields, named[fields[0]])
             if guess is not None and len(fields) in _WIDTHS[channel]:
                 yield guess
+
+
+_GEOGRAPHIC: Final = tuple(
+    re.compile(rf"(?<![a-z])({words})$")
+    for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
+)
+"""What latitude, longitude and height are called."""
+
+
+def _places(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
+    """A guess at geographic positions, as of sensor_msgs/NavSatFix."""
+    found = [next((f for f, label in named.items() if p.search(label.name)), "") for p in _GEOGRAPHIC]
+    if found[0] and found[1] and all(named[field].unit in ("", "deg") for field in found[:2]):
+        yield Guess("position", topic.name, tuple(field for field in found if field), GEOGRAPHIC, rank=1)
 
 
 def _with_letters(name: str) -> str:

@@ -13,7 +13,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.rig.channels import unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
@@ -77,13 +77,12 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
 def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
     """Degrees of latitude and longitude, or a unit in which no vehicle is that fast."""
     xy, rig = drive.channels["position"].values[:, :2], drive.rig
-    degrees = np.ptp(xy, axis=0).max() < 0.5 and np.abs(xy[:, 0]).max() <= 90 and np.abs(xy[:, 1]).max() <= 180
+    source = rig.channels["position"]
+    degrees = np.ptp(xy, axis=0).max() < 0.5 and np.abs(xy).min(axis=1).max() <= 90 and np.abs(xy).max() <= 360
     if degrees and 1e-8 < path.cruise < 1e-3 and np.abs(xy).max() > 1:
-        evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
-        how = "project it to a local frame (UTM, ENU), or take another pose"
-        return [Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0)]
+        return [_geographic(source, xy, path)]
     if path.cruise > _FASTEST or _acceleration(path) > _HARDEST:
-        now = rig.channels["position"].unit or "m"
+        now = source.unit or "m"
         evidence = f"95 % of the speeds reach {path.cruise:.3g} m/s and of the accelerations {_acceleration(path):.3g} "
         evidence += f"m/s2, read as {now}"
         per_unit = partial(unit_factor, "position")
@@ -94,6 +93,17 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
         remedy = str(cures[0][0]) if cures else "fix channels.position.unit or scale"
         return [Finding("fatal", "position", "moves too fast", evidence, remedy, 1.0, cures)]
     return []
+
+
+def _geographic(source: ChannelSource, xy: Float[np.ndarray, "n 2"], path: Path) -> Finding:
+    evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
+    x, y, *height = source.fields
+    unit = Edit("channels.position.unit", GEOGRAPHIC)
+    cures: list[tuple[Edit, ...]] = [(unit,), (unit, Edit("channels.position.fields", [y, x, *height]))]
+    if "lon" in x.lower() or np.abs(xy[:, 0]).max() > 90:
+        cures.reverse()
+    how = f"{', '.join(map(str, cures[0]))}: the latitude comes first; or take another pose"
+    return Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0, tuple(cures))
 
 
 def _acceleration(path: Path) -> float:

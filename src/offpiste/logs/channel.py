@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.errors import LogError, RigError
+from offpiste.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.log import Log, Samples
-from offpiste.rig.channels import ChannelSource, known_channels, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, known_channels, unit_factor
 from offpiste.rig.rig import Rig
 
 _FARTHEST: Final = 1.5e7
@@ -170,6 +171,8 @@ def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> 
     if name == "orientation":
         return raw if source.offset == 0 else _turned(raw, source.offset)
     values = raw
+    if source.unit == GEOGRAPHIC:
+        return local_from_geographic(source.sign * (values * source.scale + source.offset))
     if source.wrap is not None:
         values = np.where(values > source.wrap.above, values - source.wrap.period, values)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped

@@ -9,8 +9,11 @@ import numpy as np
 from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 
+GEOGRAPHIC: Final = "lat lon"
+"""Unit of positions in degrees of latitude and longitude, with the height in metres."""
+
 _UNITS: dict[str, dict[str, float]] = {
-    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048},
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, GEOGRAPHIC: 111_195.0},  # of the last: about, and northward
     "rad": {"rad": 1.0, "deg": np.pi / 180, "mrad": 0.001},
     "m/s": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 0.514444},
     "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "rev/min": 2 * np.pi / 60},
