@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
-from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.steering import check_steering
-from offpiste.inspection.steering_fit import steering_fits
+from offpiste.inspection.steering_fit import steering_fit, steering_fits
+from offpiste.logs.channel import Channel
 from offpiste.logs.drive import drive_from_log
 
 WHEELBASE = 0.18
@@ -73,3 +74,29 @@ def test_places_in_feet_are_likelier_than_wheels_that_hardly_turn() -> None:
     first, *others = (str(edit) for cure in finding.cures for edit in cure)
     assert first == 'channels.position.unit = "ft"'
     assert any(other.startswith("vehicle.max_steer") for other in others)
+
+
+@pytest.mark.parametrize("understeer", [0.0, 0.005, 0.02])
+def test_slip_that_grows_with_the_speed_is_taken_out_of_the_scale(understeer: float) -> None:
+    """At no speed, a bicycle turns as its geometry says, whatever its understeer."""
+    time = np.arange(0, 120, 0.05)
+    speed = 6 + 4 * np.sin(time / 9)
+    steer = 0.6 * np.sin(time / 1.9) * np.sin(time / 7)
+    yaw_rate = speed * np.tan(MAX_STEER) * steer / (2.5 * (1 + understeer * speed**2))
+    yaw = np.cumsum(yaw_rate) * 0.05
+    velocity = speed[:, None] * np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
+    still = np.zeros(len(time))
+    path = Path(time, np.cumsum(velocity, axis=0) * 0.05, velocity, speed, speed, yaw, yaw_rate, still, still)
+    fit = steering_fit(Channel("steer", "", time, steer[:, None]), path, rig(), measured=True)
+    assert fit is not None
+    assert fit.extrapolated is not None
+    assert 1 / fit.extrapolated.gain[0] == pytest.approx(np.tan(MAX_STEER) / 2.5, rel=0.03)
+
+
+@pytest.mark.parametrize("factor", [0.67, 0.75, 1.33, 1.5])
+def test_a_range_of_steering_that_is_wrong_by_a_third_is_found(factor: float) -> None:
+    wrong = rig((f"max_steer = {MAX_STEER}", f"max_steer = {MAX_STEER * factor:.3f}"))
+    (finding,) = (f for f in inspect_log(drive_log(seed=0), wrong).findings if f.severity == "warning")
+    assert finding.where == "steer"
+    assert finding.cures[0][0].key == "vehicle.max_steer"
+    assert finding.cures[0][0].value == pytest.approx(MAX_STEER, rel=0.1)

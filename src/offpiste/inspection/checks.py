@@ -15,6 +15,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.heading_drift import check_heading_drift
 from offpiste.inspection.lags import LagFit
+from offpiste.inspection.late_poses import check_late_poses
 from offpiste.inspection.missing import check_missing, check_unread
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.ranges import check_ranges
@@ -146,6 +147,12 @@ def _turn_rate(motion: Motion) -> list[Finding]:
     return check_turn_rate(motion.drive, motion.path) if motion.follows else []
 
 
+def _late_poses(motion: Motion) -> list[Finding]:
+    if not motion.follows:
+        return []
+    return check_late_poses(motion.drive, motion.path, motion.steering, motion.pedals)
+
+
 def _frozen(motion: Motion) -> list[Finding]:
     return check_frozen(motion.drive, motion.path)
 
@@ -190,6 +197,7 @@ def _controls(motion: Motion) -> list[Finding]:
 
 
 MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
+    _late_poses,
     _frozen,
     _dropouts,
     _resolution,

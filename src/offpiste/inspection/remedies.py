@@ -29,9 +29,6 @@ _LEAST_GAIN: Final = 0.4
 """A cure must silence this much to be advised."""
 _TURNED: Final = {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}
 """Places of findings that a pose with wrong axes has."""
-_POSE: Final = {"position", "orientation", "yaw"}
-_VELOCITIES: Final = {"linear_velocity", "angular_velocity", "yaw_rate"}
-"""Channels that may be as late as the pose where its topic holds them."""
 _ROUNDS: Final = 6
 _MOST: Final = 16
 """Most cures that are tried in a round."""
@@ -97,8 +94,7 @@ def _size(cure: Cure, rig: Rig) -> int:
 
 def _distinct(findings: Sequence[Finding], rig: Rig) -> list[Cure]:
     """Cures to try; of those that explain as much, the first is taken."""
-    cures = dict.fromkeys(_poses_late(findings, rig))
-    cures |= dict.fromkeys(cure for finding in findings for cure in finding.cures)
+    cures = dict.fromkeys(cure for finding in findings for cure in finding.cures)
     cures |= dict.fromkeys(_hypotheses(findings, rig))
     return [*cures][:_MOST]
 
@@ -132,24 +128,6 @@ def _compass(rig: Rig) -> Iterator[Cure]:
 def _delays(findings: Sequence[Finding]) -> list[Edit]:
     """The delays that findings propose first."""
     return [e for f in findings for cure in f.cures[:1] for e in cure if e.key.endswith(".delay")]
-
-
-def _poses_late(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
-    """One delay of the poses for those of several channels, all early or all late.
-
-    A pose takes time to compute: that it is late is likelier than that all else is stamped before it happens.
-    """
-    delays = _delays(findings)
-    channels = {edit.key.split(".")[1] for edit in delays}
-    shifts = sorted(float(e.value) - rig.channels[e.key.split(".")[1]].delay for e in delays)
-    if len(shifts) < 2 or shifts[0] * shifts[-1] <= 0:
-        return
-    if shifts[0] < 0 or len({rig.channels[name].topic for name in channels}) > 1:
-        topic, middle = rig.channels["position"].topic, shifts[len(shifts) // 2]
-        pose = [name for name in rig.channels if name in _POSE]
-        beside = [n for n, source in rig.channels.items() if n in _VELOCITIES and source.topic == topic]
-        for names in (pose, [*pose, *beside]):
-            yield tuple(Edit(f"channels.{n}.delay", round(rig.channels[n].delay - middle, 2)) for n in names)
 
 
 def _swapped(one: str, other: str, rig: Rig) -> Cure:

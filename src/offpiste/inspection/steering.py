@@ -28,6 +28,13 @@ _SHARES: Final = (0.55, 1.1)
 more, on ice and with much slip, too, and none more than 1.0 in the fit that shows less."""
 _USUAL_SHARE: Final = 0.83
 """The share that a remedy assumes: tyres slip."""
+_SHARES_WITHOUT_SLIP: Final = (0.8, 1.15)
+"""The same, extrapolated to no speed: of 80 healthy channels all lay within, where that was known."""
+_CLEAR_WITHOUT_SLIP: Final = 0.85
+"""Correlation of that fit above which it is clear."""
+_USUAL_WITHOUT_SLIP: Final = 0.94
+_MARGIN: Final = 2.0
+"""Standard deviations by which it has to lie outside."""
 _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.02}
 """Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
 _RANGES: Final = (0.25, 0.9)
@@ -108,26 +115,17 @@ def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
 
 def _scale(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     """Yaw rate over speed is tan(angle) / wheelbase, where tyres grip."""
-    # Tyres that slide spoil one fit, little steering the other: only what both show is a wrong scale.
-    usual = _USUAL_SHARE * curvature_per_unit(name, rig)
-    gains = [(abs(float(part.gain[part.best()])), part) for part in (fit.gripping, fit.settled)]
-    gain, part = min(gains, key=lambda pair: abs(np.log(max(pair[0], 1e-9) / usual)))
-    if min(gains[0][0], gains[1][0]) < usual < max(gains[0][0], gains[1][0]):
+    ratio = _extrapolated_ratio(name, fit, rig) or _gripping_ratio(name, fit, rig)
+    if ratio is None:
         return []
-    sigma = part.gain_sigma(part.best())
-    if fit.gripping.strength < _CLEAR or fit.settled.strength < _CLEAR or not sigma < 0.2 * gain:
-        return []
-    factor = gain / curvature_per_unit(name, rig)
-    margin = 1.5 * factor * sigma / gain
-    if _SHARES[0] - margin < factor < _SHARES[1] + margin:
-        return []
-    implied = gain * rig.vehicle.wheelbase / _USUAL_SHARE
-    implied_angle = float(np.arctan(implied))
     evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
+    implied = ratio * (np.tan(rig.vehicle.max_steer) if name == "steer" else 1.0)
     if name == "steer":
-        evidence += f"{implied_angle:.3f} rad at steer = 1; the rig says {rig.vehicle.max_steer:.3f} rad"
-        edit = Edit("vehicle.max_steer", rounded(implied_angle))
+        angle = float(np.arctan(implied))
+        evidence += f"{angle:.3f} rad at steer = 1; the rig says {rig.vehicle.max_steer:.3f} rad"
+        edit = Edit("vehicle.max_steer", rounded(angle))
     else:
+        angle = 0.0
         source = rig.channels[name]
         evidence += f"{implied:.3g} times the angle"
         edit = Edit(f"channels.{name}.scale", rounded(source.scale * implied))
@@ -135,21 +133,50 @@ def _scale(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
             edit = Edit(f"channels.{name}.unit", "deg")
         elif source.unit == "deg" and abs(implied * np.pi / 180 - 1) < 0.4:
             edit = Edit(f"channels.{name}.unit", "rad")
-    longer = _USUAL_SHARE / factor
-    wheelbase = _other_wheelbase(rig, longer)
+    wheelbase = _other_wheelbase(rig, 1 / ratio)
     cures: tuple[tuple[Edit, ...], ...] = ((edit,),)
     remedy = str(edit)
     if wheelbase is not None:
         cures = (*cures, (wheelbase,))
-        remedy += f"; or the wheelbase is {rig.vehicle.wheelbase * longer:.2f} m: {wheelbase}"
-    places = _other_places(rig, factor)
+        remedy += f"; or the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: {wheelbase}"
+    places = _other_places(rig, ratio)
     if places is not None:
         # A range of steering that no vehicle has speaks for the places.
-        first = name == "steer" and not _RANGES[0] < implied_angle < _RANGES[1]
+        first = name == "steer" and not _RANGES[0] < angle < _RANGES[1]
         cures = ((places,), *cures) if first else (*cures, (places,))
         remedy = f"{places}; or {remedy}" if first else f"{remedy}; or {places}"
-    what = "turns the vehicle more than the rig says" if factor > 1 else "turns the vehicle less than the rig says"
+    what = "turns the vehicle more than the rig says" if ratio > 1 else "turns the vehicle less than the rig says"
     return [Finding("warning", name, what, evidence, remedy, 0.6, cures)]
+
+
+def _gripping_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
+    """True curvature over the rig's, from rows where tyres grip; None where it may be right."""
+    # Tyres that slide spoil one fit, little steering the other: only what both show is a wrong scale.
+    usual = _USUAL_SHARE * curvature_per_unit(name, rig)
+    gains = [(abs(float(part.gain[part.best()])), part) for part in (fit.gripping, fit.settled)]
+    gain, part = min(gains, key=lambda pair: abs(np.log(max(pair[0], 1e-9) / usual)))
+    if min(gains[0][0], gains[1][0]) < usual < max(gains[0][0], gains[1][0]):
+        return None
+    sigma = part.gain_sigma(part.best())
+    if fit.gripping.strength < _CLEAR or fit.settled.strength < _CLEAR or not sigma < 0.2 * gain:
+        return None
+    factor = gain / curvature_per_unit(name, rig)
+    margin = 1.5 * factor * sigma / gain
+    return None if _SHARES[0] - margin < factor < _SHARES[1] + margin else gain / usual
+
+
+def _extrapolated_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
+    """True curvature over the rig's, extrapolated to where no tyre slips; None where it may be right."""
+    part = fit.extrapolated
+    if part is None or part.strength < _CLEAR_WITHOUT_SLIP:
+        return None
+    factor = 1 / (abs(float(part.gain[0])) * curvature_per_unit(name, rig))
+    margin = _MARGIN * part.gain_sigma(0) / abs(float(part.gain[0]))
+    low, high = _SHARES_WITHOUT_SLIP
+    # Noise of the yaw rate makes the factor too large, by the correlation squared at the most.
+    if not margin < 0.5 or (low < factor * (1 + margin) and factor * min(1 - margin, part.strength**2) < high):
+        return None
+    return factor / _USUAL_WITHOUT_SLIP
 
 
 def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
@@ -173,11 +200,10 @@ def _other_wheelbase(rig: Rig, factor: float) -> Edit | None:
     return Edit("vehicle.wheel_positions", places)
 
 
-def _other_places(rig: Rig, factor: float) -> Edit | None:
-    """The unit of positions that explains a turning `factor` times what the rig asks for; None where none does."""
+def _other_places(rig: Rig, ratio: float) -> Edit | None:
+    """The unit of positions that explains a turning `ratio` times the rig's; None where none does."""
     for unit in ("ft", "cm"):
-        share = factor / unit_factor("position", unit)
-        if not rig.channels["position"].unit and abs(np.log(share / _USUAL_SHARE)) < 0.3:
+        if not rig.channels["position"].unit and abs(np.log(ratio / unit_factor("position", unit))) < 0.3:
             return Edit("channels.position.unit", unit)
     return None
 

@@ -3,6 +3,9 @@
 The **steady** fit explains the yaw rate by speed times steering; the **dynamic** one explains the yaw rate a moment
 later by the yaw rate now and the steering in between. A vehicle that drifts countersteers: the steady relation then
 turns round or vanishes, but steering to the left still turns it further to the left than it would go.
+
+Tyres slip the more, the faster a vehicle turns (understeer: yaw rate = speed * steering / (wheelbase (1 + K speed^2))).
+The **extrapolated** fit takes that out: what is left at no speed is geometry alone.
 """
 
 from dataclasses import dataclass
@@ -32,13 +35,15 @@ _ROUNDS: Final = 5
 
 @dataclass(frozen=True)
 class SteeringFit:
-    """Both fits of a steering channel, and two more for its scale.
+    """Both fits of a steering channel, and three more for its scale.
 
     Attributes:
         steady, dynamic: over all moving rows.
         settled: the steady fit with the steering averaged over the time that explains most.
         gripping: the same where speed and steering, not the turning, ask for little lateral acceleration; `settled`
             where there are too few such rows.
+        extrapolated: speed times steering by the yaw rate, with an understeer of its own: in units of the channel times
+            m, so its inverse is the curvature of a unit at no speed; None where that is not known.
         centre, centre_sigma: steering at which those rows go straight, in the channel's unit (of an angle the tangent),
             and its standard deviation; 0 and infinity where there are too few.
     """
@@ -47,6 +52,7 @@ class SteeringFit:
     dynamic: LagFit
     settled: LagFit
     gripping: LagFit
+    extrapolated: LagFit | None
     centre: float
     centre_sigma: float
 
@@ -95,8 +101,8 @@ def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> S
 
 def _scale_fits(
     wheel: Float[np.ndarray, "L n"], steady: LagFit, path: Path, per_unit: float | None
-) -> tuple[LagFit, LagFit, float, float]:
-    """The fits `settled` and `gripping`, and the centre with its standard deviation.
+) -> tuple[LagFit, LagFit, LagFit | None, float, float]:
+    """The fits `settled`, `gripping` and `extrapolated`, and the centre with its standard deviation.
 
     Args:
         wheel: steering at each of `LAGS`.
@@ -109,6 +115,7 @@ def _scale_fits(
         fit = fit_lags(path.yaw_rate, path.forward[:, None], smooth, _averaged(LAGS[::2], count), moving)
         if fit is not None and fit.strength > settled.strength:
             settled, averaged = fit, smooth[fit.best()]
+    extrapolated = _extrapolated(averaged, path, moving)
     gripping, at = settled, settled.lags[[settled.best()]]
     few = moving
     # Without a rig the scale is what is sought: tyres that slide show too small a one, and each round fewer of them.
@@ -121,9 +128,21 @@ def _scale_fits(
     # yaw rate = gain * (forward * steering - centre * forward): the other coefficient of the same fit.
     other = fit_lags(path.yaw_rate, averaged[:, None], path.forward[None], at, few)
     if gripping is settled or other is None:
-        return settled, settled, 0.0, np.inf
+        return settled, settled, extrapolated, 0.0, np.inf
     gain = float(gripping.gain[0])
-    return settled, gripping, -float(other.gain[0]) / gain, other.gain_sigma(0) / abs(gain)
+    return settled, gripping, extrapolated, -float(other.gain[0]) / gain, other.gain_sigma(0) / abs(gain)
+
+
+def _extrapolated(asked: Float[np.ndarray, " n"], path: Path, rows: Bool[np.ndarray, " n"]) -> LagFit | None:
+    """`asked` by the yaw rate and its slip; None where vehicles would turn the more, the faster they are."""
+    slip = path.forward**2 * path.yaw_rate
+    turn, of_slip = (
+        fit_lags(asked, np.stack((path.forward, other), axis=1), one[None], np.zeros(1), rows)
+        for one, other in ((path.yaw_rate, slip), (slip, path.yaw_rate))
+    )
+    if turn is None or of_slip is None or turn.gain[0] * of_slip.gain[0] < 0:
+        return None
+    return turn
 
 
 def _averaged(values: Float[np.ndarray, "L ..."], count: int) -> Float[np.ndarray, "m ..."]:

@@ -26,7 +26,7 @@ _FITS = 0.2
 """A frame fits if the RMS difference to the pose's derivative is below this share of the RMS speed."""
 _FOLLOWS = 0.6
 """A yaw rate follows the pose's if the RMS difference is below this share of its RMS."""
-_LAGS: Final = np.arange(-20, 21) * STEP
+_LAGS: Final = np.arange(-30, 31) * STEP
 _LATE: Final = 0.12
 """Delays from here on are reported [s]."""
 _BIASED: Final = 0.02
@@ -96,16 +96,35 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     return findings + _gain(name, fit, drive.rig, "m/s", _UNITS) + _delay(name, fit, source)
 
 
+def turn_rate_name(drive: Drive) -> str:
+    """The channel that holds the yaw rate."""
+    return "yaw_rate" if "yaw_rate" in drive.channels else "angular_velocity"
+
+
+def fit_turn_rate(drive: Drive, path: Path) -> FrameFit | None:
+    """Fit of the recorded yaw rate by the heading's derivative; None where there is none, or too little turns."""
+    name = turn_rate_name(drive)
+    if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
+        return None
+    return _fit("", _on_path(path, _turn_rate(drive)), path.yaw_rate[:, None])
+
+
+def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
+    """Fit of the wheels' speed by the path's; None where there is none, or too little moves."""
+    if "wheel_speed" not in drive.channels or path.driving < 3:
+        return None
+    recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
+    return _fit("", *(values[:, None] - np.nanmean(values) for values in (recorded, path.forward)))
+
+
 def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
     """Unit, sign and delay of `yaw_rate`, or of the z component of `angular_velocity`."""
-    name = "yaw_rate" if "yaw_rate" in drive.channels else "angular_velocity"
+    name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return []
-    source, rate = drive.rig.channels[name], drive.channels[name]
-    if not rate.values[:, -1].any():
+    if not drive.channels[name].values[:, -1].any():
         return [_zero(name)]
-    scalar = Channel(name, rate.unit, rate.time, _turn_rate(drive, rate, source)[:, None])
-    fit = _fit("", _on_path(path, scalar), path.yaw_rate[:, None])
+    source, fit = drive.rig.channels[name], fit_turn_rate(drive, path)
     if fit is None:
         return []
     if fit.misfit > _FOLLOWS:
@@ -114,7 +133,7 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
         how = f"{removed}; the pose is differentiated instead"
         return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0, ((removed,),))]
     wrong = _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
-    return wrong or (_bias(name, _on_path(path, scalar)[:, 0], path, source) if name == "yaw_rate" else [])
+    return wrong or (_bias(name, _on_path(path, _turn_rate(drive))[:, 0], path, source) if name == "yaw_rate" else [])
 
 
 def _bias(name: str, recorded: Float[np.ndarray, " n"], path: Path, source: ChannelSource) -> list[Finding]:
@@ -130,13 +149,16 @@ def _bias(name: str, recorded: Float[np.ndarray, " n"], path: Path, source: Chan
     return [Finding("warning", name, "is not zero without turning", evidence, str(edit), 0.4, ((edit,),))]
 
 
-def _turn_rate(drive: Drive, rate: Channel, source: ChannelSource) -> Float[np.ndarray, " n"]:
+def _turn_rate(drive: Drive) -> Channel:
+    name = turn_rate_name(drive)
+    rate = drive.channels[name]
     if rate.values.shape[1] == 1:
-        return rate.values[:, 0]
-    if source.frame == "body" and "orientation" in drive.channels:
+        return rate
+    values = rate.values[:, 2]
+    if drive.rig.channels[name].frame == "body" and "orientation" in drive.channels:
         orientation = drive.channels["orientation"].linear(rate.time, max_gap=np.inf)
-        return yaw_rate_from_body_rates(np.nan_to_num(orientation, nan=0.5), rate.values)
-    return rate.values[:, 2]
+        values = yaw_rate_from_body_rates(np.nan_to_num(orientation, nan=0.5), rate.values)
+    return Channel(name, rate.unit, rate.time, values[:, None])
 
 
 def _on_path(path: Path, recorded: Channel) -> Float[np.ndarray, "n k"]:

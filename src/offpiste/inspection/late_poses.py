@@ -1,0 +1,158 @@
+"""Poses that are stamped wrong: the one delay that explains most of the times by which all else is apart from them.
+
+A late pose looks like a yaw rate, a velocity and a steering that are all early. Every measured time between two
+channels is compared with what healthy vehicles have, once as stamped and once with the heading, the position or both
+late by some time. Each other sensor may be wrong by itself, too, at a cost: its differences count no more than that.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from offpiste.geometry import planar_body_from_world
+from offpiste.inspection.driven_path import Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import LagFit, fit_lags
+from offpiste.inspection.steering_fit import SteeringFit, moving_rows
+from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
+from offpiste.logs.drive import Drive
+from offpiste.rig.edits import Edit
+
+_LATE: Final = 0.12
+"""Delays from here on are reported [s]."""
+_ONE_MORE: Final = 9.0
+"""Cost of one thing that is wrong: a difference of three standard deviations."""
+_TRIED: Final = np.arange(-1.6, 1.61, 0.01)
+"""Delays that are tried [s]."""
+_SENSOR: Final = (0.0, 0.03)
+"""Time by which one sensor is behind another of the same motion, and its spread among healthy logs [s]."""
+_FOLLOWS: Final = 0.4
+"""RMS difference to the pose's derivative over its RMS, below which a sensor shows the same motion."""
+_WHEEL: Final = (-0.1, 0.1)  # those that are driven spin before the vehicle moves
+_PEDAL: Final = (0.1, 0.15)
+_STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.04, 0.07)}
+"""The same of the motion behind its controls."""
+_POSE: Final = ("position", "orientation", "yaw")
+_SENSORS: Final = {"steer": "steering", "steer_angle": "steering", "throttle": "pedals", "brake": "pedals"}
+"""Channels of a topic that are late together."""
+_CLEAR: Final = 0.5
+"""Correlation above which a pedal shows a delay."""
+_SLIP: Final = (-0.025, 0.012, 0.06)
+"""Time by which the heading is behind the course, over the speed, its spread [s^2/m], and the spread of the rest [s]:
+a rear axle slips in proportion to its lateral acceleration, at 1 rad for some 40 m/s^2."""
+_SIDEWAYS: Final = 0.35
+"""Lateral speed over forward speed beyond which a vehicle drifts."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A measured time by which one channel is behind another [s].
+
+    Attributes:
+        usual, spread: mean and standard deviation of what healthy logs show, uncertainty of the measurement included.
+    """
+
+    behind: str
+    other: str
+    time: float
+    usual: float
+    spread: float
+
+    def cost(self, late: frozenset[str], by: np.ndarray) -> np.ndarray:
+        """Squared difference from what is usual, in standard deviations, if some channels are late by these times."""
+        moved = by * (int(self.behind in late) - int(self.other in late))
+        return np.asarray(((self.time - self.usual - moved) / self.spread) ** 2)
+
+
+def check_late_poses(
+    drive: Drive, path: Path, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
+) -> list[Finding]:
+    """A finding if the pose's stamps explain more than those of all other channels do."""
+    measured = [*_intervals(drive, path, steering, pedals)]
+    found, least, delay = None, float(_costs(measured, (), np.zeros(1), drive)[0]) - _ONE_MORE - 1, 0.0
+    for late in _hypotheses(drive):
+        costs = _costs(measured, late, _TRIED, drive)
+        best = int(costs.argmin())
+        if costs[best] < least and abs(_TRIED[best]) > _LATE:
+            found, least, delay = late, float(costs[best]), float(_TRIED[best])
+    if found is None:
+        return []
+    channels = drive.rig.channels
+    cure = tuple(Edit(f"channels.{name}.delay", round(channels[name].delay + delay, 2)) for name in found)
+    apart = ", ".join(f"{i.behind} {i.time - i.usual:+.2f} s behind {i.other}" for i in measured if _wrong(i))
+    evidence = f"{apart}, apart from what is usual: {delay:+.2f} s of {' and '.join(found)} explain most"
+    what = "is late" if delay > 0 else "is early"
+    return [Finding("warning", found[0], what, evidence, ", ".join(map(str, cure)), 0.9, (cure,))]
+
+
+def _costs(measured: Sequence[Interval], late: Sequence[str], by: np.ndarray, drive: Drive) -> np.ndarray:
+    """Costs of all intervals if some channels are late; those of one sensor cost no more than that it is wrong."""
+    sensors: dict[object, np.ndarray] = {}
+    for one in measured:
+        name = one.other if one.other not in _POSE else one.behind
+        source = drive.rig.channels[name]
+        sensor = (source.topic, _SENSORS.get(name, name))
+        sensors[sensor] = sensors.get(sensor, np.zeros(len(by))) + one.cost(frozenset(late), by)
+    return sum((np.minimum(cost, _ONE_MORE) for cost in sensors.values()), np.zeros(len(by)))
+
+
+def _wrong(interval: Interval) -> bool:
+    return bool(abs(interval.time - interval.usual) > max(2 * interval.spread, _LATE / 2))
+
+
+def _hypotheses(drive: Drive) -> Iterator[tuple[str, ...]]:
+    """Channels that may be late together: the heading, the position, both, and with them what shares their topic."""
+    heading, channels = _heading(drive), drive.rig.channels
+    topic = channels["position"].topic
+    beside = [name for name in ("linear_velocity", "angular_velocity", "yaw_rate") if name in channels]
+    beside = [name for name in beside if channels[name].topic == topic]
+    yield (heading,)
+    yield ("position",)
+    yield ("position", heading)
+    if beside:
+        yield ("position", heading, *beside)
+
+
+def _heading(drive: Drive) -> str:
+    return "yaw" if "yaw" in drive.channels else "orientation"
+
+
+def _intervals(
+    drive: Drive, path: Path, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
+) -> Iterator[Interval]:
+    heading = _heading(drive)
+    velocity = None
+    if "linear_velocity" in drive.channels:
+        velocity = fit_frames(drive, path).get(drive.rig.channels["linear_velocity"].frame)
+    for behind, other, recorded, usual in (
+        (turn_rate_name(drive), heading, fit_turn_rate(drive, path), _SENSOR),
+        ("linear_velocity", "position", velocity, _SENSOR),
+        ("wheel_speed", "position", fit_wheel_speed(drive, path), _WHEEL),
+    ):
+        if recorded is not None and recorded.misfit < _FOLLOWS:
+            yield _interval(behind, other, recorded.delay, recorded.delay_sigma, usual)
+    for name, fit in steering.items():
+        if fit.has_effect:
+            yield _interval(heading, name, *fit.dynamic.delay(fit.dynamic.best(sign=fit.sign)), _STEERING[name])
+    for name, pedal in pedals.items():
+        if pedal.strength > _CLEAR and 0 < pedal.best() < len(pedal.lags) - 1:
+            yield _interval("position", name, *pedal.delay(pedal.best()), _PEDAL)
+    yield from _behind_the_course(heading, path)
+
+
+def _interval(behind: str, other: str, time: float, sigma: float, usual: tuple[float, float]) -> Interval:
+    return Interval(behind, other, time, usual[0], float(np.hypot(usual[1], sigma)))
+
+
+def _behind_the_course(heading: str, path: Path) -> Iterator[Interval]:
+    """With the heading late by h, lateral velocity = x * rate + h * speed * rate, x forward of the rear axle."""
+    forward, lateral = planar_body_from_world(path.velocity, path.yaw).T
+    with np.errstate(invalid="ignore"):
+        rows = moving_rows(path) & (np.abs(lateral) < _SIDEWAYS * np.abs(forward))
+    fit = fit_lags(lateral, path.yaw_rate[:, None], (forward * path.yaw_rate)[None], np.zeros(1), rows)
+    if fit is not None:
+        share, spread, rest = _SLIP
+        slip, scatter = share * path.cruise, float(np.hypot(spread * path.cruise, rest))
+        yield _interval(heading, "position", float(fit.gain[0]), fit.gain_sigma(0), (slip, scatter))

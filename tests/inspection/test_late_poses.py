@@ -1,0 +1,48 @@
+"""Poses that are late, against sensors that are early: which of them is stamped wrong."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.late_poses import Interval
+
+FIELDS = {
+    "orientation": ("qx", "qy", "qz", "qw"),
+    "angular_velocity": ("wx", "wy", "wz"),
+    "position": ("x", "y", "z", "qx", "qy", "qz", "qw"),
+    "linear_velocity": ("vx", "vy", "vz"),
+}
+
+
+def _late(channel: str, by: float) -> MemoryLog:
+    """The drive of a vehicle that turns 0.15 s after its steering, with some columns stamped late."""
+    log = drive_log(seed=0)
+    time, command = log.data["steering"]
+    log = MemoryLog({**log.data, "steering": (time - 0.15, command)})
+    time = log.data["odom"][0]
+    for field in FIELDS[channel]:
+        log = log.change("odom", field, lambda values: np.interp(time - by, time, values))
+    return log
+
+
+@pytest.mark.parametrize("channel", FIELDS)
+@pytest.mark.parametrize("by", [-0.2, 0.2, 0.4])
+def test_what_is_late_is_what_most_else_differs_from(channel: str, by: float) -> None:
+    first = inspect_log(_late(channel, by), rig()).findings[0]
+    assert (first.where, first.what) == (channel, "is late" if by > 0 else "is early")
+    cured = {edit.key: edit.value for edit in first.cures[0]}
+    together = ("position", "orientation") if channel == "position" else (channel,)
+    assert set(cured) == {f"channels.{name}.delay" for name in together}
+    assert all(value == pytest.approx(by, abs=0.06) for value in cured.values())
+
+
+def test_stamps_that_agree_raise_nothing() -> None:
+    assert [f for f in inspect_log(_late("position", 0.0), rig()).findings if f.severity == "warning"] == []
+
+
+@pytest.mark.parametrize("late", [(), ("orientation",), ("position", "orientation")])
+def test_an_interval_costs_what_it_differs_from_the_usual_if_its_ends_are_moved(late: tuple[str, ...]) -> None:
+    interval = Interval("orientation", "position", time=0.3, usual=-0.1, spread=0.2)
+    moved = 0.5 if late == ("orientation",) else 0.0
+    assert interval.cost(frozenset(late), np.array([0.5]))[0] == pytest.approx(((0.4 - moved) / 0.2) ** 2)
