@@ -348,6 +348,23 @@ def test_the_draft_reads_the_log_and_is_found_right() -> None:
     assert parse_rig(draft_rig(_world(CLEAN)), where="draft").channels["linear_velocity"].frame == "world"
 
 
+@pytest.mark.parametrize(("scale", "cure"), [(0.04 * 3.6, 'wheel_speed.unit = "km/h"'), (0.02, "wheel_speed.scale = ")])
+def test_wheels_in_another_unit_are_found(scale: float, cure: str) -> None:
+    wheels = f'[channels.wheel_speed]\ntopic = "wheels"\nfields = ["rear"]\nscale = {scale}\n'
+    found = the_only(complaints(CLEAN, ("[channels.position]", f"{wheels}[channels.position]")), "wheel_speed")
+    assert found.what == "is not in m/s"
+    assert cure in found.remedy
+
+
+def test_places_in_feet_are_likelier_than_wheels_of_another_size() -> None:
+    log = CLEAN
+    for axis in ("x", "y", "z"):
+        log = log.change("odom", axis, lambda values: values / 0.3048)
+    wheels = '[channels.wheel_speed]\ntopic = "wheels"\nfields = ["rear"]\nscale = 0.04\n'
+    found = complaints(log, ("[channels.position]", f"{wheels}[channels.position]"))[0]
+    assert found.cures[0] == (Edit("channels.position.unit", "ft"),)
+
+
 def test_velocities_that_stay_zero_are_to_be_removed_from_the_rig() -> None:
     log = CLEAN
     for field in ("vx", "vy", "wz"):

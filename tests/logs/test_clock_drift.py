@@ -82,6 +82,14 @@ def test_speed_by_the_pose_is_the_length_of_the_velocity_or_its_derivative():
         np.testing.assert_allclose(pose_speed(channels).values, 5.0)
 
 
+@pytest.mark.parametrize("rate", [2, 5, 20])
+def test_slow_poses_show_a_speed_too(rate):
+    time = np.arange(0, 30, 1 / rate)
+    speed = pose_speed({"position": Channel("", "m", time, np.stack((3 * time, 4 * time), axis=1))})
+    assert len(speed.time) > 0.8 * len(time)
+    np.testing.assert_allclose(speed.values, 5.0)
+
+
 def test_only_the_topics_of_the_drifting_clock_are_moved():
     along = np.cumsum(SPEED) * 0.05
     zero, ones, lag = 0 * TIME, np.ones(len(TIME)), 0.5

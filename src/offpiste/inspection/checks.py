@@ -27,7 +27,7 @@ from offpiste.inspection.stamps import check_stamps
 from offpiste.inspection.steering import check_steering
 from offpiste.inspection.steering_copies import check_copies
 from offpiste.inspection.steering_fit import SteeringFit, steering_fits
-from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate
+from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import Clock
 from offpiste.rig.rig import Rig
@@ -143,6 +143,10 @@ def _linear_velocity(motion: Motion) -> list[Finding]:
     return check_linear_velocity(motion.drive, motion.path) if recorded else []
 
 
+def _wheel_speed(motion: Motion) -> list[Finding]:
+    return check_wheel_speed(motion.drive, motion.path)
+
+
 def _turn_rate(motion: Motion) -> list[Finding]:
     return check_turn_rate(motion.drive, motion.path) if motion.follows else []
 
@@ -203,6 +207,7 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _resolution,
     _heading_drift,
     _linear_velocity,
+    _wheel_speed,
     _turn_rate,
     _clocks,
     _steering,

@@ -30,7 +30,7 @@ _SENSOR: Final = (0.0, 0.03)
 """Time by which one sensor is behind another of the same motion, and its spread among healthy logs [s]."""
 _FOLLOWS: Final = 0.4
 """RMS difference to the pose's derivative over its RMS, below which a sensor shows the same motion."""
-_WHEEL: Final = (-0.1, 0.1)  # those that are driven spin before the vehicle moves
+_WHEEL: Final = (-0.1, 0.2)  # those that are driven spin before the vehicle moves
 _PEDAL: Final = (0.1, 0.15)
 _STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.04, 0.07)}
 """The same of the motion behind its controls."""

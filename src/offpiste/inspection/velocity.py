@@ -31,6 +31,8 @@ _LATE: Final = 0.12
 """Delays from here on are reported [s]."""
 _BIASED: Final = 0.02
 """Rate without turning that gyroscopes may have [rad/s]."""
+_ROLLING: Final = (0.6, 1.8)
+"""Speed of wheels over the vehicle's, slip and worn tyres included."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
 _RATE_UNITS = {"deg/s": 180 / np.pi, "rev/min": 60 / (2 * np.pi)}
 
@@ -115,6 +117,14 @@ def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
         return None
     recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
     return _fit("", *(values[:, None] - np.nanmean(values) for values in (recorded, path.forward)))
+
+
+def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
+    """Unit of the wheels' speed, which spinning and locking change by less than any unit does."""
+    fit = fit_wheel_speed(drive, path)
+    if fit is None or fit.misfit > _FOLLOWS or _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
+        return []
+    return _gain("wheel_speed", fit, drive.rig, "m/s", _UNITS)
 
 
 def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
@@ -215,17 +225,21 @@ def _gain(name: str, fit: FrameFit, rig: Rig, unit: str, units: dict[str, float]
     value = min(named) if named else unit
     scale = Edit(f"channels.{name}.scale", rounded(source.scale / size))
     edit = Edit(f"channels.{name}.unit", value) if named or plain else scale
-    cures = ((edit,), *(_other_place(size, rig) if unit == "m/s" else ()))
-    return [*findings, Finding("warning", name, f"is not in {unit}", evidence, str(edit), 0.9, cures)]
+    places = [*_other_unit_of_places(size, rig)] if unit == "m/s" else []
+    cures = [(edit,)] if named or plain else [*places, (edit,)]
+    cures += [place for place in places if place not in cures]
+    if unit == "m/s":
+        cures.append((Edit("channels.position.scale", rounded(rig.channels["position"].scale * size)),))
+    remedy = str(cures[0][0])
+    return [*findings, Finding("warning", name, f"is not in {unit}", evidence, remedy, 0.9, tuple(cures))]
 
 
-def _other_place(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
-    """Edits after which the positions fit a velocity of `size` times their derivative: they may be what is wrong."""
+def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
+    """Units in which positions fit a velocity of `size` times their derivative: they may be what is wrong."""
     source = rig.channels["position"]
     for unit in ("ft", "cm", "mm"):
         if not source.unit and abs(size / unit_factor("position", unit) - 1) < 0.1:
             yield (Edit("channels.position.unit", unit),)
-    yield (Edit("channels.position.scale", rounded(source.scale * size)),)
 
 
 def _delay(name: str, fit: FrameFit, source: ChannelSource) -> list[Finding]:

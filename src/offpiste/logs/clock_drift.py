@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from offpiste.errors import LogError
 from offpiste.geometry import local_polynomial
 from offpiste.logs.channel import Channel, read_channel, refuse_long
 from offpiste.logs.log import Log
@@ -61,6 +62,9 @@ def align_clock(
     wheels, _ = read_channel(log, rig, "wheel_speed", alignment.speed)
     speed = Channel("wheel_speed", wheels.unit, wheels.time, wheels.values.mean(axis=1, keepdims=True))
     reference = pose_speed(channels)
+    if len(reference.time) < 2:
+        how = "remove [alignment], or take a pose with more samples"
+        raise LogError("its poses show no speed to align a clock with", where=log.path, how=how)
     refuse_long(reference.time[0], reference.time[-1], log.path)
     lag = estimate_lag(reference, speed, max_lag=alignment.max_lag)
     aligned = dict(channels)
@@ -79,7 +83,8 @@ def pose_speed(channels: dict[str, Channel]) -> Channel:
     if velocity is not None:
         return replace(velocity, name="speed", values=np.linalg.norm(velocity.values, axis=1, keepdims=True))
     place = channels["position"]
-    _, rate = local_polynomial(place.time, place.values[:, :2], place.time, window=0.3, causal=False)
+    window = max(0.3, 6 * float(np.median(np.diff(place.time))))  # slow poses take six samples
+    _, rate = local_polynomial(place.time, place.values[:, :2], place.time, window=window, causal=False)
     known = np.isfinite(rate).all(axis=1)
     speed = np.linalg.norm(rate[known], axis=1, keepdims=True)
     return Channel("speed", "m/s", place.time[known], speed)
