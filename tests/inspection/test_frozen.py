@@ -66,3 +66,15 @@ def test_who_stops_with_the_wheel_turned_and_starts_again_holds_nothing() -> Non
     assert [finding.where for finding in check_frozen(drive, path)] == ["steer_angle"]
     stands = (path.time > time[begin] + 1.0) & (path.time < time[end] - 1.0)
     assert check_frozen(drive, replace(path, speed=np.where(stands, 0.0, path.speed))) == []
+
+
+@pytest.mark.parametrize("seconds", [0.6, 3.0])
+def test_headings_that_hang_again_and_again_are_found(seconds: float) -> None:
+    time, _ = CLEAN.data["odom"]
+    log, count = CLEAN, int(seconds / 0.02)
+    for field in ("qx", "qy", "qz", "qw"):
+        for first in (800, 1700, 2600, 3500):
+            log = log.change("odom", field, lambda values: _held(values, first, count))  # noqa: B023
+    (finding,) = (f for f in _frozen(log) if f.where == "orientation")
+    assert " times, " in finding.evidence
+    assert f"the longest for {seconds:.1f} s" in finding.evidence

@@ -10,9 +10,9 @@ from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
-_POSE: Final = ("position", "orientation", "yaw")
-"""Their own check is `pose.py`: a pose that stands still is no motion."""
-_LEAST: Final = 3.0
+_HEADINGS: Final = ("orientation", "yaw")
+"""Nobody drives so that a measured heading stays the same, unlike a control; a position that does is no motion."""
+_LEAST, _LEAST_OF_HEADINGS = 3.0, 0.4
 """Shortest run that is reported [s]."""
 _UNUSUAL: Final = 20.0
 """A run is reported from this many times the length that 1 in 100 of the channel's runs reach ..."""
@@ -26,9 +26,10 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
     """A finding for each channel that usually changes, and for a while does not though the vehicle moves."""
     findings = []
     for name, channel in drive.channels.items():
-        if name in _POSE or len(channel.time) < 100:
+        if name == "position" or len(channel.time) < 100:
             continue
-        begin, lasts = _frozen(channel, path)
+        heading = name in _HEADINGS
+        begin, lasts = _frozen(channel, path, _LEAST_OF_HEADINGS if heading else _LEAST, again=heading)
         if not len(begin):
             continue
         longest = int(lasts.argmax())
@@ -41,8 +42,15 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
     return findings
 
 
-def _frozen(channel: Channel, path: Path) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
-    """When the unusually long runs of one value begin, and how long they last in motion [s]."""
+def _frozen(
+    channel: Channel, path: Path, least: float, *, again: bool
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
+    """When the unusually long runs of one value begin, and how long they last in motion [s].
+
+    Args:
+        least: shortest run [s].
+        again: whether runs count that happen again and again.
+    """
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
@@ -52,7 +60,7 @@ def _frozen(channel: Channel, path: Path) -> tuple[Float[np.ndarray, " r"], Floa
     # Who stops with the wheel turned holds it at the standstill, too.
     lasts = _time_in_motion(path, end) - _time_in_motion(path, begin)
     usual = np.sort(lasts[moves])
-    least = max(_LEAST, _UNUSUAL * float(np.percentile(usual, 99)), _ALONE * float(usual[-3]))
+    least = max(least, _UNUSUAL * float(np.percentile(usual, 99)), 0.0 if again else _ALONE * float(usual[-3]))
     long = moves & (lasts > least) & (last - first >= _SAMPLES)
     return begin[long], lasts[long]
 
