@@ -27,6 +27,9 @@ Report = Callable[[float], None]
 Work = Callable[[Job, Report], str]
 """Does a job, reports the share that is done, and returns its result in one line."""
 
+Engine = Callable[[Work[Any], Sequence[Any], str], Iterator[str | OffpisteError]]
+"""Does all jobs under a description, and gives the result or the error of each as it ends."""
+
 POLL = 0.3
 """Interval at which the bar is updated [s]."""
 
@@ -42,6 +45,7 @@ def run_all(
     processes: int,
     description: str,
     *,
+    engine: Engine | None = None,
     finished: Callable[[str], None] = logger.info,
 ) -> list[OffpisteError]:
     """Do all jobs; those that remain even if one fails.
@@ -49,6 +53,7 @@ def run_all(
     Args:
         work: a function of a module, so that processes can import it.
         processes: jobs at a time, at most; 1 works in this process.
+        engine: does the jobs elsewhere (`cluster.engine_at`); None: processes of this machine do.
         finished: called with the result of each job.
 
     Returns:
@@ -61,12 +66,7 @@ def run_all(
         name = _function_of(work).__name__
         raise ValueError(f"put {name} in a module of its own: processes do not import __main__.py")
     failed = []
-    done = (
-        _one_by_one(work, jobs, description)
-        if min(processes, len(jobs)) <= 1
-        else _side_by_side(work, jobs, min(processes, len(jobs)), description)
-    )
-    for result in done:
+    for result in (engine or partial(_on_this_machine, processes))(work, jobs, description):
         if isinstance(result, str):
             finished(result)
             continue
@@ -74,6 +74,13 @@ def run_all(
         if len(jobs) > 1:
             logger.warning(f"failed: {result}")
     return failed
+
+
+def _on_this_machine(
+    processes: int, work: Work[Job], jobs: Sequence[Job], description: str
+) -> Iterator[str | OffpisteError]:
+    count = min(processes, len(jobs))
+    return _one_by_one(work, jobs, description) if count <= 1 else _side_by_side(work, jobs, count, description)
 
 
 def _one_by_one(work: Work[Job], jobs: Sequence[Job], description: str) -> Iterator[str | OffpisteError]:

@@ -70,7 +70,6 @@ def test_who_stops_with_the_wheel_turned_and_starts_again_holds_nothing() -> Non
 
 @pytest.mark.parametrize("seconds", [0.6, 3.0])
 def test_headings_that_hang_again_and_again_are_found(seconds: float) -> None:
-    time, _ = CLEAN.data["odom"]
     log, count = CLEAN, int(seconds / 0.02)
     for field in ("qx", "qy", "qz", "qw"):
         for first in (800, 1700, 2600, 3500):

@@ -42,6 +42,8 @@ class Extract:
     """K/N: only every Nth of these logs, beginning with the Kth; `offpiste merge` brings the N datasets together."""
     processes: int = 0
     """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
+    cluster: str = ""
+    """Extract on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head. All nodes must see the files."""
     force: bool = False
     """Also extract logs in which `inspect` finds something fatal."""
     flat: bool = False
@@ -68,6 +70,7 @@ class Extract:
             replay=MapperSettings(self.keyframe_metres),
             shard=parse_shard(self.shard) if self.shard else (1, 1),
             processes=self.processes,
+            cluster=self.cluster,
             force=self.force,
         )
         return 0

@@ -36,6 +36,8 @@ class Reproduce:
     """Device of the backbone and the models."""
     processes: int = 0
     """Drives simulated or extracted, and runs trained or evaluated, at a time; 0: one a core."""
+    cluster: str = ""
+    """Simulate and extract on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
     def run(self) -> int:
         """Drive, extract, train, evaluate, draw."""
@@ -52,6 +54,7 @@ class Reproduce:
             contrast=self.grip_contrast,
             device=self.device,
             processes=self.processes,
+            cluster=self.cluster,
         )
         reproduce(config)
         return 0

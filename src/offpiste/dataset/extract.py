@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
+from offpiste.cluster import engine_at
 from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_on, refuse_unusable
@@ -23,6 +24,7 @@ from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, driv
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
+from offpiste.files import remove_partials
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
@@ -59,6 +61,8 @@ def extract_drive(job: Job, report: Report) -> str:
         UnusableLog: `inspect` finds something fatal in it, and `force` is not given.
         LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
     """
+    if job.name in drive_names(job.out):
+        return f"{job.name}: already there"  # a worker that was lost had finished it
     log = open_log(job.log, clock=job.rig.clock)
     findings = findings_on(log, job.rig)
     if not job.force:
@@ -174,6 +178,7 @@ def make_dataset(
     replay: MapperSettings | None = None,
     shard: tuple[int, int] = (1, 1),
     processes: int = 1,
+    cluster: str = "",
     force: bool = False,
 ) -> Dataset:
     """Extract drives into a dataset; drives that are in it already are left as they are.
@@ -186,6 +191,7 @@ def make_dataset(
         snapshots, replay: of visual features.
         shard: (K, N): only every Nth of the logs, in the order of their names, beginning with the Kth.
         processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
+        cluster: address of a Ray cluster that extracts instead (`cluster.run_on_cluster`); "" for none.
         force: extract logs with fatal findings of `inspect`, too.
 
     Raises:
@@ -222,7 +228,8 @@ def make_dataset(
     ]
     processes = processes or (usable_cores() if device == "cpu" else 1)
     try:
-        failed = run_all(extract_drive, jobs, processes, "extract")
+        failed = run_all(extract_drive, jobs, processes, "extract", engine=engine_at(cluster))
+        remove_partials(out)  # of workers that were lost
     finally:
         if not drive_names(out):
             shutil.rmtree(out)  # all logs failed

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
+from offpiste.cluster import engine_at
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
@@ -51,14 +52,14 @@ class Recording:
     log: Path
 
 
-def simulate_all(recordings: Sequence[Recording], processes: int) -> None:
-    """Record the drives that are not there yet, `processes` at a time.
+def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str = "") -> None:
+    """Record the drives that are not there yet, `processes` at a time, or on a Ray cluster.
 
     Raises:
         OffpisteError: the first failure; drives that did not fail are recorded.
     """
     missing = [recording for recording in recordings if not recording.log.exists()]
-    failed = run_all(_record, missing, processes, "simulate")
+    failed = run_all(_record, missing, processes, "simulate", engine=engine_at(cluster))
     if failed:
         raise failed[0]
 
@@ -202,7 +203,7 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
 
 def _simulate(settings: ReproductionSettings, drives: list[PlannedDrive], processes: int) -> None:
     recordings = [Recording(d.settings, log) for d, log in zip(drives, _logs(settings, drives), strict=True)]
-    simulate_all(recordings, processes)
+    simulate_all(recordings, processes, settings.cluster)
 
 
 def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedDrive], path: Path) -> None:
@@ -223,6 +224,7 @@ def _extract(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Pa
         device=settings.device,
         snapshots=SnapshotSettings(settings.size.snapshot_seconds),
         processes=min(processes, settings.at_a_time),
+        cluster=settings.cluster,
         force=True,
     )
 

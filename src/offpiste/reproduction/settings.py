@@ -111,6 +111,7 @@ class ReproductionSettings:
         contrast: of grip in the simulated worlds.
         device: on which backbone and models run.
         processes: drives simulated or extracted, and runs trained or evaluated, at a time; 0: one per core.
+        cluster: address of a Ray cluster that simulates and extracts instead; "" for none.
     """
 
     figure: Figure
@@ -122,6 +123,7 @@ class ReproductionSettings:
     contrast: float = 1.0
     device: str = "cpu"
     processes: int = 0
+    cluster: str = ""
 
     @property
     def data(self) -> Path:

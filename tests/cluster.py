@@ -1,0 +1,159 @@
+"""Extraction on a real Ray cluster of three nodes, of which workers and a whole node are killed while it runs.
+
+    python -m tests.cluster --kills 10
+
+extracts 24 drives, of which two are broken, in one process, and then again and again on such a cluster; the dataset
+must be the same to the byte each time, and the two broken drives must be reported.
+"""
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.store import drive_names
+from offpiste.errors import DatasetError
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.world import WorldSettings
+
+DRIVES, BROKEN, NODES = 24, ("drive-07", "drive-19"), 3
+STORE = 80 * 2**20
+"""Memory of a node's objects [bytes]."""
+
+
+def write_logs(folder: Path) -> list[Path]:
+    """Logs of 24 drives; two of them are broken."""
+    world = WorldSettings("uniform", size=150.0, resolution=0.5)
+    logs = [folder / f"drive-{number:02}.mcap" for number in range(DRIVES)]
+    for number, log in enumerate(logs):
+        if number < 3:
+            simulate(DriveSettings(world, 20.0, seed=number, sensors="none"), log)
+        else:
+            shutil.copyfile(logs[number % 3], log)
+    for log in logs:
+        if log.stem in BROKEN:
+            log.write_bytes(b"no log" * 100)
+    return logs
+
+
+def extract(logs: list[Path], out: Path, cluster: str = "") -> str:
+    """Extract the logs; returns what it says of those that failed."""
+    try:
+        make_dataset(logs, load_rig("proving_ground"), out, processes=1, cluster=cluster, force=True)
+    except DatasetError as error:
+        return str(error)
+    return ""
+
+
+def content(path: Path) -> dict[str, bytes]:
+    """All files of a folder, by their names in it."""
+    return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
+
+
+@contextmanager
+def nodes() -> Iterator[Any]:
+    """A cluster of three nodes on this machine, the head and two others."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    from ray.cluster_utils import Cluster
+
+    settings = {"num_cpus": 1, "object_store_memory": STORE, "memory": 2**30}
+    cluster = Cluster(initialize_head=True, head_node_args={**settings, "include_dashboard": False})
+    try:
+        for _ in range(NODES - 1):
+            cluster.add_node(**settings)
+        yield cluster
+    finally:
+        cluster.shutdown()
+
+
+def kill_worker(cluster: Any, generator: random.Random) -> None:
+    """Kill a process that does a job, as soon as there is one."""
+    while not (workers := _workers()):
+        time.sleep(0.1)
+    with suppress(ProcessLookupError):
+        os.kill(generator.choice(workers), signal.SIGKILL)
+
+
+def kill_node(cluster: Any, generator: random.Random) -> None:
+    """Kill a node, with all that runs on it, but neither the head nor this process's own."""
+    import ray
+
+    mine = ray.get_runtime_context().get_node_id()
+    others = [node for node in cluster.worker_nodes if node.node_id != mine]
+    cluster.remove_node(generator.choice(others), allow_graceful=False)
+
+
+def _workers() -> list[int]:
+    found = []
+    for process in Path("/proc").iterdir():
+        with suppress(OSError):
+            if process.name.isdigit() and b"ray::_reporting" in (process / "cmdline").read_bytes():
+                found.append(int(process.name))
+    return found
+
+
+@contextmanager
+def killing(
+    kills: list[Callable[[Any, random.Random], None]], cluster: Any, out: Path, seed: int
+) -> Iterator[list[str]]:
+    """Kill one after another at random moments while drives are extracted: each once some more drives are there.
+
+    Yields:
+        Names of what was killed.
+    """
+    generator, over, done = random.Random(seed), threading.Event(), []
+
+    def work() -> None:
+        for number, kill in enumerate(kills):
+            at = (number + generator.random()) * (DRIVES - len(BROKEN) - 2) / len(kills)
+            while not over.wait(0.1) and (not out.exists() or len(drive_names(out)) < at):
+                pass
+            if over.is_set():
+                return
+            kill(cluster, generator)
+            done.append(kill.__name__)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield done
+    finally:
+        over.set()
+        thread.join()
+
+
+def main() -> None:
+    """Extract, kill, compare, as often as asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        logs = write_logs(folder)
+        said = extract(logs, folder / "whole.zarr")
+        whole = content(folder / "whole.zarr")
+        assert all(broken in said for broken in BROKEN), said
+        for number in range(options.kills):
+            out, began = folder / f"{number}.zarr", time.monotonic()
+            with nodes() as cluster, killing([kill_worker, kill_node], cluster, out, options.seed + number) as killed:
+                said = extract(logs, out, cluster.address)
+            assert killed == ["kill_worker", "kill_node"], killed
+            same = content(out) == whole and all(broken in said for broken in BROKEN)
+            print(f"{number + 1}: a worker and a node killed; {'the same' if same else 'ANOTHER'} dataset", end="; ")
+            print(f"{time.monotonic() - began:.0f} s", flush=True)
+            assert same, said
+
+
+if __name__ == "__main__":
+    main()

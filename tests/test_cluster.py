@@ -1,0 +1,48 @@
+"""Jobs on a Ray cluster: the same dataset whatever is lost while it runs, and clusters that are not there."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+import cluster
+from log_messages import logged
+from offpiste.cluster import engine_at
+from offpiste.errors import OffpisteError
+from offpiste.parallel import run_all
+from parallel_jobs import square
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return cluster.write_logs(tmp_path_factory.mktemp("logs"))
+
+
+def test_a_worker_and_a_node_that_are_killed_change_nothing(logs: list[Path], tmp_path: Path) -> None:
+    whole, out = tmp_path / "whole.zarr", tmp_path / "out.zarr"
+    expected = cluster.extract(logs, whole)
+    assert all(broken in expected for broken in cluster.BROKEN)
+    kills = [cluster.kill_worker, cluster.kill_node]
+    with cluster.nodes() as three, cluster.killing(kills, three, out, seed=0) as killed:
+        said = cluster.extract(logs, out, three.address)
+    assert killed == ["kill_worker", "kill_node"]
+    assert said == expected.replace("whole.zarr", "out.zarr")
+    assert cluster.content(out) == cluster.content(whole)
+
+
+def test_jobs_that_fail_are_not_begun_again_and_those_that_kill_their_workers_are_given_up() -> None:
+    with cluster.nodes() as three, logged() as messages:
+        failed = run_all(square, [3, -1, 13, 5], 1, "squares", engine=engine_at(three.address))
+    assert {"9", "25"} < set(messages)
+    said = sorted(str(error) for error in failed)
+    assert said[0] == "here: -1 is negative; give another"
+    assert said[1].startswith("its worker or its node was lost 5 times (WorkerCrashedError)")
+
+
+@pytest.mark.parametrize("address", ["nowhere.invalid:6379", "127.0.0.1:{free}", "127.0.0.1:port"])
+def test_a_cluster_that_does_not_answer_is_an_error_in_one_line(address: str) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = address.format(free=free.getsockname()[1])
+        with pytest.raises(OffpisteError, match="no Ray cluster answers; start one with `ray start --head`"):
+            run_all(square, [1, 2], 1, "squares", engine=engine_at(address))
