@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.store import drive_names
@@ -62,18 +63,19 @@ def content(path: Path) -> dict[str, bytes]:
 
 @contextmanager
 def nodes() -> Iterator[Any]:
-    """A cluster of three nodes on this machine, the head and two others."""
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    from ray.cluster_utils import Cluster
+    """A cluster of three nodes on this machine, the head and two others, which can import the modules of the tests."""
+    found = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    with mock.patch.dict(os.environ, {"RAY_USAGE_STATS_ENABLED": "0", "PYTHONPATH": os.pathsep.join(found)}):
+        from ray.cluster_utils import Cluster
 
-    settings = {"num_cpus": 1, "object_store_memory": STORE, "memory": 2**30}
-    cluster = Cluster(initialize_head=True, head_node_args={**settings, "include_dashboard": False})
-    try:
-        for _ in range(NODES - 1):
-            cluster.add_node(**settings)
-        yield cluster
-    finally:
-        cluster.shutdown()
+        settings = {"num_cpus": 1, "object_store_memory": STORE, "memory": 2**30}
+        cluster = Cluster(initialize_head=True, head_node_args={**settings, "include_dashboard": False})
+        try:
+            for _ in range(NODES - 1):
+                cluster.add_node(**settings)
+            yield cluster
+        finally:
+            cluster.shutdown()
 
 
 def kill_worker(cluster: Any, generator: random.Random) -> None:

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from offpiste.closed_loop.planner import differing_vehicle, load_planner
+from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import CONTROL
 from offpiste.dynamics import Vehicle
 from offpiste.errors import RunError
@@ -17,6 +17,7 @@ from offpiste.rig.rig import load_rig
 from offpiste.training.build import build
 from offpiste.training.checkpoint import save_json, save_tensors
 from offpiste.training.config import Weights
+from offpiste.training.fitness import differing_vehicle
 from offpiste.training.losses import COMPONENTS
 
 BACKBONE = open_backbone("filterbank")

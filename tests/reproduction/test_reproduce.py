@@ -202,7 +202,7 @@ def test_every_size_can_be_started(tmp_path: Path) -> None:
     class Begun(BaseException):
         pass
 
-    def begin(*arguments: object) -> None:
+    def begin(*arguments: object, **settings: object) -> None:
         raise Begun
 
     for name, size in SIZES.items():

@@ -13,7 +13,8 @@ from torch import Tensor
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics
+from offpiste.dynamics import MODELS, Dynamics
+from offpiste.errors import DatasetError
 from offpiste.state import Trajectory
 from offpiste.training import map_loss as module
 from offpiste.training import optimise
@@ -22,7 +23,7 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import summed_loss
 from offpiste.training.map_loss import map_loss
-from offpiste.training.prediction import roll_out
+from offpiste.training.prediction import predict_windows, roll_out
 from offpiste.training.train import train
 
 ROWS = tuple(range(20, 600, 40))
@@ -128,6 +129,18 @@ def test_the_epoch_that_is_best_on_the_map_is_kept(validation: Windows, tmp_path
         (1.0, "map"),
         (2.0, "map"),
     ]
+
+
+def test_windows_without_a_snapshot_are_refused_and_not_read_elsewhere(dataset: Dataset) -> None:
+    windows = Windows(dataset, "validation")
+    model = MODELS["cf"](vehicle_of(dataset), seed=0)
+    snapped = windows.maps.snapped
+    with pytest.raises(DatasetError, match=r"\d+ of \d+ windows do not start with a snapshot of the map"):
+        predict_windows(model, windows, "map")
+    with pytest.raises(DatasetError, match="2 of 2 windows do not start with a snapshot of the map"):
+        predict_windows(model, windows[np.flatnonzero(~snapped)[:2]], "map")
+    chosen = windows.evaluation_indices(5)
+    assert len(predict_windows(model, windows[chosen], "map").state) == len(chosen)
 
 
 def test_training_chooses_on_the_map_where_there_are_snapshots(dataset: Dataset, tmp_path: Path) -> None:

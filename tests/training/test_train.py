@@ -1,3 +1,4 @@
+import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +14,12 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid
-from offpiste.errors import DatasetError, RunError, TrainingError
+from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.training import optimise, prediction
 from offpiste.training.checkpoint import load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.fitness import refuse_seen
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict, predict_windows
 from offpiste.training.run import load_run
 from offpiste.training.train import fold_folders, train, train_folds
 
@@ -151,6 +152,16 @@ def test_a_run_predicts_windows_in_one_call(dataset: Dataset, run: Path, monkeyp
     monkeypatch.setattr(prediction, "AT_ONCE", 4)
     torch.testing.assert_close(loaded.predict(windows[:10]).state, wanted, atol=1e-5, rtol=1e-5)
     assert loaded.predict(windows[:3], lookup="map").state.shape == wanted[:3].shape
+
+
+def test_what_cannot_be_predicted_is_refused_in_one_line(dataset: Dataset, run: Path) -> None:
+    windows, loaded = Windows(dataset, "test"), load_run(run)
+    with pytest.raises(OffpisteError, match="no lookup 'maps'; did you mean 'map'"):
+        inspect.unwrap(predict_windows)(loaded.dynamics, windows[:3], "maps")
+    with pytest.raises(DatasetError, match="no window to predict"):
+        loaded.predict(windows[:0])
+    with pytest.raises(DatasetError, match="no part 'tst'; did you mean 'test'"):
+        Windows(dataset, "tst")
 
 
 def test_a_run_refuses_windows_of_another_rig(dataset: Dataset, run: Path) -> None:

@@ -13,8 +13,9 @@ from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_co
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
-from offpiste.closed_loop.planner import Planner, differing_vehicle
+from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
+from offpiste.conventions import DT
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.errors import Progress
 from offpiste.files import check_folder, remove_partials, write_text, write_whole
@@ -31,6 +32,7 @@ from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World, WorldSettings
+from offpiste.training.fitness import differing_vehicle
 
 logger = logging.getLogger(__name__)
 
@@ -78,7 +80,7 @@ class Driven:
 
     def __repr__(self) -> str:
         """What the drive came to; its arrays are attributes."""
-        return f"Driven({', '.join(f'{key}={value!r}' for key, value in self.result.items() if _is_short(value))})"
+        return f"Driven(result={ {key: value for key, value in self.result.items() if _is_short(value)} })"
 
 
 def _is_short(value: Any) -> bool:
@@ -112,7 +114,7 @@ def drive_course(
     check_folder(out)
     for name in ("drive.mcap", "result.json"):
         if (out / name).exists():
-            raise OffpisteError("exists already", where=out / name, how="give another --out, or remove it")
+            raise OffpisteError("exists already", where=out / name, how="give another folder, or remove it")
     remember = max(settings.seconds, settings.runtime.remember)
     rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(settings.world)
     chosen, suite = choose_course(world, settings.world.seed, settings.course), sensor_suite(settings.sensors)
@@ -139,7 +141,8 @@ def drive_course(
     trace = trace_of(driving, chosen.course)
     result = _result(planner, settings, chosen, runtime, driving, trace)
     title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
-    figure = course_picture(world, chosen.course, trace, runtime.predictions, title)
+    scored = round(result["time_s"] / DT)
+    figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)
     write_whole(out / "drive.png", lambda partial: figure.savefig(partial, format="png"))
     if not settings.keep_log:
         (out / "drive.mcap").unlink()
@@ -152,6 +155,8 @@ def described(result: dict[str, Any]) -> str:
     """Summary of a drive in one line."""
     incidents = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
+    if not result["finished"] and not incidents and result["time_s"] >= result["limit_s"] - 1:
+        incidents = ["the time was up"]
     error = result["plan_error_5s_m"]["mean"]
     return (
         f"{result['world']} {result['seed']}, {result['planner']}: {ending} in {result['time_s']:.1f} s, "

@@ -24,11 +24,19 @@ SLIP_COLOURS, SLIP_LIMIT = "plasma", 0.4
 
 
 def course_picture(
-    world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, every: int = 30
+    world: World,
+    course: Course,
+    trace: Trace,
+    predictions: list[Prediction],
+    title: str,
+    *,
+    scored: int,
+    every: int = 30,
 ) -> Figure:
     """Course, driven path coloured by slip, and predicted trajectories of some plans.
 
     Args:
+        scored: rows of the trace until the course was driven, or the drive ended; the vehicle stops in the others.
         every: one in this many plans is drawn.
     """
     shown = np.concatenate((course.driven, trace.place))
@@ -42,13 +50,16 @@ def course_picture(
     for number, prediction in enumerate(predictions[::every]):
         label = "plans, 5 s" if not number else None
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
+    if len(trace.place) - scored > 1:
+        axes.plot(*trace.place[scored - 1 :].T, color="#909090", linewidth=1.6, label="after the end, not scored")
+    steps = slice(0, scored)
     pieces = LineCollection(
-        list(np.stack((trace.place[:-1], trace.place[1:]), axis=1)),
+        list(np.stack((trace.place[steps][:-1], trace.place[steps][1:]), axis=1)),
         cmap=SLIP_COLOURS,
         linewidths=2.4,
         zorder=4,
     )
-    pieces.set_array((trace.slip[:-1] + trace.slip[1:]) / 2)
+    pieces.set_array((trace.slip[steps][:-1] + trace.slip[steps][1:]) / 2)
     pieces.set_clim(0.0, SLIP_LIMIT)
     axes.add_collection(pieces)
     figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
@@ -57,7 +68,7 @@ def course_picture(
     )
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set(xlabel="x [m]", ylabel="y [m]")
-    figure.legend(*_legend(axes), loc="outside lower center", ncols=4, fontsize=8, facecolor="#b8a88a")
+    figure.legend(*_legend(axes), loc="outside lower center", ncols=5, fontsize=8, facecolor="#b8a88a")
     axes.set_title(title, fontsize=10, loc="left")
     return figure
 

@@ -4,19 +4,15 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from offpiste.dynamics import Dynamics, Vehicle
+from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
-from offpiste.rig.rig import Vehicle as RigVehicle
 from offpiste.shipped import PCA, PREFIX
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import WEIGHTS, load_run
-
-ALIKE: Final = 0.1
-"""Share by which vehicles may differ in a measure and still count as the same."""
 
 
 @dataclass(frozen=True)
@@ -83,20 +79,6 @@ def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
             how="give the file that its dataset was extracted with",
         )
     return Planner(run.model, folder, run.dynamics, extractor, weights, run.seed)
-
-
-def differing_vehicle(trained: Vehicle, driven: RigVehicle) -> str | None:
-    """How the vehicle that a model was trained on differs from the one that it drives, in words; None: hardly."""
-    apart = [
-        f"{name} {mine:.4g} {unit}, not {its:.4g}"
-        for name, mine, its, unit in (
-            ("wheelbase", trained.wheelbase, driven.wheelbase, "m"),
-            ("mass", trained.mass, driven.mass, "kg"),
-            ("max_steer", trained.max_steer, driven.max_steer, "rad"),
-        )
-        if abs(mine - its) > ALIKE * its
-    ]
-    return ", ".join(apart) or None
 
 
 def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
-from offpiste.errors import DatasetError
+from offpiste.errors import DatasetError, did_you_mean
 from offpiste.files import write_text
 
 PARTS = ("train", "validation", "test")
@@ -176,3 +176,14 @@ def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
                 f"line {number} is not 'NAME PART'", where=path, how=f"PART is one of {', '.join(PARTS)}"
             )
     return tuple((name, part) for name, part in lines)
+
+
+def part_number(part: str) -> int:
+    """Label of a part.
+
+    Raises:
+        DatasetError: there is no such part.
+    """
+    if part not in PARTS:
+        raise DatasetError(f"no part '{part}'", how=f"{did_you_mean(part, PARTS)}there are: {', '.join(PARTS)}")
+    return PARTS.index(part)

@@ -57,6 +57,12 @@ class WindowMaps:
         """Whether there are maps."""
         return bool(self.snapped.any()) or any(drive.load_map is not None for drive in self._drives)
 
+    @property
+    def snapshots_elsewhere(self) -> bool:
+        """Whether drives of these windows have snapshots, but at the start of none of them."""
+        snapshots = [self._drives[number].snapshots for number in np.unique(self._drive)]
+        return not self.snapped.any() and any(one is not None and len(one.row) > 0 for one in snapshots)
+
     def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack | CellStack, Int[np.ndarray, " B"]]:
         """Maps of some windows, and the number of the map that each reads; -1 where it has none."""
         if self.snapped.any():

@@ -16,7 +16,7 @@ from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
 from offpiste.dataset.resample import OWN_COLUMNS
-from offpiste.dataset.splits import PARTS
+from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import evaluation_starts
@@ -132,7 +132,7 @@ class Windows:
         starts, drives = [], []
         for number, drive in enumerate(dataset.drives):
             result = evaluation_starts(
-                drive.rows, drive.part == PARTS.index(part), dataset.min_hindsight, min_speed, horizon
+                drive.rows, drive.part == part_number(part), dataset.min_hindsight, min_speed, horizon
             )
             starts.append(offset[number] + result)
             drives.append(np.full(len(result), number))
@@ -291,7 +291,7 @@ class Windows:
 
 def _no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> DatasetError:
     what = f"the {part} part has no window of {horizon * DT:g} s"
-    if any((drive.part == PARTS.index(part)).any() for drive in dataset.drives):
+    if any((drive.part == part_number(part)).any() for drive in dataset.drives):
         what, how = f"{what} that starts above {min_speed:.3g} m/s", "give longer or faster drives"
     else:
         count = len(dataset.drives)

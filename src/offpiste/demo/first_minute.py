@@ -94,7 +94,7 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     claim_folder(out, {"demo": asdict(settings)})
     place, processes = settings.place, processes or usable_cores()
     if processes > 1 and not (out / "dataset.zarr").exists():
-        logger.info("0/3  A rehearsal, which compiles what is not compiled yet: half a minute after an installation.")
+        logger.info("0/3  A rehearsal, which compiles what is not compiled yet: it takes half a minute the first time.")
         rehearse(shipped("dc"), processes)
     logger.info(
         f"1/3  In a world that no model has seen ({place.preset}, seed {place.seed}): a drive with camera and LiDAR,"

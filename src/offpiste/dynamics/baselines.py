@@ -14,7 +14,7 @@ from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState, Terrain
 
 
-@register_model("ctrv", baseline=True, colour="#8c8c8c")
+@register_model("ctrv", baseline=True, colour="#8c8c8c", what="constant turn rate and velocity")
 class ConstantMotion(Dynamics):
     """Constant turn rate and velocity (`ctrv`): vx, vy and yaw rate stay as they are."""
 
@@ -39,7 +39,13 @@ class ConstantMotion(Dynamics):
         return step
 
 
-@register_model("kinematic", baseline=True, colour="#cc79a7", fits=lambda vehicle: vehicle.steers)
+@register_model(
+    "kinematic",
+    baseline=True,
+    colour="#cc79a7",
+    what="a bicycle at constant speed",
+    fits=lambda vehicle: vehicle.steers,
+)
 class Kinematic(Dynamics):
     """Bicycle at constant speed that turns by its geometry (`kinematic`): yaw rate = v tan(delta) / wheelbase,
     and the rear axle moves where it points.
@@ -77,7 +83,7 @@ class Kinematic(Dynamics):
         return step
 
 
-@register_model("lstm", colour="#b8a400")
+@register_model("lstm", colour="#b8a400", what="a network without physics")
 class Recurrent(Dynamics):
     """An LSTM without physics (`lstm`): the same network as the hybrid's, but it predicts accelerations by itself."""
 

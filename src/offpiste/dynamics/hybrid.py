@@ -19,7 +19,7 @@ from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import History, ModelState, Terrain
 
 
-@register_model("parametric", colour="#56b4e9")
+@register_model("parametric", colour="#56b4e9", what="actuator lags and a bicycle with fitted constants")
 class Parametric(Dynamics):
     """Actuator lags and the bicycle, nothing learned but constants (`parametric`).
 
@@ -60,7 +60,7 @@ class Parametric(Dynamics):
         return KernelParts(self.bicycle)
 
 
-@register_model("b", colour="#0072b2")
+@register_model("b", colour="#0072b2", what="parametric, corrected by a network that does not see the ground")
 class Hybrid(Dynamics):
     """The paper's model without (`b`) or with encoded terrain features: the network sees the physics and corrects F.
 
@@ -191,19 +191,19 @@ def with_more_parameters(vehicle: Vehicle) -> Hybrid:
     return Hybrid(vehicle, history=34, width=96)
 
 
-@register_model("df", colour="#d55e00")
+@register_model("df", colour="#d55e00", what="b that reads features of the ground")
 def direct(vehicle: Vehicle) -> Hybrid:
     """Terrain features straight in."""
     return Hybrid(vehicle, encoder=Identity(vehicle.read))
 
 
-@register_model("cf", colour="#009e73")
+@register_model("cf", colour="#009e73", what="b that reads features of the ground, compressed")
 def compressed(vehicle: Vehicle) -> Hybrid:
     """Compressed terrain features, trained on hindsight."""
     return _compressing(vehicle)
 
 
-@register_model("dc", draw=per_trajectory, colour="#7b3fa0")
+@register_model("dc", draw=per_trajectory, colour="#7b3fa0", what="cf trained on ground seen from all distances")
 def compressed_distance_independent(vehicle: Vehicle) -> Hybrid:
     """Compressed terrain features, trained on a random feature set for each trajectory."""
     return _compressing(vehicle)

@@ -27,6 +27,7 @@ class Model:
         baseline: whether it is evaluated beside every trained model; it has nothing to train but its actuators.
         ablation: whether it answers a question about another model and is no candidate itself.
         colour: in figures; "" for one from the spare colours.
+        what: it is, in a few words for reports; "" to say nothing.
         fits: whether the model can be made for a vehicle.
     """
 
@@ -35,6 +36,7 @@ class Model:
     baseline: bool = False
     ablation: bool = False
     colour: str = ""
+    what: str = ""
     fits: Callable[[Vehicle], bool] = lambda vehicle: True
 
     @property
@@ -68,6 +70,7 @@ def register_model(
     baseline: bool = False,
     ablation: bool = False,
     colour: str = "",
+    what: str = "",
     fits: Callable[[Vehicle], bool] = lambda vehicle: True,
 ) -> Callable[[Build], Build]:
     """Add the class or function below it, which makes a model from a `Vehicle`, under a name (see `Model`).
@@ -77,7 +80,7 @@ def register_model(
     """
 
     def add(build: Build) -> Build:
-        MODELS.register(name)(Model(build, draw, baseline, ablation, colour, fits))
+        MODELS.register(name)(Model(build, draw, baseline, ablation, colour, what, fits))
         return build
 
     return add

@@ -74,6 +74,7 @@ def evaluate_models(
     sampling: Sampling | None = None,
     device: torch.device | str = "cpu",
     command: str = "",
+    warnings: Sequence[str] = (),
     track: Progress = no_progress,
 ) -> Evaluation:
     """Evaluate models, and with them `ctrv` and `kinematic`, on the same windows.
@@ -88,6 +89,7 @@ def evaluate_models(
         stride: rows between windows; where the dataset keeps snapshots of the map, their windows are taken instead.
         sampling: settings of the intervals.
         command: command line for the report; empty: this process's own.
+        warnings: for the report, beside those of the dataset.
         track: shows progress, e.g. `offpiste.progress.track`.
 
     Raises:
@@ -127,7 +129,7 @@ def evaluate_models(
         windows=_window_numbers(windows, splits, part, stride, sampling),
         headlines=headlines(cases, sampling),
         results=result_rows(cases, part, sampling),
-        warnings=dataset.findings,
+        warnings=(*dataset.findings, *warnings),
     )
     return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)
 

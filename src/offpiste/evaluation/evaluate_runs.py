@@ -11,13 +11,14 @@ from offpiste.errors import RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import MIN_UNITS
+from offpiste.evaluation.metrics import Metrics, read_metrics
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
 from offpiste.files import check_folder
 from offpiste.progress import track
-from offpiste.shipped import run_folder
-from offpiste.training.fitness import refuse_seen, refuse_unfit
+from offpiste.shipped import named, run_folder
+from offpiste.training.fitness import differing_vehicle, refuse_seen, refuse_unfit
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import fold_folders
@@ -61,6 +62,14 @@ def evaluate_runs(
     _refuse_unseen(runs, dataset)
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
+    others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
+    strangers = tuple(
+        f"{name} was trained on another vehicle than {dataset.rig.name}: {apart}"
+        for name, apart in others.items()
+        if apart is not None
+    )
+    for stranger in strangers:
+        logger.warning(stranger)
     evaluation = evaluate_models(
         models,
         dataset,
@@ -69,9 +78,12 @@ def evaluate_runs(
         starts=starts,
         lookups=lookups,
         feature_sets=feature_sets,
+        warnings=strangers,
         device=device,
         track=track,
     )
+    if (before := _other_report(out, evaluation.metrics)) is not None:
+        logger.warning(f"{out} held the report of {before}; it is replaced")
     write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
@@ -82,6 +94,17 @@ def evaluate_runs(
         )
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _other_report(out: Path, metrics: Metrics) -> str | None:
+    """What a report that is there already was about, in words, if that was something else."""
+    try:
+        there = read_metrics(out / "metrics.json")
+    except RunError:
+        return None
+    models = [", ".join(dict.fromkeys(row.model for row in one.results)) for one in (there, metrics)]
+    same = (there.dataset, models[0]) == (metrics.dataset, models[1])
+    return None if same else f"{models[0]} on {there.dataset}"
 
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from offpiste.dynamics import MODELS
 from offpiste.evaluation.errors import HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, write_metrics
@@ -98,7 +99,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         "versions": ", ".join(f"{name} {version}" for name, version in made.versions.items()),
     }
     if metrics.warnings:
-        facts["warnings of inspect"] = "; ".join(metrics.warnings)
+        facts["warnings"] = "; ".join(metrics.warnings)
     if failed:
         facts["failed"] = f"{failed} predictions are not finite; means over them are not either"
     return facts
@@ -107,7 +108,12 @@ def _facts(metrics: Metrics) -> dict[str, str]:
 def _notes(metrics: Metrics) -> Sequence[str]:
     units = ", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items())
     weights = ", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items())
+    names = dict.fromkeys(row.model for row in metrics.results)
+    known = "; ".join(f"{name}: {MODELS[name].what}" for name in names if name in MODELS and MODELS[name].what)
+    first = metrics.headlines[0].model if metrics.headlines else ""
     return (
+        *([f"Models: {known}."] if known else []),
+        *([f"The report is about {first}, which the command names first."] if first else []),
         "Start: a causal start knows only what was known at the time; a smoothed one sees a little of the future, and "
         "is shown beside it for comparison. The causal one is what a planner has.",
         "Lookup: recorded reads the terrain under the recorded future path, as in the paper, which also gives away how "

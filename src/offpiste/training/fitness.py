@@ -2,16 +2,20 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
-from offpiste.dynamics import Dynamics
+from offpiste.dynamics import Dynamics, Vehicle
 from offpiste.errors import RunError
+from offpiste.rig.rig import Vehicle as RigVehicle
 from offpiste.shipped import PREFIX, named
 from offpiste.training.build import vehicle_of
+
+ALIKE: Final = 0.1
+"""Share by which vehicles may differ in a measure and still count as the same."""
 
 
 @runtime_checkable
@@ -108,3 +112,17 @@ def refuse_unfit(run: TrainedRun, dataset: Dataset) -> None:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")
+
+
+def differing_vehicle(trained: Vehicle, driven: RigVehicle) -> str | None:
+    """How the vehicle that a model was trained on differs from the one that it drives, in words; None: hardly."""
+    apart = [
+        f"{name} {mine:.4g} {unit}, not {its:.4g}"
+        for name, mine, its, unit in (
+            ("wheelbase", trained.wheelbase, driven.wheelbase, "m"),
+            ("mass", trained.mass, driven.mass, "kg"),
+            ("max_steer", trained.max_steer, driven.max_steer, "rad"),
+        )
+        if abs(mine - its) > ALIKE * its
+    ]
+    return ", ".join(apart) or None

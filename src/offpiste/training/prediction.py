@@ -1,7 +1,7 @@
 """Predictions of windows: a batch over its recorded terrain, as training rolls out, or any windows of a dataset."""
 
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from jaxtyping import Int
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.errors import DatasetError, OffpisteError, did_you_mean
 from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.training.terrain_sources import encoded, on_map
 
@@ -40,8 +41,15 @@ def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "reco
     """Predicted states and actuators of windows; positions are relative to each window's start.
 
     Raises:
-        DatasetError: the model reads features and the dataset has none, or a drive has no map.
+        DatasetError: no window, the model reads features and the dataset has none, or the map is asked for and a
+            window does not start with one.
+        OffpisteError: no such lookup.
     """
+    if lookup not in get_args(Lookup):
+        how = f"{did_you_mean(lookup, get_args(Lookup))}there are: {', '.join(get_args(Lookup))}"
+        raise OffpisteError(f"no lookup '{lookup}'", how=how)
+    if not len(windows):
+        raise DatasetError("no window to predict", how="give at least one")
     parts = in_parts(np.arange(len(windows)), windows, lookup)
     result = [roll_out(dynamics, windows, part, lookup)[1] for part in parts]
     return Trajectory(torch.cat([part.state for part in result]), torch.cat([part.actuators for part in result]))

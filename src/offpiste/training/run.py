@@ -91,14 +91,18 @@ class Run:
     def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
         """Predicted states and actuators of windows; positions are relative to each window's start.
 
-            run.predict(windows[:64]).state[:, -1, :2]  # where the vehicle is after 5 s [m]
+            moments = windows.evaluation_indices(5)
+            run.predict(windows[moments], "map").state[:, -1, :2]  # where the vehicle is after 5 s [m]
 
         Args:
-            lookup: whether the terrain is read under the recorded wheels, or on a map at predicted places.
+            lookup: "map" reads the ground at predicted places, on the map as it was when each window began: what a
+                planner can do. "recorded" reads it under the wheels' later, recorded places, which no planner knows.
+                Without any maps in the dataset, "map" reads the slope of the driven path at the nearest place.
 
         Raises:
             RunError: the run was trained with other features or channels than the dataset has.
-            DatasetError: the map is asked for and a drive has none.
+            DatasetError: no window; or the map is asked for and a window does not start with one.
+            OffpisteError: no such lookup.
         """
         refuse_unfit(self, windows.dataset)
         return predict_windows(self.dynamics, windows, lookup)
@@ -156,12 +160,12 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
 
 
 def pretrained(name: str, *, device: str = "cpu") -> Run:
-    """A model that ships with offpiste, by its name: `pretrained("proving-ground/dc")`.
+    """A model that ships with offpiste, by its name, with or without "pretrained:": `pretrained("proving-ground/dc")`.
 
     Raises:
         RunError: no model of that name ships.
     """
-    return load_run(f"{PREFIX}{name}", device=device)
+    return load_run(f"{PREFIX}{name.removeprefix(PREFIX)}", device=device)
 
 
 def _refuse_impossible(stated: _Stated) -> None:

@@ -95,9 +95,9 @@ def on_map(
         the batch, its past read on the map, and the source of what lies ahead.
 
     Raises:
-        DatasetError: a drive has no map.
+        DatasetError: a drive has no map, or a window does not start with a snapshot of it.
     """
-    if not windows.maps.any:
+    if not windows.maps.any and not windows.maps.snapshots_elsewhere:
         return batch, path_terrain(windows, index)
     return read_on(dynamics, map_terrain(dynamics, windows, index), batch)
 
@@ -112,8 +112,10 @@ def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B
     """The maps of windows, read under wheels and encoded by a model.
 
     Raises:
-        DatasetError: a drive has no map.
+        DatasetError: a drive has no map, or a window does not start with a snapshot of it.
     """
+    if windows.maps.snapped.any() or windows.maps.snapshots_elsewhere:
+        _refuse_without_snapshot(windows, index)
     maps, number = windows.maps.of(index)
     if (number < 0).any():
         name = windows.drive_names[windows.drive[index][number < 0][0]]
@@ -125,6 +127,13 @@ def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B
         windows.wheels,
         dynamics.encoder,
     )
+
+
+def _refuse_without_snapshot(windows: Windows, index: Int[np.ndarray, " B"]) -> None:
+    lacking = int((~windows.maps.snapped[index]).sum())
+    if lacking:
+        what = f"{lacking} of {len(index)} windows do not start with a snapshot of the map"
+        raise DatasetError(what, how="choose among all windows of a part with `windows[windows.evaluation_indices(5)]`")
 
 
 def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
