@@ -18,9 +18,10 @@ import tyro
 
 from offpiste.conventions import ACTUATORS, CONTROL, DT, FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
+from offpiste.dataset.place import drive_names
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
-from offpiste.dataset.store import add_drive, create, drive_names
+from offpiste.dataset.store import add_drive, create
 from offpiste.rig.rig import load_rig
 
 ROWS, CELLS, FEATURES = 100_000, 130_000, 40

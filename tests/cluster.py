@@ -21,7 +21,7 @@ from typing import Any
 from unittest import mock
 
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.store import drive_names
+from offpiste.dataset.place import drive_names
 from offpiste.errors import DatasetError
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from offpiste.dataset.extract import make_dataset, parse_shard
-from offpiste.dataset.store import drive_names
-from offpiste.errors import DatasetError
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.place import drive_names
+from offpiste.errors import DatasetError, OffpisteError
 from offpiste.merge import merge_datasets
+from offpiste.parallel import parse_shard
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
@@ -104,7 +105,7 @@ def test_another_drive_of_the_same_name_is_not_replaced(folder, shards, tmp_path
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "1/0", "a/2", "1/2/3", "-1/2", "²/3"])
 def test_no_shard(text):
-    with pytest.raises(DatasetError, match="is no shard; give K/N with K from 1 to N"):
+    with pytest.raises(OffpisteError, match="is no shard; give K/N with K from 1 to N"):
         parse_shard(text)
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from offpiste.dataset.features_under_wheels import Cells
+from offpiste.dataset.place import drive_names
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import PARTS, Split
-from offpiste.dataset.store import Dataset, add_drive, create, drive_names, open_dataset
+from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import LogError
 from offpiste.logs.drive import drive_name, read_drive

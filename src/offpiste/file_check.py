@@ -9,7 +9,8 @@ import zarr
 from safetensors import SafetensorError, safe_open
 
 from offpiste.checksums import CHECKSUMS, damaged_files
-from offpiste.dataset.store import drive_names, open_dataset
+from offpiste.dataset.place import drive_names
+from offpiste.dataset.store import open_dataset
 from offpiste.dataset.stored_arrays import check_crc32c
 from offpiste.errors import OffpisteError
 from offpiste.perception.pca import PCA_HEADER, load_pca

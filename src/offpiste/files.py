@@ -8,6 +8,7 @@ from glob import escape
 from pathlib import Path
 
 from offpiste.errors import OffpisteError
+from offpiste.object_store import refuse_url
 
 PARTIAL = ".partial"
 """Ending of files and folders that are being written, under a hidden name beside their place."""
@@ -15,6 +16,7 @@ PARTIAL = ".partial"
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Have `write` fill a file beside `path`, then move it there; an interruption leaves the old file."""
+    refuse_url(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
     os.close(handle)
@@ -29,6 +31,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_folder(path: Path, write: Callable[[Path], None]) -> None:
     """Write a folder beside its place and move it there when it is complete."""
+    refuse_url(path)
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent))
     try:
         write(partial)
@@ -42,8 +45,9 @@ def check_folder(out: Path) -> None:
     """Check that a path can be a folder.
 
     Raises:
-        OffpisteError: it is a file, or lies in one.
+        OffpisteError: it is a file, or lies in one, or in an object store.
     """
+    refuse_url(out)
     for place in (out, *out.parents):
         if place.exists() and not place.is_dir():
             raise OffpisteError("is a file", where=place, how="give a folder as --out")

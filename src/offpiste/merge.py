@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from offpiste.checksums import CHECKSUMS
+from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.split_balance import split_warning
-from offpiste.dataset.store import Dataset, attributes_of, drive_names, open_dataset
+from offpiste.dataset.store import Dataset, attributes_of, open_dataset
 from offpiste.dataset.store_validation import refuse_unlike
 from offpiste.errors import DatasetError
 from offpiste.file_check import check_paths
@@ -28,6 +29,7 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
     """
     if len(parts) < 2:
         raise DatasetError(f"{len(parts)} dataset to merge", how="name two or more")
+    parts = [mirrored(part) for part in parts]
     _refuse_twice(parts)
     first = attributes_of(parts[0])
     for part in parts[1:]:

@@ -39,6 +39,20 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def parse_shard(text: str) -> tuple[int, int]:
+    """K and N of "K/N".
+
+    Raises:
+        OffpisteError: not two whole numbers, K from 1 to N.
+    """
+    number, _, count = text.partition("/")
+    if not (number.isascii() and number.isdecimal() and count.isascii() and count.isdecimal()) or not (
+        1 <= int(number) <= int(count)
+    ):
+        raise OffpisteError(f"'{text}' is no shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
+    return int(number), int(count)
+
+
 def run_all(
     work: Work[Job],
     jobs: Sequence[Job],

@@ -11,7 +11,8 @@ from log_messages import logged
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS, PERCEPTION_LATENCY
 from offpiste.dataset.extract import make_dataset
-from offpiste.dataset.store import Dataset, drive_names
+from offpiste.dataset.place import drive_names
+from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError, LogError
 from offpiste.logs.ground_truth import read_truth_map

@@ -16,11 +16,11 @@ class Extract:
     """Bring logs to 50 Hz, split them once, and write a dataset."""
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
-    """Logs of one vehicle."""
+    """Logs of one vehicle; URLs of an object store, too, and patterns of them."""
     rig: str
     """Name of a preset, or a rig file; an unknown name lists those there are."""
     out: Path
-    """The dataset, e.g. dataset.zarr; drives already in it are kept."""
+    """The dataset, e.g. dataset.zarr or s3://bucket/dataset.zarr; drives already in it are kept."""
     split: str = "blocks:0.7,0.1,0.2"
     """blocks:TRAIN,VALIDATION,TEST by time (@SECONDS: repeated), fold:K/N, places:METRES, or drives:FILE."""
     features: Literal["none", "ground-truth", "ground-kind"] = "none"
@@ -51,9 +51,10 @@ class Extract:
 
     def run(self) -> int:
         """Read, resample, write."""
-        from offpiste.dataset.extract import make_dataset, parse_shard
+        from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
         from offpiste.mapping.replay import MapperSettings
+        from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig)

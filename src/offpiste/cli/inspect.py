@@ -1,7 +1,7 @@
 """`offpiste inspect`."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import join
 from typing import Annotated
@@ -18,7 +18,7 @@ class Inspect:
     """What a careful engineer would find out first about a log; exit code 1 if it is unusable for training."""
 
     log: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LOG")]
-    """A file or folder in any format that offpiste reads."""
+    """A file or folder in any format that offpiste reads, also in an object store: s3://bucket/drive.mcap."""
     rig: str | None = None
     """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
     write_rig: Path | None = None
@@ -37,6 +37,7 @@ class Inspect:
         from offpiste.inspection.inspect import inspect_log
         from offpiste.inspection.render import render
         from offpiste.logs import open_log
+        from offpiste.object_store import brought
         from offpiste.rig.edits import edited_text
         from offpiste.rig.rig import load_rig, rig_text
 
@@ -45,11 +46,12 @@ class Inspect:
         rig = load_rig(self.rig) if self.rig else None
         if self.write_rig:
             refuse_existing(self.write_rig)
-        log = open_log(self.log, clock=rig.clock if rig else None)
-        inspection = inspect_log(log, rig, sensors=True)
+        with brought(self.log) as path:
+            log = open_log(path, clock=rig.clock if rig else None)
+            inspection = replace(inspect_log(log, rig, sensors=True), log=self.log)
+            text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""
         show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         if self.write_rig:
-            text = rig_text(self.rig) if self.rig else draft_rig(log)
             write_rig(edited_text(text, inspection.cure), self.write_rig)
             lacking = [] if self.rig else missing(text)
             cured = [f"  cured: {edit}" for edit in inspection.cure]
@@ -80,13 +82,15 @@ class Inspect:
         from offpiste.inspection.estimated_mounting import render_mountings
         from offpiste.inspection.mountings import estimate_mountings
         from offpiste.logs import open_log
+        from offpiste.object_store import brought
         from offpiste.rig.rig import load_rig
 
         if not self.rig:
             how = "give --rig; `offpiste inspect LOG --write-rig first.toml` drafts one"
             raise RigError("--estimate-mountings needs a rig that names cameras and LiDARs", how=how)
         rig = load_rig(self.rig)
-        result = estimate_mountings(open_log(self.log, clock=rig.clock), rig)
+        with brought(self.log) as path:
+            result = estimate_mountings(open_log(path, clock=rig.clock), rig)
         as_json = {"schema": 1, "mountings": [one.as_dict() for one in result]}
         show(dumps(as_json, indent=2) if self.json else render_mountings(result))
         return 1 if any(one.refused for one in result) else 0

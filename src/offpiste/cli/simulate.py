@@ -43,6 +43,7 @@ class Simulate:
 
     def run(self) -> int:
         """Make a world, drive through it, record."""
+        from offpiste.progress import show
         from offpiste.simulation.sensors.imperfections import Imperfections
         from offpiste.simulation.simulate import DriveSettings, simulate
         from offpiste.simulation.world.world import WorldSettings
@@ -54,4 +55,5 @@ class Simulate:
             world, self.seconds, seed, self.sensors, self.mounting_turn, imperfections=imperfections
         )
         simulate(settings, self.out, twins=self.twins)
+        show(f"next: offpiste inspect {self.out} --rig proving_ground")
         return 0

@@ -4,9 +4,8 @@ A drive is read, brought to 50 Hz, given its ground, and written whole or not at
 """
 
 import logging
-import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,11 @@ from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED, min_eva
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_on, refuse_unusable
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
+from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset, temporary_folder
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
@@ -29,6 +29,7 @@ from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
+from offpiste.object_store import brought, expanded
 from offpiste.parallel import Report, run_all, usable_cores
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig
@@ -63,6 +64,11 @@ def extract_drive(job: Job, report: Report) -> str:
     """
     if job.name in drive_names(job.out):
         return f"{job.name}: already there"  # a worker that was lost had finished it
+    with brought(job.log) as log, working_copy(job.out) as out:
+        return _extract_here(replace(job, log=log, out=out), report)
+
+
+def _extract_here(job: Job, report: Report) -> str:
     log = open_log(job.log, clock=job.rig.clock)
     findings = findings_on(log, job.rig)
     if not job.force:
@@ -199,6 +205,7 @@ def make_dataset(
         LogError, RigError: a log cannot be read with this rig, or has no ground truth; the others are extracted.
         DatasetError: two logs of one name, another dataset at `out`, or several logs that cannot be extracted.
     """
+    logs = expanded(logs)
     names = _names(logs)
     mine = set(sorted(names)[shard[0] - 1 :: shard[1]])
     if not mine:
@@ -211,11 +218,12 @@ def make_dataset(
     if not 0 <= min_hindsight <= 1:
         raise DatasetError(f"min-hindsight is {min_hindsight:g}", how="give a share from 0 to 1")
     extractor = load_feature_extractor(pca, device) if pca is not None else None
-    if extractor is None:
-        create(out, rig, parts, LAYERS[features])
-    else:
-        latency = (snapshots or SnapshotSettings()).latency
-        create(out, rig, parts, extractor.names, extractor.identity, min_hindsight, latency)
+    with working_copy(out) as place:
+        if extractor is None:
+            create(place, rig, parts, LAYERS[features])
+        else:
+            latency = (snapshots or SnapshotSettings()).latency
+            create(place, rig, parts, extractor.names, extractor.identity, min_hindsight, latency)
     done = set(drive_names(out))
     if strangers := sorted({name for name, _ in parts.drives} - {*names, *done}):
         logger.warning(f"the split {split} names {_some(strangers)}: no log and no drive of {out} is called so")
@@ -231,8 +239,7 @@ def make_dataset(
         failed = run_all(extract_drive, jobs, processes, "extract", engine=engine_at(cluster))
         remove_partials(out)  # of workers that were lost
     finally:
-        if not drive_names(out):
-            shutil.rmtree(out)  # all logs failed
+        remove_if_empty(out)  # all logs failed
     _refuse_failed(failed, out)
     dataset = open_dataset(out)
     if shard[1] == 1 and (line := split_warning(dataset)) is not None:
@@ -249,20 +256,6 @@ def _names(logs: Sequence[str | Path]) -> list[str]:
         if names.count(name) > 1:
             raise DatasetError(f"two logs are called '{name}'", how="rename one of them")
     return names
-
-
-def parse_shard(text: str) -> tuple[int, int]:
-    """K and N of "K/N".
-
-    Raises:
-        DatasetError: not two whole numbers, K from 1 to N.
-    """
-    number, _, count = text.partition("/")
-    if not (number.isascii() and number.isdecimal() and count.isascii() and count.isdecimal()) or not (
-        1 <= int(number) <= int(count)
-    ):
-        raise DatasetError(f"'{text}' is no shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
-    return int(number), int(count)
 
 
 def _some(names: Sequence[str]) -> str:

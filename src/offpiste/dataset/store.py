@@ -21,6 +21,7 @@ from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_findings, stored_findings
 from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
+from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, parse_split
 from offpiste.dataset.store_validation import read_settings, refuse_invalid, refuse_misshapen, refuse_unlike
@@ -135,11 +136,6 @@ def create(
     write_folder(path, write)
 
 
-def drive_names(path: Path) -> list[str]:
-    """Names of the drives that a dataset holds whole."""
-    return sorted(f.name for f in path.iterdir() if f.is_dir() and not f.name.startswith("."))
-
-
 def add_drive(
     path: Path,
     name: str,
@@ -200,12 +196,12 @@ def temporary_folder(path: Path, name: str) -> Iterator[Path]:
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Read a dataset.
+    """Read a dataset; one in an object store is brought into the user's cache folder first.
 
     Raises:
         DatasetError: none there, of another version, without drives, or a drive that is damaged or invalid.
     """
-    path = Path(path)
+    path = mirrored(Path(path))
     attributes = attributes_of(path)
     if (schema := attributes.get("schema")) != SCHEMA:
         raise DatasetError(f"schema {schema}, this offpiste reads {SCHEMA}", where=path, how="extract it again")

@@ -21,8 +21,9 @@ from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
+from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import write_drives
-from offpiste.dataset.store import drive_names, open_dataset
+from offpiste.dataset.store import open_dataset
 from offpiste.demo.comparison import closing_words, comparison_table, ending, predict
 from offpiste.demo.picture import demo_picture
 from offpiste.demo.rehearsal import rehearse

@@ -103,7 +103,7 @@ def fit_lags(
     use = rows & np.isfinite(target) & np.isfinite(base).all(axis=1) & np.isfinite(lagged).all(axis=0)
     if use.sum() < 40:
         return None
-    x, y, known = lagged[:, use], target[use], base[use]
+    x, y, known = lagged if use.all() else lagged[:, use], target[use], base[use]
     block = np.flatnonzero(use) // round(_BLOCK / step)
     starts = np.flatnonzero(np.diff(block, prepend=-1))
     weight = np.ones(len(y))
@@ -143,16 +143,15 @@ class _Sums:
         def by_block(rows: np.ndarray) -> np.ndarray:
             return np.asarray(np.add.reduceat(rows, starts, axis=-1))
 
-        crossed = np.zeros((len(x), len(starts), base.shape[1]))
-        for column, values in enumerate(weighed.T):
-            crossed[:, :, column] = by_block(x * values)
+        # One lag at a time: products of all of them at once would be most of the memory that a long log takes.
+        crossed = np.stack([by_block(weighed.T * row).T for row in x], axis=1)
         return cls(
             np.moveaxis(by_block(np.einsum("nb,nc->bcn", weighed, base)), -1, 0),
             by_block((weighed * y[:, None]).T).T,
             by_block(weight * y * y),
-            np.moveaxis(crossed, 1, 0),
-            by_block(x * (weight * y)).T,
-            by_block(x * x * weight).T,
+            crossed,
+            np.stack([by_block(row * (weight * y)) for row in x], axis=1),
+            np.stack([by_block(row * row * weight) for row in x], axis=1),
         )
 
     def without(self, block: int) -> "_Sums":

@@ -102,13 +102,21 @@ class RememberedLog(Log):
                 # One field that cannot be read must not hide the others.
                 return _of_usable_size(self._log.read(topic.name, fields, stamps=stamps))
         samples = self._samples[key]
-        return Samples(samples.time * self._per_stamp, samples.values[:, [quantities.index(f) for f in fields]])
+        values = samples.values.view()
+        values.flags.writeable = False
+        if tuple(fields) != tuple(quantities):
+            values = values[:, [quantities.index(f) for f in fields]]
+        return Samples(samples.time * self._per_stamp, values)
 
 
 def _of_usable_size(samples: Samples) -> Samples:
     """Samples whose values and stamps beyond `_LARGEST` are infinite: their squares would be."""
-    time, values = (np.where(np.abs(x) > _LARGEST, np.copysign(np.inf, x), x) for x in (samples.time, samples.values))
-    return Samples(time, values)
+
+    def limited(values: np.ndarray) -> np.ndarray:
+        beyond = np.abs(values) > _LARGEST
+        return np.where(beyond, np.copysign(np.inf, values), values) if beyond.any() else values
+
+    return Samples(limited(samples.time), limited(samples.values))
 
 
 def read_topics(log: RememberedLog, clock: Clock) -> tuple[dict[str, Recorded], list[Finding]]:

@@ -188,12 +188,12 @@ def _levelled(drive: Drive, path: Path, recorded: Float[np.ndarray, "n k"]) -> F
 
 def _fit(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
     """Fit `recorded(t) = gain * true(t - delay)`; None where too little is known or moves."""
-    count = len(true)
-    shifted = np.full((len(_LAGS), *true.shape), np.nan)
+    count, parts = true.shape
+    shifted = np.full((len(_LAGS), parts, count), np.nan)
     for lag, row in zip(np.rint(_LAGS / STEP).astype(int), shifted, strict=True):
-        row[max(lag, 0) : count + min(lag, 0)] = true[max(-lag, 0) : count - max(lag, 0)]
-    flat = shifted.transpose(0, 2, 1).reshape(len(_LAGS), -1)
+        row[:, max(lag, 0) : count + min(lag, 0)] = true.T[:, max(-lag, 0) : count - max(lag, 0)]
     everywhere = np.ones(recorded.size, bool)
+    flat = shifted.reshape(len(_LAGS), -1)
     fit = fit_lags(recorded.T.ravel(), np.zeros((recorded.size, 0)), flat, _LAGS, everywhere)
     if fit is None:
         return None

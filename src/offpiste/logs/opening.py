@@ -6,6 +6,7 @@ from shlex import quote
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log
+from offpiste.object_store import refuse_url
 from offpiste.rig.channels import Clock
 
 _LISTED = 5
@@ -28,6 +29,7 @@ def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
     Raises:
         LogError: no such path, unknown format, or a file that cannot be read.
     """
+    refuse_url(path)
     path = Path(path)
     if not path.exists():
         raise LogError("no such file or folder", where=path)

@@ -13,8 +13,9 @@ from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.map_snapshots import SnapshotSettings
+from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
-from offpiste.dataset.store import Dataset, drive_names, open_dataset
+from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
 from offpiste.parallel import Report, run_all, usable_cores

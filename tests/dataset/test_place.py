@@ -1,0 +1,108 @@
+"""Datasets in an object store, on a real S3 server: they are what is made here, and only whole drives count."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from object_stores import s3_server
+from offpiste.cache import VARIABLE
+from offpiste.checksums import CHECKSUMS
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.place import drive_names
+from offpiste.dataset.store import open_dataset
+from offpiste.errors import DatasetError, OffpisteError
+from offpiste.merge import merge_datasets
+from offpiste.object_store import store_at
+from offpiste.rig.rig import load_rig
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.world import WorldSettings
+
+RIG = load_rig("proving_ground")
+SPLIT = "blocks:0.6,0.2,0.2"
+OUT = Path("s3://bucket/sets/dataset.zarr")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Three logs, here and in the bucket, and their dataset."""
+    folder = tmp_path_factory.mktemp("place")
+    world = WorldSettings("uniform", size=150.0, resolution=0.5)
+    logs = [folder / f"drive-{number}.mcap" for number in range(3)]
+    for seed, log in enumerate(logs):
+        simulate(DriveSettings(world, 20.0, seed=seed, sensors="none"), log)
+    make_dataset(logs, RIG, folder / "whole.zarr", split=SPLIT)
+    with s3_server("bucket"):
+        for log in logs:
+            store_at("s3://bucket/logs").put(log, log.name)
+        yield folder
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An empty cache folder, and an empty dataset."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
+    yield
+    store_at(str(OUT).replace(":/", "://")).remove()
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+def test_from_and_to_a_store_it_is_the_dataset_that_is_made_here(folder: Path) -> None:
+    made = make_dataset(["s3://bucket/logs/*.mcap"], RIG, OUT, split=SPLIT, processes=2)
+    assert content(made.path) == content(folder / "whole.zarr")
+    assert drive_names(OUT) == ["drive-0", "drive-1", "drive-2"]
+    assert store_at("s3://bucket/sets/dataset.zarr").names(f"*/{CHECKSUMS}") == [
+        f"drive-{number}/{CHECKSUMS}" for number in range(3)
+    ]
+
+
+def test_it_resumes_and_a_drive_that_was_half_uploaded_is_made_again(folder: Path, caplog) -> None:
+    logs = sorted(folder.glob("*.mcap"))
+    make_dataset(logs, RIG, OUT, split=SPLIT)
+    store = store_at("s3://bucket/sets/dataset.zarr")
+    store.remove(f"drive-1/{CHECKSUMS}")
+    store.put(logs[0], "drive-1/left-over")
+    assert drive_names(OUT) == ["drive-0", "drive-2"]
+    assert [drive.name for drive in open_dataset(OUT).drives] == ["drive-0", "drive-2"]
+    made = make_dataset(logs, RIG, OUT, split=SPLIT)
+    assert content(made.path) == content(folder / "whole.zarr")
+
+
+def test_a_dataset_that_was_made_otherwise_is_not_added_to(folder: Path) -> None:
+    logs = sorted(folder.glob("*.mcap"))
+    make_dataset(logs[:1], RIG, OUT, split=SPLIT)
+    with pytest.raises(DatasetError, match="split"):
+        make_dataset(logs, RIG, OUT, split="blocks:0.5,0.3,0.2")
+    assert drive_names(OUT) == ["drive-0"]
+
+
+def test_logs_that_all_fail_leave_nothing(tmp_path: Path, folder: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"no log" * 100)
+    store_at("s3://bucket/logs").put(tmp_path / "bad.mcap", "bad/bad.mcap")
+    with pytest.raises(OffpisteError, match=r"s3://bucket/logs/bad/bad\.mcap"):
+        make_dataset(["s3://bucket/logs/bad/bad.mcap"], RIG, OUT, split=SPLIT)
+    assert store_at("s3://bucket/sets/dataset.zarr").names("*") == []
+
+
+def test_the_copy_follows_the_store(folder: Path, tmp_path: Path) -> None:
+    make_dataset(sorted(folder.glob("*.mcap")), RIG, OUT, split=SPLIT)
+    copy = open_dataset(OUT).path
+    shutil.rmtree(copy / "drive-2")
+    (copy / "drive-9").mkdir()
+    store_at("s3://bucket/sets/dataset.zarr").remove("drive-0")
+    assert [drive.name for drive in open_dataset(OUT).drives] == ["drive-1", "drive-2"]
+    with pytest.raises(DatasetError, match=r"s3://bucket/none\.zarr: not a dataset"):
+        open_dataset("s3://bucket/none.zarr")
+
+
+def test_shards_in_a_store_are_merged_here(folder: Path, tmp_path: Path) -> None:
+    logs = sorted(folder.glob("*.mcap"))
+    parts = [Path(f"s3://bucket/sets/dataset.zarr/part-{number}") for number in (1, 2)]
+    for number, part in enumerate(parts, 1):
+        make_dataset(logs, RIG, part, split=SPLIT, shard=(number, 2))
+    merge_datasets(parts, tmp_path / "merged.zarr")
+    assert content(tmp_path / "merged.zarr") == content(folder / "whole.zarr")

@@ -1,0 +1,125 @@
+"""Files of object stores: copied whole, patterns of URLs, and what is refused; in memory, and on a real S3 server."""
+
+from pathlib import Path
+
+import fsspec
+import pytest
+import s3fs
+
+from object_stores import s3_server
+from offpiste.errors import LogError, OffpisteError
+from offpiste.files import check_folder
+from offpiste.logs import open_log
+from offpiste.object_store import brought, expanded, store_at, url_of
+
+
+@pytest.fixture
+def bucket() -> str:
+    """A folder in memory."""
+    files = fsspec.filesystem("memory")
+    files.store.clear()
+    for name in ("b/one.csv", "b/two.csv", "b/folder/x.txt", "b/folder/below/y.txt"):
+        files.pipe_file(f"/{name}", name.encode())
+    return "memory://b"
+
+
+@pytest.mark.parametrize(
+    ("path", "url"),
+    [
+        ("s3://bucket/drive.mcap", "s3://bucket/drive.mcap"),
+        (Path("s3://bucket/data.zarr"), "s3://bucket/data.zarr"),  # a Path keeps one of the slashes
+        ("gs://bucket/folder/", "gs://bucket/folder"),
+        ("drive.mcap", None),
+        ("/data/s3:/x", None),
+        ("C:/data", None),
+    ],
+)
+def test_what_is_a_url(path: str | Path, url: str | None) -> None:
+    assert url_of(path) == url
+
+
+def test_a_folder_of_this_machine_that_looks_like_a_url_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s3:" / "b").mkdir(parents=True)
+    assert url_of("s3:/b") is None
+
+
+def test_a_file_and_a_folder_are_brought_and_removed_again(bucket: str) -> None:
+    with brought(f"{bucket}/one.csv") as file:
+        assert (file.name, file.read_text()) == ("one.csv", "b/one.csv")
+    with brought(Path(f"{bucket}/folder")) as folder:
+        found = {str(f.relative_to(folder)): f.read_text() for f in folder.rglob("*") if f.is_file()}
+    assert found == {"x.txt": "b/folder/x.txt", "below/y.txt": "b/folder/below/y.txt"}
+    assert not file.parent.exists()
+    assert not folder.parent.exists()
+
+
+def test_errors_name_the_url_and_not_the_copy(bucket: str) -> None:
+    with pytest.raises(LogError, match=r"^memory://b/folder: no known log format"), brought(f"{bucket}/folder") as here:
+        open_log(here)
+
+
+def test_patterns(bucket: str) -> None:
+    assert expanded([f"{bucket}/*.csv", "here.csv"]) == ["memory://b/one.csv", "memory://b/two.csv", "here.csv"]
+    with pytest.raises(OffpisteError, match=r"memory://b/\*\.bag: nothing matches"):
+        expanded([f"{bucket}/*.bag"])
+
+
+def test_upload_replaces_a_folder_and_one_file_comes_last(bucket: str, tmp_path: Path) -> None:
+    for name in ("a", "m", "z"):
+        (tmp_path / name).write_text(name)
+    store = store_at(bucket)
+    store.upload(tmp_path, "folder", last="m")
+    made = {name: store.files.created(f"/b/folder/{name}") for name in "amz"}
+    assert max(made, key=lambda name: made[name]) == "m"
+    assert store.names("folder/*") == ["folder/a", "folder/m", "folder/z"]
+
+
+@pytest.mark.parametrize("name", ["../../evil", "a/../../evil"])
+def test_names_that_leave_the_folder_are_refused(name: str, tmp_path: Path) -> None:
+    class Files:
+        def invalidate_cache(self) -> None: ...
+        def isfile(self, path: str) -> bool:
+            return False
+
+        def find(self, path: str) -> list[str]:
+            return [f"b/{name}"]
+
+    store = store_at("memory://b")
+    object.__setattr__(store, "files", Files())
+    object.__setattr__(store, "root", "b")
+    with pytest.raises(OffpisteError, match="which is no name of a file"):
+        store.bring(tmp_path / "to")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_reached_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(OffpisteError, match="memory://b/none: no such file or folder"), brought("memory://b/none"):
+        pass
+    with pytest.raises(OffpisteError, match=r"reading gs:// needs another package; pip install 'offpiste\[gcs\]'"):
+        store_at("gs://bucket/x")
+    with pytest.raises(OffpisteError, match=r"nosuch://b/x: cannot be reached \(ValueError"):
+        store_at("nosuch://b/x")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "x")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "x")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    s3fs.S3FileSystem.clear_instance_cache()
+    with pytest.raises(OffpisteError, match="cannot be reached"), brought("s3://silent/drive.mcap"):
+        pass
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+def test_commands_that_work_on_this_machine_alone_say_so() -> None:
+    with pytest.raises(OffpisteError, match="s3://b/run: lies in an object store"):
+        check_folder(Path("s3://b/run"))
+    with pytest.raises(OffpisteError, match=r"s3://b/drive\.mcap: lies in an object store"):
+        open_log("s3://b/drive.mcap")
+
+
+def test_a_bucket_that_is_not_there() -> None:
+    missing = r"s3://elsewhere/x: cannot be reached \(FileNotFoundError"
+    with s3_server("there"):
+        for use in (lambda store: store.put(Path(__file__), "y"), lambda store: store.bring(Path("y"))):
+            with pytest.raises(OffpisteError, match=missing):
+                use(store_at("s3://elsewhere/x"))
