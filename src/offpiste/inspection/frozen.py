@@ -12,7 +12,9 @@ from offpiste.logs.drive import Drive
 
 _HEADINGS: Final = ("orientation", "yaw")
 """Nobody drives so that a measured heading stays the same, unlike a control; a position that does is no motion."""
-_LEAST, _LEAST_OF_HEADINGS = 3.0, 0.4
+_CONTROLS: Final = ("steer", "throttle", "brake")
+"""A driver holds them for some seconds now and then."""
+_LEAST, _LEAST_OF_HEADINGS, _LEAST_OF_CONTROLS = 3.0, 0.4, 4.7
 """Shortest run that is reported [s]."""
 _UNUSUAL: Final = 20.0
 """A run is reported from this many times the length that 1 in 100 of the channel's runs reach ..."""
@@ -29,7 +31,8 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
         if name == "position" or len(channel.time) < 100:
             continue
         heading = name in _HEADINGS
-        begin, lasts = _frozen(channel, path, _LEAST_OF_HEADINGS if heading else _LEAST, again=heading)
+        least = _LEAST_OF_HEADINGS if heading else _LEAST_OF_CONTROLS if name in _CONTROLS else _LEAST
+        begin, lasts = _frozen(channel, path, least, again=heading)
         if not len(begin):
             continue
         longest = int(lasts.argmax())

@@ -13,7 +13,7 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
 
-_PILED: Final = 0.02
+_PILED: Final = 0.04
 """Share of the samples that lie exactly at one of the two ends."""
 _NEAR: Final = 0.98
 """Share of the largest value from which a row counts as one at the end."""

@@ -26,6 +26,8 @@ _GAPS: Final = 0.02
 """Share of the time in gaps from which they cost data: a warning."""
 _DISORDER: Final = 0.2
 """Share of stamps that go back from which a log has no order."""
+_SINGLE: Final = 0.25
+"""Share of intervals of one period where up to three in four samples are lost at random."""
 _SHUFFLED: Final = 0.002
 """Share of stamps that go back from which a log is not in the order of its stamps."""
 
@@ -64,7 +66,10 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
         return Timing(start, end, len(time), np.nan, 0.0, 0.0, repeated, backward, ())
     low, typical, high = np.percentile(forward, (5, 50, 95))
     # Where samples arrive in bunches or at odd times only the mean gives the rate; elsewhere losses would bias it.
-    lost = _lost(forward[forward <= max(max_gap, 10 * typical)] / typical) if repeated < 0.02 * len(time) else None
+    short = forward[forward <= max(max_gap, 10 * typical)]
+    lost = _lost(short / typical) if repeated < 0.02 * len(time) else None
+    if lost is None and repeated == 0 and (more := _lost_half(short)) is not None:
+        typical, lost = more
     single = forward[np.round(forward / typical) == 1]
     interval = float(np.mean(single if lost is not None else step[(step >= 0) & (step <= max(max_gap, 10 * typical))]))
     is_gap = step > max(max_gap, 10 * interval)
@@ -80,6 +85,16 @@ def _lost(periods: Float[np.ndarray, " n"]) -> float | None:
     if len(periods) < 50 or np.mean(np.abs(periods - whole)) > 0.1:
         return None
     return float(np.sum(whole - 1) / max(np.sum(whole), 1))
+
+
+def _lost_half(interval: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
+    """Period [s] and share lost where so many samples are missing that the median interval is not one period."""
+    for period in (np.median(interval) / 2, np.median(interval) / 3):
+        lost = _lost(interval / period)
+        # Stamps in steps of a clock are whole numbers of them as well, and hardly ever one step apart.
+        if lost is not None and np.mean(np.round(interval / period) == 1) > _SINGLE:
+            return float(period), lost
+    return None
 
 
 def check_stamps(recorded: dict[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:

@@ -31,6 +31,10 @@ _LATE: Final = 0.12
 """Delays from here on are reported [s]."""
 _BIASED: Final = 0.02
 """Rate without turning that gyroscopes may have [rad/s]."""
+_SAME: Final = (0.85, 1.18)
+"""Gains at which a channel is in its unit ..."""
+_SAME_VELOCITY: Final = (0.92, 1.09)
+"""... and a velocity, which states what the pose's derivative is."""
 _ROLLING: Final = (0.6, 1.8)
 """Speed of wheels over the vehicle's, slip and worn tyres included."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
@@ -95,7 +99,7 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     if stated is None:
         return findings  # what is not used does no harm
     fit = best if findings else stated
-    return findings + _gain(name, fit, drive.rig, "m/s", _UNITS) + _delay(name, fit, source)
+    return findings + _gain(name, fit, drive.rig, "m/s", _UNITS, _SAME_VELOCITY) + _delay(name, fit, source)
 
 
 def turn_rate_name(drive: Drive) -> str:
@@ -123,6 +127,12 @@ def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
     """Unit of the wheels' speed, which spinning and locking change by less than any unit does."""
     fit = fit_wheel_speed(drive, path)
     if fit is None or fit.misfit > _FOLLOWS or _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
+        return []
+    # At a nearly constant speed what varies is slip, which has a gain of its own.
+    recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
+    known = np.isfinite(recorded) & np.isfinite(path.forward)
+    level = np.linalg.norm(recorded[known]) / max(float(np.linalg.norm(path.forward[known])), 1e-9)
+    if not _ROLLING[0] < level / abs(fit.gain) < _ROLLING[1]:
         return []
     return _gain("wheel_speed", fit, drive.rig, "m/s", _UNITS)
 
@@ -209,7 +219,9 @@ def _zero(name: str) -> Finding:
     return Finding("warning", name, "is zero while the vehicle moves", "0 in all samples", how, 1.0, ((removed,),))
 
 
-def _gain(name: str, fit: FrameFit, rig: Rig, unit: str, units: dict[str, float]) -> list[Finding]:
+def _gain(
+    name: str, fit: FrameFit, rig: Rig, unit: str, units: dict[str, float], same: tuple[float, float] = _SAME
+) -> list[Finding]:
     source = rig.channels[name]
     findings = []
     evidence = f"it is {fit.gain:.3g} ± {fit.gain_sigma:.1g} times the pose's derivative"
@@ -217,7 +229,7 @@ def _gain(name: str, fit: FrameFit, rig: Rig, unit: str, units: dict[str, float]
         sign = Edit(f"channels.{name}.sign", -source.sign)
         findings.append(Finding("warning", name, "has the wrong sign", evidence, str(sign), 1.0, ((sign,),)))
     size = abs(fit.gain)
-    if 0.85 - SURE * fit.gain_sigma < size < 1.18 + SURE * fit.gain_sigma:
+    if same[0] - SURE * fit.gain_sigma < size < same[1] + SURE * fit.gain_sigma:
         return findings
     # A unit that is stated and should not be is as likely as one that should be and is not.
     named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}
