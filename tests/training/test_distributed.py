@@ -1,8 +1,11 @@
 """Several processes train what one does; sharing out leaves nothing over."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,7 @@ from offpiste.dataset import store
 from offpiste.dataset.splits import parse_split
 from offpiste.errors import RunError
 from offpiste.training.distributed import ALONE, Group, joined
+from training import two_hosts
 
 SETTINGS = ["--epochs", "2", "--bicycle-epochs", "2", "--actuator-epochs", "1", "--batch", "33"]
 
@@ -78,3 +82,26 @@ def test_two_processes_train_what_one_does(dataset, tmp_path):
     again = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert again.returncode
     assert "holds a run already" in again.stderr
+
+
+@pytest.mark.skipif(not two_hosts.available(), reason="network namespaces cannot be made here: not root")
+def test_on_two_hosts_a_process_that_dies_is_said_on_the_other_and_resuming_goes_on(dataset, tmp_path):
+    def command(name: str, *more: str) -> list[str]:
+        return ["train", str(dataset), "--out", str(tmp_path / name), *SETTINGS, "--epochs", "20", "--ddp", *more]
+
+    with two_hosts.hosts() as names:
+        whole = two_hosts.start(names, command("whole"), tmp_path / "whole.log")
+        assert [process.wait(200) for process in whole] == [0, 0], (tmp_path / "whole.log.0").read_text()
+        killed = two_hosts.start(names, command("killed"), tmp_path / "killed.log")
+        metrics = tmp_path / "killed" / "metrics.jsonl"
+        while killed[0].poll() is None and not (metrics.exists() and metrics.read_text().count("\n") > 5):
+            time.sleep(0.05)
+        os.kill(two_hosts.trains_on(names[1]), signal.SIGKILL)
+        assert all(process.wait(100) for process in killed)
+        said = (tmp_path / "killed.log.0").read_text()
+        assert said.count("another process of this training was lost") == 1
+        assert "[rank0]" not in said, "a traceback"
+        resumed = two_hosts.start(names, command("killed", "--resume"), tmp_path / "resumed.log")
+        assert [process.wait(200) for process in resumed] == [0, 0], (tmp_path / "resumed.log.0").read_text()
+    ours, theirs = (load_file(tmp_path / name / "model.safetensors") for name in ("whole", "killed"))
+    assert all(torch.equal(value, theirs[name]) for name, value in ours.items())

@@ -48,7 +48,8 @@ class Group:
         """The sum of a value over all processes."""
         if self.size > 1:
             value = value.detach().clone()
-            dist.all_reduce(value)
+            with _with_the_others():
+                dist.all_reduce(value)
         return value
 
     def sum_gradients(self, parameters: Iterable[Tensor]) -> None:
@@ -60,7 +61,8 @@ class Group:
             if parameter.grad is None:
                 parameter.grad = torch.zeros_like(parameter)
         flat = torch.cat([p.grad.flatten() for p in result if p.grad is not None])
-        dist.all_reduce(flat)
+        with _with_the_others():
+            dist.all_reduce(flat)
         for parameter, part in zip(result, flat.split([p.numel() for p in result]), strict=True):
             parameter.grad = part.view_as(parameter).clone()
 
@@ -68,7 +70,8 @@ class Group:
         """Raise in all processes what went wrong in the first; otherwise wait until all are here."""
         if self.size > 1:
             message: list[OffpisteError | None] = [error]
-            dist.broadcast_object_list(message, src=0)
+            with _with_the_others():
+                dist.broadcast_object_list(message, src=0)
             error = message[0]
         if error is not None:
             raise error
@@ -85,7 +88,7 @@ def joined(device: str) -> Iterator[Group]:
         device: "cpu" talks through gloo, "cuda" through NCCL; each process has the GPU of its local rank.
 
     Raises:
-        RunError: not started by `torchrun`.
+        RunError: not started by `torchrun`, or another process is lost.
     """
     if not {"RANK", "WORLD_SIZE", "MASTER_ADDR"} <= set(os.environ):
         raise RunError(
@@ -93,8 +96,19 @@ def joined(device: str) -> Iterator[Group]:
         )
     if device.startswith("cuda"):
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=TIMEOUT)
+    with _with_the_others():
+        dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=TIMEOUT)
     try:
         yield Group(dist.get_rank(), dist.get_world_size())
     finally:
         dist.destroy_process_group()
+
+
+@contextmanager
+def _with_the_others() -> Iterator[None]:
+    """Turn the backend's error for a process that has gone into one line."""
+    try:
+        yield
+    except RuntimeError as error:
+        how = "see what it said, then start all of them again with --resume"
+        raise RunError("another process of this training was lost, or cannot be reached", how=how) from error
