@@ -35,6 +35,10 @@ class FitPca:
     """Seed of the choice of images."""
     device: str = "cpu"
     """Device of the backbone."""
+    processes: int = 0
+    """Logs read at a time; 0: one a core, or one where the backbone runs on a GPU."""
+    cluster: str = ""
+    """Read them on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head. All nodes must see the logs."""
 
     def run(self) -> int:
         """Choose images, fit, write."""
@@ -55,6 +59,8 @@ class FitPca:
             images=images,
             components=self.components,
             seed=self.seed,
+            processes=self.processes or (0 if self.device == "cpu" else 1),
+            cluster=self.cluster,
         )
         pca = fitted.pca
         save_pca(self.out, pca)

@@ -1,15 +1,18 @@
 """Fits the PCA of patch features on images of the training stretches of logs (paper, "Dimensionality Reduction")."""
 
+import base64
 import logging
-from collections.abc import Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from safetensors.numpy import load, save
 
+from offpiste.cluster import engine_at
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import Split
 from offpiste.errors import PerceptionError
@@ -19,11 +22,11 @@ from offpiste.logs.measurements import Image
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
-from offpiste.parallel import Report
+from offpiste.object_store import brought, expanded
+from offpiste.parallel import Report, Work, run_all, usable_cores
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
-from offpiste.progress import jobs_bar
 from offpiste.rig.rig import Rig
 
 
@@ -102,6 +105,24 @@ class Candidate(NamedTuple):
     statistics: Float[np.ndarray, " k"]
 
 
+@dataclass(frozen=True)
+class Job:
+    """What a process needs to look for images in a log, or to read the features of those that were chosen there.
+
+    Attributes:
+        spacing: distance between candidate images of a camera [m].
+        times: cameras and stamps of the chosen images.
+    """
+
+    number: int
+    log: str | Path
+    rig: Rig
+    split: Split
+    spacing: float
+    backbone: Backbone
+    times: frozenset[tuple[str, float]] = frozenset()
+
+
 def fit_pca(
     logs: Sequence[str | Path],
     rig: Rig,
@@ -111,22 +132,29 @@ def fit_pca(
     images: int | Sequence[ListedImage] = IMAGES,
     components: int = COMPONENTS,
     seed: int = 0,
+    processes: int = 1,
+    cluster: str = "",
 ) -> FittedPca:
     """Choose images of varied ground and light, and fit on their patches that ground points of the LiDAR hit.
 
     Args:
         images: how many are chosen; or the images themselves, which must lie in the training part too.
+        processes: logs that are read at a time; 0: one a core.
+        cluster: address of a Ray cluster that reads them instead (`cluster.run_on_cluster`); "" for none.
 
     Raises:
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
-    result: list[Candidate] = []
-    with jobs_bar(len(logs), "finding images") as show:
-        for number, log in enumerate(logs):
-            # Listed images need not lie apart.
-            spacing = SPACING if isinstance(images, int) else 0.0
-            result += _candidates(number, log, rig, split, spacing, partial(show, number))
+    logs = expanded(logs)
+    spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
+    jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
+    at_a_time = processes or usable_cores()
+    result = [
+        Candidate(number, list(rig.cameras)[camera], float(time), statistics)
+        for number, found in _of_each(_find_images, jobs, at_a_time, "finding images", cluster)
+        for camera, time, statistics in zip(found["camera"], found["time"], found["statistics"], strict=True)
+    ]
     if not result:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
     names = [drive_name(log) for log in logs]
@@ -134,13 +162,13 @@ def fit_pca(
         chosen = most_diverse(np.stack([c.statistics for c in result]), images, seed=seed).tolist()
     else:
         chosen = [_listed(image, result, names) for image in images]
+    times = [
+        frozenset((result[i].camera, result[i].time) for i in chosen if result[i].log == job.number) for job in jobs
+    ]
+    jobs = [replace(job, times=mine) for job, mine in zip(jobs, times, strict=True) if mine]
     moments = Moments.none(backbone.channels)
-    with jobs_bar(len(logs), "features of the chosen images") as show:
-        for number, log in enumerate(logs):
-            times = {(result[i].camera, result[i].time) for i in chosen if result[i].log == number}
-            if times:
-                moments = _add_log(moments, _sensors(log, rig), backbone, times, partial(show, number))
-            show(number, 1.0)
+    for _, found in _of_each(_read_features, jobs, at_a_time, "features of the chosen images", cluster):
+        moments += Moments(int(found["count"]), found["mean"], found["scatter"])
     pca = fit(moments, backbone, components=components, logs=names, split=split.text)
     logger.info(f"{len(chosen)} of {len(result)} images, {moments.count:.0f} patches of ground")
     return FittedPca(pca, [ListedImage(names[result[i].log], result[i].camera, result[i].time) for i in chosen])
@@ -157,29 +185,60 @@ def _listed(image: ListedImage, result: Sequence[Candidate], names: Sequence[str
     )
 
 
-def _sensors(log: str | Path, rig: Rig) -> SensorLog:
-    return open_sensors(open_log(log, clock=rig.clock), rig)
-
-
-def _candidates(
-    number: int, log: str | Path, rig: Rig, split: Split, spacing: float, report: Report
-) -> list[Candidate]:
-    opened = open_log(log, clock=rig.clock)
-    sensors = open_sensors(opened, rig)
-    sensors.coverage()  # refuses clocks that are not the poses'
-    rows = extract_rows(drive_from_log(opened, rig))
-    part = split.label(drive_name(log), rows.state[:, :2] + rows.origin)
+def _of_each(
+    work: Work[Job], jobs: Sequence[Job], processes: int, description: str, cluster: str
+) -> list[tuple[int, dict[str, np.ndarray]]]:
+    """Arrays that the work finds in each log, in the order of the logs; raises what the first of them fails with."""
+    texts: list[str] = []
+    failed = run_all(work, jobs, processes, description, engine=engine_at(cluster), finished=texts.append)
+    if failed:
+        raise failed[0]
     result = []
+    for text in texts:
+        found = load(base64.b64decode(text))
+        result.append((int(found.pop("number")), found))
+    return sorted(result, key=lambda pair: pair[0])
+
+
+def _text(arrays: dict[str, np.ndarray | int]) -> str:
+    """Arrays as text, which is what jobs give back."""
+    return base64.b64encode(save({name: np.asarray(values) for name, values in arrays.items()})).decode()
+
+
+def _find_images(job: Job, report: Report) -> str:
+    with brought(job.log) as path:
+        log = open_log(path, clock=job.rig.clock)
+        sensors = open_sensors(log, job.rig)
+        sensors.coverage()  # refuses clocks that are not the poses'
+        rows = extract_rows(drive_from_log(log, job.rig))
+        training = job.split.label(drive_name(path), rows.state[:, :2] + rows.origin) == 0
+        found = [
+            (list(job.rig.cameras).index(image.camera), round(image.time, 6), image_statistics(image.pixels))
+            for image in _spaced_images(sensors, rows, training, job.spacing, report)
+        ]
+    camera, time, statistics = (np.array([one[part] for one in found]) for part in range(3))
+    return _text({"number": job.number, "camera": camera, "time": time, "statistics": statistics})
+
+
+def _spaced_images(
+    sensors: SensorLog, rows: Rows, training: Bool[np.ndarray, " N"], spacing: float, report: Report
+) -> Iterator[Image]:
     for done, camera in enumerate(sensors.cameras):
         stamps = np.sort(sensors.stamps(camera))
-        stamps = stamps[_in_training(stamps, rows, part == 0)]
+        stamps = stamps[_in_training(stamps, rows, training)]
         kept = keyframes_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
         times = set(np.round(stamps[kept], 6))
         for image in sensors.stream([camera]):
             report((done + _share(image.time, sensors)) / len(sensors.cameras))
             if isinstance(image, Image) and round(image.time, 6) in times:
-                result.append(Candidate(number, camera, round(image.time, 6), image_statistics(image.pixels)))
-    return result
+                yield image
+
+
+def _read_features(job: Job, report: Report) -> str:
+    with brought(job.log) as path:
+        sensors = open_sensors(open_log(path, clock=job.rig.clock), job.rig)
+        moments = _moments(sensors, job.backbone, job.times, report)
+    return _text({"number": job.number, "count": moments.count, "mean": moments.mean, "scatter": moments.scatter})
 
 
 def _share(time: float, log: SensorLog) -> float:
@@ -193,9 +252,8 @@ def _in_training(stamps: Float[np.ndarray, " n"], rows: Rows, training: Bool[np.
     return np.asarray(inside & training[row] & rows.valid[row])
 
 
-def _add_log(
-    moments: Moments, log: SensorLog, backbone: Backbone, times: set[tuple[str, float]], report: Report
-) -> Moments:
+def _moments(log: SensorLog, backbone: Backbone, times: frozenset[tuple[str, float]], report: Report) -> Moments:
+    moments = Moments.none(backbone.channels)
     cameras = pinhole_cameras(log, backbone.patch)
     hit: dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]] = {}
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, Path
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags, jackknife
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
@@ -70,8 +70,7 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
     evidence = f"they agree to {plain.together:.2f} (1: always, 0: never)"
     if not cures:
         how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
-        severity: Severity = "warning" if plain.together < _APART else "note"
-        return [Finding(severity, name, what, evidence, how, 1.0)]
+        return [Finding("warning", name, what, evidence, how, 1.0, sure=plain.together < _APART)]
     evidence += f", and to {better[0].together:.2f} with the remedy"
     return [Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)]
 

@@ -157,7 +157,7 @@ def _checked(finding: Finding, left: Sequence[Finding], rig: Rig, examine: Exami
     """A finding without those of its cures after which something is worse; a note if it was not sure without one."""
     harmless = tuple(cure for cure in finding.cures if not _harms(cure, left, rig, examine))
     if harmless == finding.cures:
-        return finding
+        return finding if harmless or finding.sure else replace(finding, severity="note")
     if harmless:
         return replace(finding, remedy=", ".join(map(str, harmless[0])), cures=harmless)
     how = "no entry of the rig is sure to cure it: look at the data around it, or leave the channel out"

@@ -131,8 +131,8 @@ def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
     # At a nearly constant speed what varies is slip, which has a gain of its own.
     recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
     known = np.isfinite(recorded) & np.isfinite(path.forward)
-    level = np.linalg.norm(recorded[known]) / max(float(np.linalg.norm(path.forward[known])), 1e-9)
-    if not _ROLLING[0] < level / abs(fit.gain) < _ROLLING[1]:
+    level = float(recorded[known] @ path.forward[known]) / max(float(path.forward[known] @ path.forward[known]), 1e-9)
+    if not _ROLLING[0] < level / fit.gain < _ROLLING[1]:
         return []
     return _gain("wheel_speed", fit, drive.rig, "m/s", _UNITS)
 

@@ -211,7 +211,16 @@ def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedD
     backbone = open_backbone(settings.backbone, device=settings.device)
     components = min(max(PCA_SWEPT), backbone.channels)
     split = parse_split(_split(settings, drives))
-    fitted = fit_pca(logs, load_rig(RIG), split, backbone, images=settings.size.images, components=components)
+    fitted = fit_pca(
+        logs,
+        load_rig(RIG),
+        split,
+        backbone,
+        images=settings.size.images,
+        components=components,
+        processes=settings.at_a_time,
+        cluster=settings.cluster,
+    )
     save_pca(path, fitted.pca)
 
 
