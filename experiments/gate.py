@@ -14,9 +14,9 @@ from experiments.command import run
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.splits import write_drives
 from offpiste.evaluation.evaluate_runs import evaluate_runs
-from offpiste.reproduction.data import simulate_once
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.rig.rig import load_rig
+from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig

@@ -9,7 +9,9 @@ import cluster
 from log_messages import logged
 from offpiste.cluster import engine_at
 from offpiste.errors import OffpisteError
+from offpiste.inspection.survey import inspect_logs
 from offpiste.parallel import run_all
+from offpiste.rig.rig import load_rig
 from parallel_jobs import square
 
 
@@ -30,9 +32,12 @@ def test_a_worker_and_a_node_that_are_killed_change_nothing(logs: list[Path], tm
     assert cluster.content(out) == cluster.content(whole)
 
 
-def test_jobs_that_fail_are_not_begun_again_and_those_that_kill_their_workers_are_given_up() -> None:
+def test_jobs_that_fail_are_not_begun_again_and_those_that_kill_their_workers_are_given_up(logs: list[Path]) -> None:
     with cluster.nodes() as three, logged() as messages:
         failed = run_all(square, [3, -1, 13, 5], 1, "squares", engine=engine_at(three.address))
+        survey = inspect_logs([str(log) for log in logs[6:9]], load_rig("proving_ground"), cluster=three.address)
+    assert [one["log"] for one in survey.inspections] == [str(logs[6]), str(logs[8])]
+    assert [error.where for error in survey.failed] == [str(logs[7])]
     assert {"9", "25"} < set(messages)
     said = sorted(str(error) for error in failed)
     assert said[0] == "here: -1 is negative; give another"

@@ -10,8 +10,9 @@ from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_starts import MIN_HINDSIGHT
-from offpiste.reproduction.data import PlannedDrive, simulate_once
+from offpiste.reproduction.data import PlannedDrive
 from offpiste.rig.rig import load_rig
+from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 

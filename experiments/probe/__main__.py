@@ -29,8 +29,8 @@ from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
 from offpiste.progress import track
-from offpiste.reproduction.data import simulate_once
 from offpiste.rig.rig import Rig, load_rig
+from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 

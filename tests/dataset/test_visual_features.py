@@ -1,6 +1,7 @@
 """From a recorded drive with camera and LiDAR to visual features by distance, against the simulator's truth."""
 
 import copy
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from log_messages import logged
 from offpiste.cli import main
 from offpiste.conventions import FEATURE_SETS, PERCEPTION_LATENCY
 from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.place import drive_names
+from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError, LogError
@@ -21,6 +24,7 @@ from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.mapping.terrain_sampler import MapTerrain
+from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.perception.pca import load_pca
 from offpiste.rig.rig import load_rig
@@ -74,6 +78,18 @@ def test_a_pca_is_fitted_on_the_same_images_again_from_its_list(folder: Path) ->
     with pytest.raises(SystemExit) as exit_:
         main(["fit-pca", str(folder / "drive.mcap"), *words[:-4], "--images", str(folder / "other.txt")])
     assert exit_.value.code == 1
+
+
+def test_processes_fit_the_pca_that_one_does(folder: Path, tmp_path: Path) -> None:
+    logs = [folder / "drive.mcap", shutil.copyfile(folder / "drive.mcap", tmp_path / "other.mcap")]
+    rig, split = load_rig("proving_ground"), parse_split("blocks:1,0,0")
+    alone, shared = (
+        fit_pca(logs, rig, split, open_backbone("filterbank"), images=6, components=4, processes=processes)
+        for processes in (1, 2)
+    )
+    assert shared.images == alone.images
+    assert {image.drive for image in alone.images} == {"drive", "other"}
+    assert shared.pca.identity == alone.pca.identity
 
 
 def test_every_feature_set_is_there_and_was_observed_at_its_distance(dataset: Dataset) -> None:

@@ -4,12 +4,15 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import join
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.progress import show
+
+if TYPE_CHECKING:
+    from offpiste.rig.rig import Rig
 
 
 @COMMANDS.register("inspect")
@@ -17,8 +20,9 @@ from offpiste.progress import show
 class Inspect:
     """What a careful engineer would find out first about a log; exit code 1 if it is unusable for training."""
 
-    log: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LOG")]
-    """A file or folder in any format that offpiste reads, also in an object store: s3://bucket/drive.mcap."""
+    logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
+    """A file or folder in any format that offpiste reads, also in an object store (s3://bucket/drive.mcap). Several
+    give a row each."""
     rig: str | None = None
     """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
     write_rig: Path | None = None
@@ -27,9 +31,27 @@ class Inspect:
     """Estimate how the rig's cameras and LiDARs are mounted, instead of the checks; the rig's mountings are guesses."""
     json: bool = False
     """Print findings as JSON."""
+    processes: int = 0
+    """Of several logs, how many are inspected at a time; 0: one a core."""
+    cluster: str = ""
+    """Inspect several logs on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
     def run(self) -> int:
         """Inspect, write the cured rig, print, name the next command."""
+        from offpiste.errors import LogError
+        from offpiste.object_store import expanded
+        from offpiste.rig.rig import load_rig
+
+        logs = [str(log) for log in expanded(self.logs)]
+        if not logs:
+            raise LogError("no log is given", how="name one or more logs")
+        if len(logs) > 1:
+            return self._survey(logs)
+        if self.estimate_mountings:
+            return self._estimate(logs[0])
+        return self._inspect(logs[0], load_rig(self.rig) if self.rig else None)
+
+    def _inspect(self, path: str, rig: "Rig | None") -> int:
         from json import dumps
 
         from offpiste.inspection.draft_rig import draft_rig, refuse_existing, write_rig
@@ -39,16 +61,13 @@ class Inspect:
         from offpiste.logs import open_log
         from offpiste.object_store import brought
         from offpiste.rig.edits import edited_text
-        from offpiste.rig.rig import load_rig, rig_text
+        from offpiste.rig.rig import rig_text
 
-        if self.estimate_mountings:
-            return self._estimate()
-        rig = load_rig(self.rig) if self.rig else None
         if self.write_rig:
             refuse_existing(self.write_rig)
-        with brought(self.log) as path:
-            log = open_log(path, clock=rig.clock if rig else None)
-            inspection = replace(inspect_log(log, rig, sensors=True), log=self.log)
+        with brought(path) as here:
+            log = open_log(here, clock=rig.clock if rig else None)
+            inspection = replace(inspect_log(log, rig, sensors=True), log=path)
             text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""
         show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         if self.write_rig:
@@ -58,23 +77,36 @@ class Inspect:
             lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]
             print(*lines, sep="\n", file=sys.stderr)  # noqa: T201
         if not self.json:
-            show(f"next: {self._next(usable=inspection.usable)}")
+            show(f"next: {self._next(path, usable=inspection.usable)}")
         return 0 if inspection.usable else 1
 
-    def _next(self, *, usable: bool) -> str:
+    def _next(self, log: str, *, usable: bool) -> str:
         """The command that comes next, as a line to paste."""
         if self.write_rig:
-            return join(["offpiste", "inspect", self.log, "--rig", str(self.write_rig)])
-        if not self.rig:
-            return join(["offpiste", "inspect", self.log, "--write-rig", "my.toml"])
-        if usable:
-            return join(["offpiste", "extract", self.log, "--rig", self.rig, "--out", "dataset.zarr"])
-        again = join(["offpiste", "inspect", self.log, "--rig", self.rig])
-        return (
-            again if self.rig.endswith(".toml") else join(["offpiste", "inspect", self.log, "--write-rig", "my.toml"])
-        )
+            return join(["offpiste", "inspect", log, "--rig", str(self.write_rig)])
+        if self.rig and usable:
+            return join(["offpiste", "extract", log, "--rig", self.rig, "--out", "dataset.zarr"])
+        if self.rig and self.rig.endswith(".toml"):
+            return join(["offpiste", "inspect", log, "--rig", self.rig])
+        return join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
 
-    def _estimate(self) -> int:
+    def _survey(self, logs: list[str]) -> int:
+        """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""
+        from json import dumps
+
+        from offpiste.errors import LogError
+        from offpiste.inspection.survey import inspect_logs, survey_table
+        from offpiste.rig.rig import load_rig
+
+        if self.write_rig or self.estimate_mountings:
+            option = "--write-rig" if self.write_rig else "--estimate-mountings"
+            raise LogError(f"{option} takes one log, not {len(logs)}", how="give one of them")
+        rig = load_rig(self.rig) if self.rig else None
+        survey = inspect_logs(logs, rig, processes=self.processes, cluster=self.cluster)
+        show(dumps(survey.as_dict(), indent=2) if self.json else survey_table(survey))
+        return 0 if survey.usable else 1
+
+    def _estimate(self, log: str) -> int:
         """Estimate mountings, print; exit code 1 if one could not be estimated."""
         from json import dumps
 
@@ -89,8 +121,8 @@ class Inspect:
             how = "give --rig; `offpiste inspect LOG --write-rig first.toml` drafts one"
             raise RigError("--estimate-mountings needs a rig that names cameras and LiDARs", how=how)
         rig = load_rig(self.rig)
-        with brought(self.log) as path:
-            result = estimate_mountings(open_log(path, clock=rig.clock), rig)
+        with brought(log) as here:
+            result = estimate_mountings(open_log(here, clock=rig.clock), rig)
         as_json = {"schema": 1, "mountings": [one.as_dict() for one in result]}
         show(dumps(as_json, indent=2) if self.json else render_mountings(result))
         return 1 if any(one.refused for one in result) else 0

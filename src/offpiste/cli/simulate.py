@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from offpiste.cli.entry import COMMANDS
+
+if TYPE_CHECKING:
+    from offpiste.simulation.simulate import DriveSettings
 
 
 @COMMANDS.register("simulate")
@@ -13,13 +16,15 @@ class Simulate:
     """Record a drive on the proving ground, in a world made from a seed, as an MCAP log (needs the extra `sim`)."""
 
     out: Path = Path("drive.mcap")
-    """The log; twins are written beside it."""
+    """The log, with twins beside it; or the folder of several drives."""
     world: str = "mojave"
     """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
     seconds: float = 60.0
     """Length of the drive [s]; one that rolls over or gets stuck ends early."""
     seed: int = 0
     """Seed of the world, the driver and all noise."""
+    drives: int = 1
+    """Drives to record; several have the seeds from --seed on, each a world of its own. It resumes."""
     drive_seed: int | None = None
     """Seed of the driver and the noise, for another drive in the same world."""
     sensors: Literal["full", "light", "none"] = "light"
@@ -40,20 +45,48 @@ class Simulate:
     """Angle between recorded and true mountings of sensors [degrees]."""
     stamp_offset: float = 0.0
     """How much too late cameras and LiDARs are stamped [ms]."""
+    processes: int = 0
+    """Of several drives, how many are recorded at a time; 0: one a core."""
+    cluster: str = ""
+    """Record several drives on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
     def run(self) -> int:
         """Make a world, drive through it, record."""
+        from offpiste.errors import OffpisteError
         from offpiste.progress import show
+        from offpiste.simulation.simulate import simulate
+
+        if self.drives == 1:
+            seed = self.seed if self.drive_seed is None else self.drive_seed
+            simulate(self._settings(self.seed, seed), self.out, twins=self.twins)
+            show(f"next: offpiste inspect {self.out} --rig proving_ground")
+            return 0
+        if self.drives < 1:
+            raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
+        if self.twins or self.drive_seed is not None:
+            raise OffpisteError("--drives goes with neither --twins nor --drive-seed", how="leave them out")
+        self._record_all()
+        return 0
+
+    def _record_all(self) -> None:
+        from offpiste.files import check_folder
+        from offpiste.parallel import usable_cores
+        from offpiste.progress import show
+        from offpiste.simulation.recordings import Recording, simulate_all
+
+        check_folder(self.out)
+        self.out.mkdir(parents=True, exist_ok=True)
+        name = Path(self.world).stem
+        seeds = range(self.seed, self.seed + self.drives)
+        recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
+        simulate_all(recordings, self.processes or usable_cores(), self.cluster)
+        show(f"next: offpiste inspect {self.out}/*.mcap --rig proving_ground")
+
+    def _settings(self, world_seed: int, seed: int) -> "DriveSettings":
         from offpiste.simulation.sensors.imperfections import Imperfections
-        from offpiste.simulation.simulate import DriveSettings, simulate
+        from offpiste.simulation.simulate import DriveSettings
         from offpiste.simulation.world.world import WorldSettings
 
-        world = WorldSettings(self.world, self.seed, self.grip_contrast, self.appearance_noise)
+        world = WorldSettings(self.world, world_seed, self.grip_contrast, self.appearance_noise)
         imperfections = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
-        seed = self.seed if self.drive_seed is None else self.drive_seed
-        settings = DriveSettings(
-            world, self.seconds, seed, self.sensors, self.mounting_turn, imperfections=imperfections
-        )
-        simulate(settings, self.out, twins=self.twins)
-        show(f"next: offpiste inspect {self.out} --rig proving_ground")
-        return 0
+        return DriveSettings(world, self.seconds, seed, self.sensors, self.mounting_turn, imperfections=imperfections)

@@ -31,10 +31,10 @@ from offpiste.files import write_text
 from offpiste.logs import read_drive
 from offpiste.parallel import Report, run_all, usable_cores
 from offpiste.report.figure import write_png
-from offpiste.reproduction.data import simulate_once
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import load_rig
 from offpiste.shipped import PREFIX, run_folder
+from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

@@ -31,10 +31,10 @@ from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.reproduction.data import Recording, simulate_all
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import Rig, load_rig
+from offpiste.simulation.recordings import Recording, simulate_all
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
 from offpiste.inspection.driven_path import STEP, TURNING, Path
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
@@ -71,8 +72,10 @@ class SteeringFit:
 
 
 def _sure_sign(fit: LagFit) -> int:
-    best = fit.best()
-    return int(np.sign(fit.r[best])) if abs(fit.r[best]) > SURE * fit.r_sigma(best) else 0
+    best, blocks = fit.best(), len(fit.left_out)
+    # Few blocks show their own scatter badly: as many deviations of Student's t as `SURE` of the normal.
+    sure = stats.t.ppf(stats.norm.cdf(SURE), blocks - 1) if blocks > 1 else np.inf
+    return int(np.sign(fit.r[best])) if abs(fit.r[best]) > sure * fit.r_sigma(best) else 0
 
 
 def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> SteeringFit | None:

@@ -1,14 +1,11 @@
 """Simulated drives, and the dataset of a reproduction made from them; or an existing dataset that is fit for it."""
 
-import io
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import redirect_stderr
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
-from offpiste.cluster import engine_at
 from offpiste.conventions import DT, FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
@@ -18,13 +15,14 @@ from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.parallel import Report, run_all, usable_cores
+from offpiste.parallel import usable_cores
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size
 from offpiste.reproduction.steps import Step
 from offpiste.rig.rig import load_rig
-from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.recordings import Recording, simulate_all
+from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 
 
@@ -43,46 +41,6 @@ class PlannedDrive:
     def name(self) -> str:
         """World and seed."""
         return f"{self.settings.world.preset}-{self.settings.seed}"
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A drive to be simulated, and the path of its log."""
-
-    settings: DriveSettings
-    log: Path
-
-
-def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str = "") -> None:
-    """Record the drives that are not there yet, `processes` at a time, or on a Ray cluster.
-
-    Raises:
-        OffpisteError: the first failure; drives that did not fail are recorded.
-    """
-    missing = [recording for recording in recordings if not recording.log.exists()]
-    failed = run_all(_record, missing, processes, "simulate", engine=engine_at(cluster))
-    if failed:
-        raise failed[0]
-
-
-def simulate_once(settings: DriveSettings, log: Path) -> str:
-    """Record a drive unless it is there; an interrupted one has another name and is begun again.
-
-    Returns:
-        Summary of the drive.
-    """
-    if log.exists():
-        return f"{log}: there"
-    partial = log.with_name(f"{log.stem}.partial{log.suffix}")
-    partial.unlink(missing_ok=True)
-    driven = simulate(settings, partial)[0]
-    partial.rename(log)
-    return str(driven).replace(partial.name, log.name)
-
-
-def _record(recording: Recording, report: Report) -> str:
-    with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        return simulate_once(recording.settings, recording.log)
 
 
 MIX = {"mojave": 0.64, "halter-ranch": 0.28, "dunes": 0.04, "coastal-scrub": 0.04}
