@@ -130,6 +130,27 @@ def test_a_topic_that_stops_early() -> None:
     assert "30.0 s before the end" in evidence
 
 
+def test_a_pose_that_stops_early_is_named_and_not_the_topics_that_go_on() -> None:
+    found = inspect_log(CLEAN.keep("odom", np.arange(1500)), rig()).findings
+    short = [(f.severity, f.where, f.evidence) for f in found if f.what == "starts late or stops early"]
+    assert [(severity, where) for severity, where, _ in short] == [("warning", "odom")]
+    assert "30.0 s before the end of the other topics" in short[0][2]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.6])
+def test_samples_lost_at_random_however_many(share: float) -> None:
+    kept = np.flatnonzero(np.random.default_rng(0).random(3000) > share)
+    severity, evidence = findings(CLEAN.keep("pedals", kept), "pedals")["samples are missing"]
+    assert severity == "warning"
+    assert float(evidence.split("%")[0]) == pytest.approx(100 * share, abs=3)
+
+
+@pytest.mark.parametrize(("rate", "step"), [(30, 0.01), (40, 0.01), (70, 0.005), (15, 0.01)])
+def test_stamps_in_steps_of_a_clock_are_no_losses(rate: float, step: float) -> None:
+    time = np.round(np.arange(0, 60, 1 / rate) / step) * step
+    assert timing(time, max_gap=0.5).lost == 0
+
+
 def test_stamps_that_are_not_finite() -> None:
     def broken(time: np.ndarray) -> np.ndarray:
         time[77] = np.nan

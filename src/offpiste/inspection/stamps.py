@@ -133,41 +133,46 @@ def _merged(findings: list[Finding]) -> list[Finding]:
 
 
 def check_spans(recorded: dict[str, Recorded], pose: str, *, used: bool) -> list[Finding]:
-    """Topics that do not cover the time of the topic `pose`."""
+    """Topics that do not cover the time of the topic `pose`, and a pose that does not cover theirs."""
     findings = []
-    start, end = _span(recorded[pose])
-    for name, topic in recorded.items():
-        if np.isfinite(topic.time).sum() < 3 or name == pose:
-            continue
-        first, last = _span(topic)
-        if last < start or first > end:
+    span = _span(recorded[pose])
+    others = {n: _span(topic) for n, topic in recorded.items() if n != pose and np.isfinite(topic.time).sum() >= 3}
+    for name, (first, last) in others.items():
+        if last < span[0] or first > span[1]:
+            other_clock = recorded[name].other is not None
             findings.append(
                 Finding(
                     "fatal" if used else "note",
                     name,
                     f"its clock does not overlap that of {pose}",
-                    f"{first:.2f} to {last:.2f} s against {start:.2f} to {end:.2f} s",
-                    str(_RECEIVE) if topic.other is not None else "drop the topic, or fix its stamps",
+                    f"{first:.2f} to {last:.2f} s against {span[0]:.2f} to {span[1]:.2f} s",
+                    str(_RECEIVE) if other_clock else "drop the topic, or fix its stamps",
                     1.0,
-                    ((_RECEIVE,),) if topic.other is not None else (),
+                    ((_RECEIVE,),) if other_clock else (),
                 )
             )
-            continue
-        missing = max(first - start, 0.0) + max(end - last, 0.0)
-        if max(first - start, end - last) > _LATE:
-            share = missing / (end - start)
-            findings.append(
-                Finding(
-                    "warning" if used and share > 0.1 else "note",
-                    name,
-                    "starts late or stops early",
-                    f"{max(first - start, 0):.1f} s after the start and {max(end - last, 0):.1f} s before the end of "
-                    f"{pose}: {share:.0%} of it",
-                    "nothing where the rest is enough: those rows are left out",
-                    share,
-                )
-            )
+        else:
+            findings += _part_of(name, (first, last), span, pose, used=used)
+    # Where several topics agree that the drive was longer, it is the pose that stops.
+    if len(others) > 1:
+        start, end = (float(np.median(edge)) for edge in zip(*others.values(), strict=True))
+        if start <= span[1] and end >= span[0]:
+            findings += _part_of(pose, span, (start, end), "the other topics", used=used)
     return findings
+
+
+def _part_of(
+    name: str, own: tuple[float, float], span: tuple[float, float], whose: str, *, used: bool
+) -> list[Finding]:
+    """A finding if a topic covers only a part of another one's time."""
+    late, early = max(own[0] - span[0], 0.0), max(span[1] - own[1], 0.0)
+    if max(late, early) <= _LATE:
+        return []
+    share = (late + early) / (span[1] - span[0])
+    evidence = f"{late:.1f} s after the start and {early:.1f} s before the end of {whose}: {share:.0%} of it"
+    how = "nothing where the rest is enough: those rows are left out"
+    severity: Severity = "warning" if used and share > 0.1 else "note"
+    return [Finding(severity, name, "starts late or stops early", evidence, how, share)]
 
 
 def _span(topic: Recorded) -> tuple[float, float]:
