@@ -51,7 +51,7 @@ def test_the_table_has_a_row_a_log(logs: list[str], tmp_path: Path, capsys: pyte
     (tmp_path / "my.toml").write_text(draft_rig(open_log(logs[0])), "utf-8")
     assert run("inspect", *logs, "--rig", str(tmp_path / "my.toml"), "--processes", "1") == 1
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("good", "flipped", "broken"))]
-    assert [row.split()[0] for row in rows] == ["good", "flipped", "broken"]
+    assert [row.split()[0] for row in rows] == ["good", "flipped", "broken.csv"]
     assert "not usable" not in rows[0]
     assert "is positive to the right" in rows[1]
     assert "not readable" in rows[2]

@@ -4,6 +4,7 @@ A vehicle follows its controls: motion up to half a second after steering is a r
 stamp. Uncertainties are those of a jackknife over blocks of driving, since neighbouring samples are not independent.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -103,20 +104,21 @@ def fit_lags(
     use = rows & np.isfinite(target) & np.isfinite(base).all(axis=1) & np.isfinite(lagged).all(axis=0)
     if use.sum() < 40:
         return None
-    x, y, known = lagged if use.all() else lagged[:, use], target[use], base[use]
+    y, known = target[use], base[use]
     block = np.flatnonzero(use) // round(_BLOCK / step)
     starts = np.flatnonzero(np.diff(block, prepend=-1))
     weight = np.ones(len(y))
     # Glitches must not decide: rows far off the best explanation weigh less, in two steps.
     for last in (False, False, True):
-        sums = _Sums.of(known, x, y, weight, starts)
+        # One lag at a time: all of them at once would be most of the memory that a long log takes.
+        sums = _Sums.of(known, (row[use] for row in lagged), y, weight, starts)
         solved = sums.solve()
         if solved is None:
             return None
         r, gain = solved
         if last:
             break
-        residual = _residual(known, x[np.abs(r).argmax()], y, weight)
+        residual = _residual(known, lagged[np.abs(r).argmax()][use], y, weight)
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
         weight = np.minimum(1.0, _OUTLIER * scale / np.maximum(np.abs(residual), 1e-12)) ** 2
     without = [sums.without(i).solve() for i in range(len(starts))] if len(starts) > 1 else []
@@ -137,21 +139,23 @@ class _Sums:
     spread: Float[np.ndarray, "B L"]
 
     @classmethod
-    def of(cls, base: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray, starts: np.ndarray) -> "_Sums":
+    def of(
+        cls, base: np.ndarray, lagged: Iterable[np.ndarray], y: np.ndarray, weight: np.ndarray, starts: np.ndarray
+    ) -> "_Sums":
         weighed = base * weight[:, None]
 
         def by_block(rows: np.ndarray) -> np.ndarray:
             return np.asarray(np.add.reduceat(rows, starts, axis=-1))
 
-        # One lag at a time: products of all of them at once would be most of the memory that a long log takes.
-        crossed = np.stack([by_block(weighed.T * row).T for row in x], axis=1)
+        sums = [(by_block(weighed.T * x).T, by_block(x * (weight * y)), by_block(x * x * weight)) for x in lagged]
+        crossed, product, spread = (np.stack(part, axis=1) for part in zip(*sums, strict=True))
         return cls(
             np.moveaxis(by_block(np.einsum("nb,nc->bcn", weighed, base)), -1, 0),
             by_block((weighed * y[:, None]).T).T,
             by_block(weight * y * y),
             crossed,
-            np.stack([by_block(row * (weight * y)) for row in x], axis=1),
-            np.stack([by_block(row * row * weight) for row in x], axis=1),
+            product,
+            spread,
         )
 
     def without(self, block: int) -> "_Sums":
