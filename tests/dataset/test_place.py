@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from fsspec.implementations.memory import MemoryFile
 
 from object_stores import s3_server
 from offpiste.cache import VARIABLE
@@ -97,6 +98,13 @@ def test_the_copy_follows_the_store(folder: Path, tmp_path: Path) -> None:
     assert [drive.name for drive in open_dataset(OUT).drives] == ["drive-1", "drive-2"]
     with pytest.raises(DatasetError, match=r"s3://bucket/none\.zarr: not a dataset"):
         open_dataset("s3://bucket/none.zarr")
+
+
+def test_names_that_lead_out_of_a_dataset_are_no_drives(folder: Path, tmp_path: Path) -> None:
+    store = store_at("memory://b/dataset.zarr")
+    for name in ("..", ".hidden", "drive"):
+        store.files.store[f"/b/dataset.zarr/{name}/{CHECKSUMS}"] = MemoryFile(data=b"{}")
+    assert drive_names(Path("memory://b/dataset.zarr")) == ["drive"]
 
 
 def test_shards_in_a_store_are_merged_here(folder: Path, tmp_path: Path) -> None:

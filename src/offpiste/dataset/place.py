@@ -90,7 +90,8 @@ def remove_if_empty(path: Path) -> None:
 
 
 def _uploaded(store: Store) -> list[str]:
-    return [name.partition("/")[0] for name in store.names(f"*/{CHECKSUMS}")]
+    found = [name.partition("/")[0] for name in store.names(f"*/{CHECKSUMS}")]
+    return [name for name in found if not name.startswith(".")]  # nor any that leads out of the dataset
 
 
 def _settings_in(store: Store) -> dict[str, bytes]:
