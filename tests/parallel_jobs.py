@@ -23,3 +23,8 @@ def wait(job: int, report: Callable[[float], None]) -> str:
     print(os.getpid(), flush=True)
     time.sleep(60)
     return ""
+
+
+def variable(job: str, report: Callable[[float], None]) -> str:
+    """Says a variable of the environment."""
+    return f"{job}={os.environ.get(job)}"

@@ -12,7 +12,7 @@ import pytest
 from log_messages import logged
 from offpiste.errors import LogError, OffpisteError
 from offpiste.parallel import run_all
-from parallel_jobs import square
+from parallel_jobs import square, variable
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -21,6 +21,14 @@ def test_all_jobs_are_done_even_if_one_fails(processes):
         failed = run_all(square, [3, -1, 4, 5], processes, "squares")
     assert sorted(messages) == ["16", "25", "9", "failed: here: -1 is negative; give another"]
     assert [(type(error), str(error)) for error in failed] == [(LogError, "here: -1 is negative; give another")]
+
+
+def test_workers_have_the_environment_of_now_and_not_of_when_the_first_of_them_began(monkeypatch):
+    run_all(square, [1, 2], 2, "the server starts")
+    monkeypatch.setenv("OFFPISTE_TRIED", "here")
+    with logged() as messages:
+        run_all(variable, ["OFFPISTE_TRIED", "OFFPISTE_TRIED"], 2, "variables")
+    assert messages == ["OFFPISTE_TRIED=here"] * 2
 
 
 def test_a_single_job_leaves_its_failure_to_the_caller():

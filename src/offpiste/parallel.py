@@ -127,7 +127,8 @@ def _side_by_side(
 def _pool(processes: int, work: Work[Job]) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
     context = _context(work)
     with context.Manager() as manager:
-        pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=(processes,))
+        started = (processes, dict(os.environ))
+        pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=started)
         try:
             yield pool, manager.Queue()
         except BaseException:
@@ -165,10 +166,15 @@ def _main_cannot_be_imported() -> bool:
     return spec is not None and (spec.name == "__main__" or spec.name.endswith(".__main__"))
 
 
-def _start_worker(processes: int) -> None:
-    """Leave Ctrl-C to the parent process, and the other cores to the other workers."""
+def _start_worker(processes: int, environment: dict[str, str]) -> None:
+    """Leave Ctrl-C to the parent process, and the other cores to the other workers.
+
+    Args:
+        environment: the parent's, which a server that forks workers knows only as it was when it started.
+    """
     import torch
 
+    os.environ.update(environment)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(max(1, usable_cores() // processes))
