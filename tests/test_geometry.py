@@ -1,10 +1,7 @@
 """Angles, quaternions and local polynomials against scipy, closed forms and derivatives."""
 
-import math
-
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -13,33 +10,16 @@ from offpiste.geometry import (
     local_from_geographic,
     local_polynomial,
     planar_body_from_world,
-    rotate_by_minus_yaw,
     rotation_from_quaternion,
-    wrap_angle,
     yaw_from_quaternion,
     yaw_rate_from_body_rates,
 )
-
-
-@given(st.floats(-3.1, 3.1), st.integers(-5, 5))
-def test_wrapping_removes_whole_turns(angle, turns):
-    wrapped = wrap_angle(torch.tensor(angle + 2 * math.pi * turns, dtype=torch.float64))
-    assert wrapped.item() == pytest.approx(angle, abs=1e-9)
-
-
-def test_wrapping_has_slope_one_everywhere():
-    angle = torch.linspace(-10, 10, 41, dtype=torch.float64, requires_grad=True)
-    wrap_angle(angle).sum().backward()
-    torch.testing.assert_close(angle.grad, torch.ones_like(angle))
 
 
 def test_a_vector_along_the_heading_points_forward_in_the_body():
     yaw = np.array([0.3, -2.0])
     along = np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
     np.testing.assert_allclose(planar_body_from_world(along, yaw), [[1, 0], [1, 0]], atol=1e-12)
-    left = np.stack((-np.sin(yaw), np.cos(yaw), [0.5, 0.5]), axis=1)
-    body = rotate_by_minus_yaw(torch.tensor(left), torch.tensor(yaw))
-    np.testing.assert_allclose(body, [[0, 1, 0.5], [0, 1, 0.5]], atol=1e-12)
 
 
 def test_rotations_equal_scipys_whatever_the_quaternions_length():

@@ -1,8 +1,25 @@
 """What the stages hand to each other."""
 
-import torch
+import math
 
-from offpiste.state import RecordedTerrain, Terrain, TerrainSource
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from offpiste.state import RecordedTerrain, Terrain, TerrainSource, wrap_angle
+
+
+@given(st.floats(-3.1, 3.1), st.integers(-5, 5))
+def test_wrapping_removes_whole_turns(angle, turns):
+    wrapped = wrap_angle(torch.tensor(angle + 2 * math.pi * turns, dtype=torch.float64))
+    assert wrapped.item() == pytest.approx(angle, abs=1e-9)
+
+
+def test_wrapping_has_slope_one_everywhere():
+    angle = torch.linspace(-10, 10, 41, dtype=torch.float64, requires_grad=True)
+    wrap_angle(angle).sum().backward()
+    torch.testing.assert_close(angle.grad, torch.ones_like(angle))
 
 
 def test_recorded_terrain_is_read_by_step_and_never_by_place():

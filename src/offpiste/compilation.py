@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numba
-import torch
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler as NumbaCompiler
 from numba.core.registry import cpu_target
@@ -197,6 +196,8 @@ _kernel_threads: ContextVar[int | None] = ContextVar("kernel_threads", default=N
 
 def spread_kernel(blocks: int, kernel: Callable[..., None], *arguments: object) -> None:
     """Call `kernel(first, last, *arguments)` on contiguous parts of the blocks, in as many threads as torch uses."""
+    import torch  # here, because it takes a second and 150 MB, and most of what is compiled runs without it
+
     spread_blocks(_kernel_threads.get() or torch.get_num_threads(), blocks, kernel, *arguments)
 
 
@@ -206,6 +207,8 @@ def single_threaded_torch() -> Iterator[None]:
 
     After each multi-threaded operation OpenMP's threads spin for milliseconds, on cores that the kernels need.
     """
+    import torch
+
     before = torch.get_num_threads()
     token = _kernel_threads.set(_kernel_threads.get() or before)
     torch.set_num_threads(1)

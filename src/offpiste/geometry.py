@@ -1,23 +1,9 @@
-"""Angles, quaternions (xyzw), planar rotations and local polynomials. NumPy for rows, torch for batches."""
+"""Quaternions (xyzw), planar rotations and local polynomials, of rows in NumPy."""
 
 from typing import Final
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
-
-
-def wrap_angle(angle: Tensor) -> Tensor:
-    """The same angle in [-pi, pi] [rad]; differentiable."""
-    return torch.atan2(torch.sin(angle), torch.cos(angle))
-
-
-def rotate_by_minus_yaw(vectors: Float[Tensor, "... 3"], yaw: Float[Tensor, "..."]) -> Float[Tensor, "... 3"]:
-    """World vectors seen from a frame turned by `yaw` [rad] about z (the rotation that eq. 1's normals need)."""
-    cos, sin = torch.cos(yaw), torch.sin(yaw)
-    x, y, z = vectors.unbind(-1)
-    return torch.stack((cos * x + sin * y, cos * y - sin * x, z), dim=-1)
 
 
 def planar_body_from_world(vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:

@@ -11,6 +11,11 @@ from torch import Tensor
 from offpiste.conventions import ACTUATORS, STATE
 
 
+def wrap_angle(angle: Tensor) -> Tensor:
+    """The same angle in [-pi, pi] [rad]; differentiable."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))
+
+
 @dataclass(frozen=True)
 class Terrain:
     """The ground under each wheel at one or several moments.

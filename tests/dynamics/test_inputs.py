@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, ground
-from offpiste.dynamics.inputs import body_normal, drive_train, select_present, unknown_normals
+from offpiste.dynamics.inputs import body_normal, drive_train, rotate_by_minus_yaw, select_present, unknown_normals
 from offpiste.errors import DatasetError
 from offpiste.state import Terrain
 
@@ -81,3 +81,9 @@ def test_networks_see_present_columns_in_order():
     vehicle = replace(VEHICLE, actuators=("brake", "engine_rpm"), control=("throttle", "steer"))
     assert select_present(vehicle, ACTUATORS, CONTROL)[0].tolist() == pytest.approx([0.6, 3.0, 0.7, -0.5])
     assert select_present(replace(vehicle, actuators=(), control=()), ACTUATORS, CONTROL).shape == (1, 0)
+
+
+def test_a_vector_to_the_left_of_the_heading_is_left_in_the_body():
+    yaw = torch.tensor([0.3, -2.0])
+    left = torch.stack((-yaw.sin(), yaw.cos(), torch.full_like(yaw, 0.5)), dim=-1)
+    torch.testing.assert_close(rotate_by_minus_yaw(left, yaw), torch.tensor([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]))

@@ -21,8 +21,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.errors import DatasetError
-from offpiste.geometry import wrap_angle
-from offpiste.state import History, Terrain
+from offpiste.state import History, Terrain, wrap_angle
 
 UNIT_TOLERANCE = 1e-3
 """Largest difference of a stored normal's squared length from 1."""

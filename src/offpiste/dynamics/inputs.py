@@ -11,7 +11,6 @@ from offpiste.dynamics.actuators import TORCH
 from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.errors import DatasetError
-from offpiste.geometry import rotate_by_minus_yaw
 from offpiste.state import Terrain
 
 REDUCED_ENGINE_SPEED = 10.0
@@ -81,6 +80,13 @@ def drive_train(
             for name, reduced in zip(DriveTrain._fields, REDUCED, strict=True)
         )
     )
+
+
+def rotate_by_minus_yaw(vectors: Float[Tensor, "... 3"], yaw: Float[Tensor, "..."]) -> Float[Tensor, "... 3"]:
+    """World vectors seen from a frame turned by `yaw` [rad] about z (the rotation that eq. 1's normals need)."""
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    x, y, z = vectors.unbind(-1)
+    return torch.stack((cos * x + sin * y, cos * y - sin * x, z), dim=-1)
 
 
 def body_normal(terrain: Terrain, yaw: Float[Tensor, "*B"]) -> Float[Tensor, "*B 3"]:

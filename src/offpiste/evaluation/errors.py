@@ -17,7 +17,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
 from offpiste.files import write_whole
-from offpiste.geometry import wrap_angle
+from offpiste.state import wrap_angle
 from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import Lookup, MapSource, in_parts, roll_out
 from offpiste.training.terrain_sources import on_map

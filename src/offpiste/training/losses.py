@@ -10,7 +10,7 @@ from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators
-from offpiste.geometry import wrap_angle
+from offpiste.state import wrap_angle
 
 COMPONENTS = ("position", "yaw", "vx", "vy", "yaw_rate")
 """[m, rad, m/s, m/s, rad/s]"""
