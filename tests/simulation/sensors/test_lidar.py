@@ -131,13 +131,19 @@ def test_plants_return_points():
 
 def test_rays_turn_with_their_column_and_reflect_by_the_cosine():
     rng = np.random.default_rng(0)
-    rotation, body = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 4, 3))
-    world, echo = np.empty((20, 3), np.float32), np.empty(20, np.float32)
-    _turn(rotation, body, world)
-    np.testing.assert_allclose(world, np.einsum("cij,crj->cri", rotation, body).reshape(-1, 3), rtol=1e-4, atol=1e-6)
-    surface, normal = (
-        rng.integers(0, len(REFLECTIVITY), 20).astype(np.int8),
-        rng.normal(size=(20, 3)).astype(np.float32),
-    )
-    _reflect(REFLECTIVITY, surface, normal, world, echo)
-    np.testing.assert_allclose(echo, REFLECTIVITY[surface] * np.abs((normal * world).sum(axis=1)), rtol=1e-4, atol=1e-6)
+    rotation, body = rng.normal(size=(5, 3, 3)), rng.normal(size=(4, 5, 3))
+    rays = np.empty((20, 3), np.float32)
+    _turn(rotation, body, rays)
+    np.testing.assert_allclose(rays, np.einsum("cij,rcj->rci", rotation, body).reshape(-1, 3), rtol=1e-4, atol=1e-6)
+
+    # Two of four rings, from the second on.
+    rays, normal = rays[5:15], rng.normal(size=(10, 3)).astype(np.float32)
+    kind, far = rng.integers(0, len(REFLECTIVITY), 10).astype(np.int8), rng.random(10, np.float32)
+    distance, echo, surface = (np.full((5, 4), -1, dtype) for dtype in (np.float32, np.float32, np.int8))
+    _reflect(REFLECTIVITY, far, kind, normal, rays, 1, distance, echo, surface)
+    np.testing.assert_array_equal(distance[:, 1:3], far.reshape(2, 5).T)
+    np.testing.assert_array_equal(surface[:, 1:3], kind.reshape(2, 5).T)
+    cosine = np.abs((normal * rays).sum(axis=1))
+    np.testing.assert_allclose(echo[:, 1:3], (REFLECTIVITY[kind] * cosine).reshape(2, 5).T, rtol=1e-4, atol=1e-6)
+    for each in (distance, echo, surface):
+        assert (each[:, [0, 3]] == -1).all()

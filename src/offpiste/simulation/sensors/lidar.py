@@ -1,12 +1,12 @@
 """A spinning LiDAR: all rings fire at once, column after column, while the vehicle moves."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.compilation import RAYS
-from offpiste.simulation.rendering.scene import Scene, body_hits, cast_rays, nearest
+from offpiste.simulation.rendering.scene import BLOCK, Hits, Scene, body_hits
 from offpiste.simulation.sample import Motion, Pose
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)
@@ -78,9 +78,12 @@ class Lidar:
         )  # [columns, rings, 3]
         self._time = np.arange(columns) / columns / settings.rate
         mount = settings.body_from_lidar
-        self._origin, self._ray_body = mount.position, self._ray @ mount.rotation.T
+        # Cast ring after ring: neighbours of a ring end near each other, which halves the time of their packets.
+        self._origin = mount.position
+        self._ray_body = np.ascontiguousarray((self._ray @ mount.rotation.T).transpose(1, 0, 2))
         rays = self._ray_body.reshape(-1, 3)
-        self._own = body_hits(np.broadcast_to(mount.position, rays.shape), rays)
+        own = body_hits(np.broadcast_to(mount.position, rays.shape), rays)
+        self._own = replace(own, distance=np.minimum(own.distance, np.float32(settings.max_range)))
 
     def scan(self, scene: Scene, motion: Motion, start: float, rng: np.random.Generator) -> Scan:
         """Points of one revolution.
@@ -91,44 +94,64 @@ class Lidar:
             start: time of the first column [s].
         """
         s, shape = self.settings, self._ray.shape[:2]
-        position, rotation = motion.at(start + self._time)
-        origin = position + rotation @ self._origin
-        ray_world = np.empty((shape[0] * shape[1], 3), np.float32)
-        _turn(rotation, self._ray_body, ray_world)
-        hits = nearest(self._own, cast_rays(scene, np.repeat(origin.astype(np.float32), s.rings, axis=0), ray_world))
-        echo = np.empty(len(ray_world), np.float32)
-        _reflect(REFLECTIVITY, hits.surface, hits.normal, ray_world, echo)
-        seen = (hits.distance > s.min_range) & (hits.distance < s.max_range)
-        seen &= rng.random(len(echo)) > lost_share(s, hits.distance, echo)
-        distance = hits.distance + s.range_noise * rng.standard_normal(len(echo))
-        column, ring = np.unravel_index(np.flatnonzero(seen), shape)
-        intensity = echo[seen] * rng.uniform(0.9, 1.1, len(column))
+        distance, echo, surface = self._echoes(scene, *motion.at(start + self._time))
+        seen = (distance > s.min_range) & (distance < s.max_range)
+        random = rng.random(len(echo))[seen]
+        noise = s.range_noise * rng.standard_normal(len(echo))[seen]
+        lost = random <= lost_share(s, distance[seen], echo[seen])
+        returned = np.flatnonzero(seen)[~lost]
+        column, ring = np.unravel_index(returned, shape)
+        measured = distance[returned] + noise[~lost]
+        intensity = echo[returned] * rng.uniform(0.9, 1.1, len(column))
         return Scan(
-            points=(self._ray[column, ring] * distance[seen, None]).astype(np.float32),
+            points=(self._ray[column, ring] * measured[:, None]).astype(np.float32),
             intensity=intensity.astype(np.float32),
             ring=ring.astype(np.int32),
             time=self._time[column].astype(np.float32),
-            surface=hits.surface[seen],
+            surface=surface[returned],
         )
+
+    def _echoes(
+        self, scene: Scene, position: Float[np.ndarray, "columns 3"], rotation: Float[np.ndarray, "columns 3 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """Distance, reflectivity times the cosine of incidence, and surface of each ray's end, column after column."""
+        rings, columns = self._ray_body.shape[:2]
+        origin = (position + rotation @ self._origin).astype(np.float32)
+        distance, echo = (np.empty((columns, rings), np.float32) for _ in range(2))
+        surface = np.empty((columns, rings), np.int8)
+
+        def block(first: int, last: int) -> None:
+            rays = np.empty(((last - first) * columns, 3), np.float32)
+            _turn(rotation, self._ray_body[first:last], rays)
+            part = slice(first * columns, last * columns)
+            own = Hits(**{name: values[part] for name, values in vars(self._own).items()})
+            hits = scene.cast(np.tile(origin, (last - first, 1)), rays, own)
+            _reflect(REFLECTIVITY, hits.distance, hits.surface, hits.normal, rays, first, distance, echo, surface)
+
+        scene.spread(rings, block, size=max(BLOCK // columns, 1))
+        return distance.ravel(), echo.ravel(), surface.ravel()
 
 
 @RAYS.entry
 def _turn(rotation, ray_body, ray_world):  # type: ignore[no-untyped-def]
-    """Rays [columns, rings, 3] turned by each column's rotation, one after the other."""
-    columns, rings = ray_body.shape[:2]
-    for c in range(columns):
-        for r in range(rings):
-            x, y, z = ray_body[c, r, 0], ray_body[c, r, 1], ray_body[c, r, 2]
+    """Rays [rings, columns, 3] turned by each column's rotation, one ring after the other."""
+    rings, columns = ray_body.shape[:2]
+    for r in range(rings):
+        for c in range(columns):
+            x, y, z = ray_body[r, c, 0], ray_body[r, c, 1], ray_body[r, c, 2]
             for i in range(3):
-                ray_world[c * rings + r, i] = rotation[c, i, 0] * x + rotation[c, i, 1] * y + rotation[c, i, 2] * z
+                ray_world[r * columns + c, i] = rotation[c, i, 0] * x + rotation[c, i, 1] * y + rotation[c, i, 2] * z
 
 
 @RAYS.entry
-def _reflect(reflectivity, surface, normal, ray, echo):  # type: ignore[no-untyped-def]
-    """Reflectivity times the cosine of incidence."""
-    for n in range(len(echo)):
+def _reflect(reflectivity, distances, surfaces, normal, ray, first, distance, echo, surface):  # type: ignore[no-untyped-def]
+    """Ends of the rays of rings from `first` on, sorted by column, and reflectivity times the cosine of incidence."""
+    columns = len(distance)
+    for n in range(len(ray)):
+        c, r = n % columns, first + n // columns
         facing = normal[n, 0] * ray[n, 0] + normal[n, 1] * ray[n, 1] + normal[n, 2] * ray[n, 2]
-        echo[n] = reflectivity[surface[n]] * abs(facing)
+        distance[c, r], surface[c, r] = distances[n], surfaces[n]
+        echo[c, r] = reflectivity[surfaces[n]] * abs(facing)
 
 
 def lost_share(
