@@ -65,7 +65,7 @@ def sensors(world: World, sample: VehicleSample) -> Figure:
     figure = Figure(figsize=(12, 15.2), dpi=70, layout="constrained")
     rows = figure.subplots(len(suite.cameras), 2)
     for (left, right), settings in zip(rows, suite.cameras, strict=True):
-        image = render(scene, appearance, Camera(settings), pose, rng)
+        image = render(scene, appearance, Camera(settings), pose, int(rng.integers(2**31)))
         left.imshow(image)
         points_camera = settings.body_from_camera.inverse().apply(points)
         pixels, inside = project_points(points_camera, settings.model)

@@ -123,7 +123,7 @@ def drive_planned(
                 writer.write(PLANNER_EVENTS, events_message((f"{event.mode}: {event.why}",), stamp), stamp)
             written = len(runtime.events)
             with runtime.watch.of("simulated sensors"):
-                messages = list(sensing.observe(sample, recorder.sensor_stamp_ns))
+                messages = sensing.observe(sample, recorder.sensor_stamp_ns)
             for topic, message in messages:
                 recorder.sensor(topic, message)
                 for measured in fault.passed(measurement_of(message, lidars), sample.time):

@@ -1,9 +1,12 @@
 """Sensors beside a vehicle that drives on."""
 
 import threading
+import time
+from functools import partial
 from types import SimpleNamespace
 from unittest.mock import create_autospec
 
+import numpy as np
 import pytest
 
 from offpiste.simulation.sample import VehicleSample
@@ -19,23 +22,29 @@ def samples(count, at=None):
         yield sample
 
 
-def sensing(observe):
+def sensing(measurements):
     made = create_autospec(Sensing, instance=True)
-    made.observe = observe
+    made.measurements = measurements
     return made
 
 
 @pytest.mark.parametrize("count", [0, 1, AHEAD, 3 * AHEAD])
 def test_each_sample_comes_with_its_own_measurements_in_order(count):
-    threads = set()
+    threads, rng = set(), np.random.default_rng(0)
 
-    def observe(sample, stamp_ns):
+    def measurements(sample, stamp_ns):
         threads.add(threading.current_thread())
-        yield "/topic", stamp_ns(sample.time)
+        for k in range(2):
+            yield partial(measured, f"/topic{k}", stamp_ns(sample.time), rng.random() / 1000)
 
-    found = list(observed(samples(count), sensing(observe), lambda time: int(10 * time)))
+    def measured(topic, stamp, seconds):
+        time.sleep(seconds)  # the later one is often ready first
+        assert threading.current_thread() not in threads
+        return [(topic, stamp)]
+
+    found = list(observed(samples(count), sensing(measurements), lambda time: int(10 * time)))
     assert [sample.time for sample, _ in found] == list(range(count))
-    assert [messages for _, messages in found] == [[("/topic", 10 * n)] for n in range(count)]
+    assert [messages for _, messages in found] == [[("/topic0", 10 * n), ("/topic1", 10 * n)] for n in range(count)]
     assert len(threads) == min(count, 1)
     assert threading.current_thread() not in threads
 
@@ -45,13 +54,21 @@ def test_without_sensors_samples_pass_as_they_are():
 
 
 def test_an_error_of_a_sensor_reaches_the_drive():
-    def observe(sample, stamp_ns):
-        if sample.time == 2:
+    def broken(time):
+        if time == 2:
             raise OSError("broken")
-        yield "/topic", SimpleNamespace()
+        return [("/topic", SimpleNamespace())]
 
-    with pytest.raises(OSError, match="broken"):
-        list(observed(samples(100), sensing(observe), int))
+    def while_drawn(sample, stamp_ns):
+        broken(sample.time)
+        yield from ()
+
+    def while_measured(sample, stamp_ns):
+        yield partial(broken, sample.time)
+
+    for measurements in (while_drawn, while_measured):
+        with pytest.raises(OSError, match="broken"):
+            list(observed(samples(100), sensing(measurements), int))
 
 
 def test_an_interruption_leaves_no_thread():

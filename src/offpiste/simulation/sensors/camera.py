@@ -105,16 +105,20 @@ def project_points(
 
 
 def render(
-    scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, rng: np.random.Generator
+    scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, seed: int
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """One distorted RGB image, with exposure, noise and tone curve of a real camera."""
+    """One distorted RGB image, with exposure, noise and tone curve of a real camera.
+
+    Args:
+        seed: of the noise.
+    """
     s, (width, height) = camera.settings, camera.settings.model.size
     linear = np.empty((height, width, 3), np.float32)
     _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
     sharp = cv2.GaussianBlur(linear, (0, 0), LENS_BLUR).reshape(height, -1)
     image = np.empty((height, 3 * width), np.uint8)
     gain = np.tile(exposure(linear) * appearance.light.exposure * appearance.light.balance.astype(np.float32), width)
-    seed, curve = int(rng.integers(2**31)), _tone_curve()
+    curve = _tone_curve()
 
     def block(first: int, last: int) -> None:
         buffers = np.empty(3 * width, np.float32), np.empty(3 * width, np.int32)

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, CameraSettings, render
-from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
+from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, Scan
 from offpiste.simulation.sensors.messages import Mounting, camera_info_message, image_message, points_message
 from offpiste.simulation.world.world import World
 
@@ -127,6 +128,9 @@ def _side(yaw: float) -> Pose:
 StampNs = Callable[[float], int]
 """The stamp [ns] of a measurement at a time since the start of the drive [s]."""
 
+Messages = list[tuple[str, Any]]
+"""Topics and messages."""
+
 
 class Sensing:
     """All cameras and LiDARs of a moving vehicle.
@@ -148,63 +152,81 @@ class Sensing:
         turns = [round(1 / (lidar.settings.rate * DT)) for lidar in self._lidars]
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
-    def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
-        """Topics and messages of all measurements that this sample completes."""
+    def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Messages:
+        """All measurements that this sample completes."""
+        return [message for measure in self.measurements(sample, stamp_ns) for message in measure()]
+
+    def measurements(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[Callable[[], Messages]]:
+        """All measurements that this sample completes, as functions that may be called at any time, in any thread.
+
+        Random numbers are drawn here, in the order of the measurements.
+        """
         self._past.append(sample)
         row = round(sample.time / DT)
         for camera in self._cameras:
             if row % round(1 / (camera.settings.rate * DT)) == 0:
-                yield from self._image(camera, sample, stamp_ns)
+                pose, seed = Pose(sample.position, sample.orientation), int(self._rng.integers(2**31))
+                yield partial(self._image, camera, pose, seed, stamp_ns(sample.time))
         for lidar in self._lidars:
             turn = round(1 / (lidar.settings.rate * DT))
             if row % turn == 0 and row >= turn:
-                yield self._scan(lidar, list(self._past)[-turn - 1 :], stamp_ns)
+                samples = list(self._past)[-turn - 1 :]
+                yield partial(self._points, lidar, self._scan(lidar, samples), stamp_ns(samples[0].time))
 
-    def _image(self, camera: Camera, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[tuple[str, Any]]:
+    def _image(self, camera: Camera, pose: Pose, seed: int, stamp: int) -> Messages:
         s = camera.settings
         assert self._appearance is not None
-        image = render(self._scene, self._appearance, camera, Pose(sample.position, sample.orientation), self._rng)
-        stamp = stamp_ns(sample.time)
-        yield f"/{s.name}/image/compressed", image_message(image, stamp, s.name)
-        yield f"/{s.name}/camera_info", camera_info_message(s.model, stamp, s.name)
+        image = image_message(render(self._scene, self._appearance, camera, pose, seed), stamp, s.name)
+        info = camera_info_message(s.model, stamp, s.name)
+        return [(f"/{s.name}/image/compressed", image), (f"/{s.name}/camera_info", info)]
 
-    def _scan(self, lidar: Lidar, samples: list[VehicleSample], stamp_ns: StampNs) -> tuple[str, Any]:
+    def _scan(self, lidar: Lidar, samples: list[VehicleSample]) -> Scan:
         motion = Motion(
             np.array([s.time for s in samples]),
             np.stack([s.position for s in samples]),
             np.stack([s.orientation for s in samples]),
         )
-        scan = lidar.scan(self._scene, motion, samples[0].time, self._rng)
-        stamp, name = stamp_ns(samples[0].time), lidar.settings.name
-        return f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name)
+        return lidar.scan(self._scene, motion, samples[0].time, self._rng)
+
+    def _points(self, lidar: Lidar, scan: Scan, stamp: int) -> Messages:
+        name = lidar.settings.name
+        return [(f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name))]
 
 
 AHEAD: Final = 25
 """Samples that a vehicle may be ahead of its sensors; their messages wait in memory."""
 
+THREADS: Final = 2
+"""Threads that measure, beside those that rays are split over: one encodes while the other casts."""
+
 
 def observed(
     samples: Iterable[VehicleSample], sensing: Sensing | None, stamp_ns: StampNs
-) -> Iterator[tuple[VehicleSample, list[tuple[str, Any]]]]:
+) -> Iterator[tuple[VehicleSample, Messages]]:
     """Samples of a drive, each with the measurements that it completes.
 
-    Sensors are simulated one sample after the other in a thread of their own, while the vehicle drives on.
+    Sensors are simulated in threads of their own, while the vehicle drives on.
     """
     if sensing is None:
         yield from ((sample, []) for sample in samples)
         return
 
-    def measured(sample: VehicleSample) -> list[tuple[str, Any]]:
-        return list(sensing.observe(sample, stamp_ns))
+    def begin(sample: VehicleSample) -> list[Future[Messages]]:
+        return [workers.submit(measure) for measure in sensing.measurements(sample, stamp_ns)]
 
-    waiting: deque[tuple[VehicleSample, Future[list[tuple[str, Any]]]]] = deque()
-    worker = ThreadPoolExecutor(1, thread_name_prefix="offpiste-sensors")
+    waiting: deque[tuple[VehicleSample, Future[list[Future[Messages]]]]] = deque()
+    drawing = ThreadPoolExecutor(1, thread_name_prefix="offpiste-draws")  # one sample after the other
+    workers = ThreadPoolExecutor(THREADS, thread_name_prefix="offpiste-sensors")
     try:
         for sample in samples:
-            waiting.append((sample, worker.submit(measured, sample)))
+            waiting.append((sample, drawing.submit(begin, sample)))
             if len(waiting) > AHEAD:
-                oldest, messages = waiting.popleft()
-                yield oldest, messages.result()
-        yield from ((sample, messages.result()) for sample, messages in waiting)
+                yield _measured(*waiting.popleft())
+        yield from (_measured(*oldest) for oldest in waiting)
     finally:
-        worker.shutdown(cancel_futures=True)
+        drawing.shutdown(cancel_futures=True)
+        workers.shutdown(cancel_futures=True)
+
+
+def _measured(sample: VehicleSample, begun: Future[list[Future[Messages]]]) -> tuple[VehicleSample, Messages]:
+    return sample, [message for measured in begun.result() for message in measured.result()]
