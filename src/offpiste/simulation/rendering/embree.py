@@ -227,18 +227,34 @@ def _call(_context, function, valid, scene, packet, arguments):  # type: ignore[
 
 
 @RAYS.inlined
+def _start(numbers, integers, origins):  # type: ignore[no-untyped-def]
+    # What is the same in all packets: every lane is in use, and the origin, if there is one for all rays.
+    lanes = numbers.shape[1]
+    for lane in range(lanes):
+        integers[_ROWS, lane] = integers[_MASK, lane] = -1
+        for axis in range(3):
+            numbers[axis, lane] = origins[0, axis]
+
+
+@RAYS.inlined
 def _fill(numbers, integers, first, origins, directions):  # type: ignore[no-untyped-def]
     # The rays of a packet, without their distances; returns how many there are.
     lanes = numbers.shape[1]
     count = min(lanes, len(directions) - first)
+    last = first + count - 1
+    if len(origins) > 1:
+        for lane in range(lanes):
+            ray = min(first + lane, last)
+            for axis in range(3):
+                numbers[axis, lane] = origins[ray, axis]
     for lane in range(lanes):
-        integers[_ROWS, lane] = -1 if lane < count else 0
-        ray = first + min(lane, count - 1)
-        origin = ray if len(origins) > 1 else 0
+        ray = min(first + lane, last)
         for axis in range(3):
-            numbers[axis, lane] = origins[origin, axis]
             numbers[_DIRECTION + axis, lane] = directions[ray, axis]
-        integers[_MASK, lane] = integers[_PART, lane] = -1
+    for lane in range(lanes):
+        integers[_PART, lane] = -1
+    for lane in range(count, lanes):
+        integers[_ROWS, lane] = 0
     return count
 
 
@@ -249,6 +265,7 @@ def _first_hits(  # type: ignore[no-untyped-def]
     lanes = numbers.shape[1]
     packet = numbers.ctypes.data
     valid = packet + 4 * lanes * _ROWS
+    _start(numbers, integers, origins)
     for first in range(0, len(directions), lanes):
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(count):
@@ -268,6 +285,7 @@ def _any_hits(function, scene, arguments, numbers, integers, origins, directions
     lanes = numbers.shape[1]
     packet = numbers.ctypes.data
     valid = packet + 4 * lanes * _ROWS
+    _start(numbers, integers, origins)
     for first in range(0, len(directions), lanes):
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(lanes):
