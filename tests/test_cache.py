@@ -1,10 +1,12 @@
 """The user's cache folder, by platform."""
 
+import os
+import time
 from pathlib import Path
 
 import pytest
 
-from offpiste.cache import cache_folder
+from offpiste.cache import cache_folder, forget_unused
 
 HOME = Path.home()
 
@@ -25,3 +27,43 @@ def test_the_folder_follows_the_conventions_of_the_platform(
     platform: str, environment: dict[str, str], wanted: Path
 ) -> None:
     assert cache_folder(environment, platform) == wanted
+
+
+def _entry(path: Path, *, read: float, written: float) -> Path:
+    """A file last read and written some days ago, in a folder made as long ago."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"x")
+    now = time.time()
+    os.utime(path, (now - 86400 * read, now - 86400 * written))
+    return path
+
+
+def _aged(folder: Path, days: float) -> None:
+    os.utime(folder, (time.time() - 86400 * days,) * 2)
+
+
+def test_what_was_used_of_late_stays_and_what_is_not_the_caches_own(tmp_path: Path) -> None:
+    stages = [tmp_path / "stages" / f"actuators-{32 * digit}.safetensors" for digit in "0a"]
+    kernels = [tmp_path / "kernels" / f"vehicle_{40 * digit}" / "code.nbc" for digit in "1b"]
+    for kept in (stages, kernels):
+        _entry(kept[0], read=31, written=90)
+        _entry(kept[1], read=29, written=90)
+    chunk = _entry(tmp_path / "datasets" / (16 * "2") / "data.zarr" / "chunk", read=90, written=90)
+    others = [
+        _entry(tmp_path / folder / "mine.zarr" / "chunk", read=90, written=90)
+        for folder in ("datasets", "kernels", "pictures")
+    ]
+    for folder in (kernels[0].parent, kernels[1].parent, *chunk.parents[:2], *(each.parent for each in others)):
+        _aged(folder, 90)
+    removed = forget_unused(tmp_path)
+    assert set(removed) == {stages[0], kernels[0].parent, chunk.parents[1]}
+    assert not any(path.exists() for path in removed)
+    assert all(path.exists() for path in (stages[1], kernels[1], *others))
+    assert forget_unused(tmp_path) == forget_unused(tmp_path / "nowhere") == []
+
+
+def test_a_folder_that_was_just_touched_was_used(tmp_path: Path) -> None:
+    chunk = _entry(tmp_path / "datasets" / (16 * "2") / "data.zarr" / "chunk", read=90, written=90)
+    _aged(chunk.parent, 90)
+    assert forget_unused(tmp_path) == []
+    assert chunk.exists()

@@ -1,12 +1,26 @@
-"""Where offpiste keeps what it can make again: machine code of its kernels, fitted stages of training."""
+"""Where offpiste keeps what it can make again: machine code, fitted stages of training, copies of datasets."""
 
 import os
+import shutil
 import sys
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Final
 
 VARIABLE = "OFFPISTE_CACHE"
 """Environment variable that names another folder."""
+
+KEPT_DAYS: Final = 30.0
+"""Days that something stays in the cache after it was last used."""
+
+ENTRIES: Final = (
+    "kernels/*_" + 40 * "[0-9a-f]",
+    "stages/*-" + 32 * "[0-9a-f]" + ".safetensors",
+    "datasets/" + 16 * "[0-9a-f]",
+)
+"""Names of what is kept; anything else in the folder is somebody else's."""
 
 
 def cache_folder(environment: Mapping[str, str] = os.environ, platform: str = sys.platform) -> Path:
@@ -29,3 +43,34 @@ def cache_folder(environment: Mapping[str, str] = os.environ, platform: str = sy
 
 def _home() -> Path:
     return Path(os.path.expanduser("~"))  # noqa: PTH111  (Path.home() raises where there is none)
+
+
+def forget_unused(folder: Path, *, days: float = KEPT_DAYS) -> list[Path]:
+    """Remove what has not been used for some days: kernels of other versions, stages and datasets nobody trains with.
+
+    A folder was used when one of its files was last read or written; what cannot be removed stays.
+
+    Args:
+        folder: of the cache.
+
+    Returns:
+        what was removed.
+    """
+    oldest = time.time() - 86400 * days
+    unused = [entry for names in ENTRIES for entry in folder.glob(names) if _last_used(entry) < oldest]
+    for entry in unused:
+        if entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                entry.unlink()
+    return [entry for entry in unused if not entry.exists()]
+
+
+def _last_used(entry: Path) -> float:
+    last = 0.0
+    for path in (entry, *(entry.iterdir() if entry.is_dir() else ())):
+        with suppress(FileNotFoundError):  # another process replaces it
+            status = path.stat()
+            last = max(last, status.st_mtime, 0.0 if path.is_dir() else status.st_atime)
+    return last

@@ -1,6 +1,7 @@
 """Where a dataset lies: in a folder of this machine, or in an object store, which is read from a copy in the cache."""
 
 import hashlib
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -8,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from offpiste.cache import cache_folder
+from offpiste.cache import cache_folder, forget_unused
 from offpiste.checksums import CHECKSUMS
 from offpiste.errors import DatasetError
 from offpiste.files import write_bytes, write_folder
@@ -75,6 +76,8 @@ def mirrored(path: Path) -> Path:
         shutil.rmtree(copy / gone)
     for name in track(drives, f"bring {path.name}"):
         _bring(store, name, copy / name)
+    os.utime(copy.parent)  # it is used now
+    forget_unused(cache_folder())
     return copy
 
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import torch
 
-from offpiste.cache import cache_folder
+from offpiste.cache import KEPT_DAYS, cache_folder, forget_unused
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.demo.rehearsal import PLAN, RECORD, rehearse_part
 from offpiste.dynamics import Vehicle
@@ -48,6 +48,8 @@ def warm_up_all() -> None:
                 compile_part()
             show(f"[{number}/{len(parts)}] {name}: {time.perf_counter() - began:.0f} s")
     show(f"kept in {cache_folder() / 'kernels'}")
+    if forgotten := forget_unused(cache_folder()):
+        show(f"removed {len(forgotten)} of its entries that nothing has used for {KEPT_DAYS:.0f} days")
 
 
 def compile_training() -> None:

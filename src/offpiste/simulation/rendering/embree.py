@@ -228,12 +228,15 @@ def _call(_context, function, valid, scene, packet, arguments):  # type: ignore[
 
 @RAYS.inlined
 def _start(numbers, integers, origins):  # type: ignore[no-untyped-def]
-    # What is the same in all packets: every lane is in use, and the origin, if there is one for all rays.
+    # What is the same in all packets: every lane is in use, and the origin, if there is one for all rays. Returns the
+    # addresses of the packet and of its mask of lanes in use.
     lanes = numbers.shape[1]
     for lane in range(lanes):
         integers[_ROWS, lane] = integers[_MASK, lane] = -1
         for axis in range(3):
             numbers[axis, lane] = origins[0, axis]
+    packet = numbers.ctypes.data
+    return packet, packet + 4 * lanes * _ROWS
 
 
 @RAYS.inlined
@@ -263,9 +266,7 @@ def _first_hits(  # type: ignore[no-untyped-def]
     function, scene, arguments, numbers, integers, origins, directions, distance, part, face, normal
 ):
     lanes = numbers.shape[1]
-    packet = numbers.ctypes.data
-    valid = packet + 4 * lanes * _ROWS
-    _start(numbers, integers, origins)
+    packet, valid = _start(numbers, integers, origins)
     for first in range(0, len(directions), lanes):
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(count):
@@ -283,9 +284,7 @@ def _first_hits(  # type: ignore[no-untyped-def]
 @RAYS.entry
 def _any_hits(function, scene, arguments, numbers, integers, origins, directions, blocked):  # type: ignore[no-untyped-def]
     lanes = numbers.shape[1]
-    packet = numbers.ctypes.data
-    valid = packet + 4 * lanes * _ROWS
-    _start(numbers, integers, origins)
+    packet, valid = _start(numbers, integers, origins)
     for first in range(0, len(directions), lanes):
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(lanes):
