@@ -1,9 +1,9 @@
 """How much faster than real time the proving ground runs: medians over several runs, on a world with hills.
 
-`python benchmarks/simulate.py [--seconds 20] [--runs 5] [--whole 0]`. The vehicle alone: rigid bodies, tyres, drive
-train and a sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds that
-making a world takes. Whole drives, of `--whole` seconds: `offpiste simulate` in worlds of their own, from the seed to
-the file. Peak memory is that of the process after each line.
+`python benchmarks/simulate.py [--seconds 20] [--runs 5] [--whole 0] [--parts]`. The vehicle alone: rigid bodies, tyres,
+drive train and a sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds
+that making a world takes. Whole drives, of `--whole` seconds: `offpiste simulate` in worlds of their own, from the seed
+to the file. Peak memory is that of the process after each line. `--parts`: processor time of an image and a scan alone.
 """
 
 import argparse
@@ -18,6 +18,12 @@ import numpy as np
 from offpiste.conventions import DT
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.recorder import Recorder
+from offpiste.simulation.rendering.appearance import make_appearance
+from offpiste.simulation.rendering.scene import world_scene
+from offpiste.simulation.sample import Motion, Pose
+from offpiste.simulation.sensors.camera import Camera, render
+from offpiste.simulation.sensors.lidar import Lidar
+from offpiste.simulation.sensors.messages import image_message
 from offpiste.simulation.sensors.suite import Sensing, observed, sensor_suite
 from offpiste.simulation.simulate import DriveSettings, drive, simulate, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
@@ -62,6 +68,35 @@ def whole(profile: str, seconds: float, seed: int, file: Path) -> float:
     return driven.seconds / (time.perf_counter() - begin)
 
 
+def parts(world: World, runs: int) -> None:
+    """Print the processor time of an image, its parts and a scan of `light` [ms], all from one place of a drive."""
+    parameters, suite, rng = load_vehicle(), sensor_suite("light"), np.random.default_rng(0)
+    scene = world_scene(world, threads=1)
+    appearance = make_appearance(world, scene, 0)
+    start, driver = start_and_driver(world, parameters, seed=3)
+    samples = list(drive(world, parameters, start, driver, steps=200))[-6:]
+    pose, camera, lidar = Pose(samples[-1].position, samples[-1].orientation), Camera(suite.cameras[0]), suite.lidars[0]
+    motion = Motion(
+        np.array([s.time for s in samples]),
+        np.stack([s.position for s in samples]),
+        np.stack([s.orientation for s in samples]),
+    )
+    image, scanner = render(scene, appearance, camera, pose, 0), Lidar(lidar)
+    for name, part in {
+        "rays of an image": lambda: camera.hits(scene, pose),
+        "image, rays included": lambda: render(scene, appearance, camera, pose, 0),
+        "its JPEG": lambda: image_message(image, 0, "camera"),
+        "scan": lambda: scanner.scan(scene, motion, samples[0].time, rng),
+    }.items():
+        part()
+        taken = []
+        for _ in range(runs):
+            begin = time.process_time()
+            part()
+            taken.append(1e3 * (time.process_time() - begin))
+        print(f"{name:22} {statistics.median(taken):6.1f} ms of a core", flush=True)
+
+
 def report(name: str, ratios: list[float]) -> None:
     """A line: the median, how far runs differ, and memory."""
     spread = f"{min(ratios):.2g} to {max(ratios):.2g} in {len(ratios)} runs"
@@ -75,8 +110,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of driving in a run")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--whole", type=float, default=0.0, help="seconds of drives with a world of their own")
+    parser.add_argument("--parts", action="store_true", help="measure an image and a scan instead")
     options = parser.parse_args()
     world = make_world(WorldSettings(preset="mojave", seed=3))
+    if options.parts:
+        parts(world, options.runs)
+        return
     physics(world, DT, sampled=True)  # compiles
     for name, sampled in (("physics alone", False), ("physics and samples", True)):
         ratios = [physics(world, options.seconds, sampled=sampled) for _ in range(options.runs)]
