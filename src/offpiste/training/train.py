@@ -33,7 +33,7 @@ from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
 from offpiste.training.terrain_sources import encoded
 
@@ -190,11 +190,14 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
 
 def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
     """Mean square error of the reference on the training windows by component: the units of the loss."""
-    index = windows.every(config.stride)
+    if not reference.reads_terrain:
+        windows = windows.without_terrain()
+    errors = []
     with torch.no_grad():
-        parts = [windows.gather(part) for part in np.array_split(index, max(1, len(index) // 512))]
-        errors = torch.cat([squared_errors(predict(reference, batch).state, batch.target) for batch in parts])
-    return errors.mean(dim=(0, 1)).clamp(min=1e-8)
+        for part in in_parts(windows.every(config.stride), windows, None, size=2048):
+            batch = windows.gather(part)
+            errors.append(squared_errors(predict(reference, batch).state, batch.target))
+    return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
 
 
 def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:
