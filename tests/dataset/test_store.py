@@ -46,6 +46,12 @@ def test_what_is_stored_is_read_back_as_it_was(tmp_path):
     assert dataset.split == SPLIT
 
 
+def test_a_dataset_says_in_a_line_what_is_in_it(tmp_path):
+    dataset = store.open_dataset(stored(tmp_path))
+    assert repr(dataset) == f"<Dataset {dataset.path}: 2 drives, 1.6 min, split {SPLIT.text}, 0 features>"
+    assert len(repr(dataset.drives)) < 300
+
+
 def test_folds_relabel_the_same_rows(tmp_path):
     dataset = store.open_dataset(stored(tmp_path))
     fold = parse_split("fold:0/3")

@@ -5,7 +5,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import zarr
 from jaxtyping import Int
 
 from offpiste.checksums import CHECKSUMS, DamagedFile, check_files, write_checksums
-from offpiste.conventions import MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_findings, stored_findings
@@ -46,11 +46,11 @@ class StoredDrive:
     """
 
     name: str
-    rows: Rows
-    part: Int[np.ndarray, " N"]
+    rows: Rows = field(repr=False)
+    part: Int[np.ndarray, " N"] = field(repr=False)
     notes: tuple[str, ...]
     load_map: Callable[[], TerrainMap] | None = None
-    snapshots: Snapshots | None = None
+    snapshots: Snapshots | None = field(default=None, repr=False)
     findings: tuple[LogFinding, ...] = ()
 
 
@@ -73,6 +73,12 @@ class Dataset:
     min_hindsight: float = 0.0
     pca: str | None = None
     min_speed: float = MIN_EVALUATION_SPEED
+
+    def __repr__(self) -> str:
+        """What is in it, in a line; its arrays would fill hundreds of screens."""
+        minutes = sum(len(drive.rows.time) for drive in self.drives) * DT / 60
+        what = f"{len(self.drives)} drives, {minutes:.1f} min, split {self.split.text}, {len(self.features)} features"
+        return f"<Dataset {self.path}: {what}>"
 
     @property
     def findings(self) -> tuple[str, ...]:
