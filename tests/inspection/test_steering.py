@@ -10,6 +10,7 @@ from offpiste.inspection.steering import check_steering
 from offpiste.inspection.steering_fit import steering_fit, steering_fits
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import drive_from_log
+from offpiste.rig.edits import Edit, edited
 
 WHEELBASE = 0.18
 TRUE = np.tan(MAX_STEER) / WHEELBASE
@@ -100,3 +101,18 @@ def test_a_range_of_steering_that_is_wrong_by_a_half_is_found(factor: float) -> 
     assert finding.where == "steer"
     assert finding.cures[0][0].key == "vehicle.max_steer"
     assert finding.cures[0][0].value == pytest.approx(MAX_STEER, rel=0.1)
+
+
+def test_a_range_that_no_vehicle_has_speaks_for_another_wheelbase() -> None:
+    """Without a measured angle, wheels four times too far apart would ask for wheels that turn by 1.2 rad."""
+    far = rig()
+    places = [[4 * x, y] for x, y in far.vehicle.wheel_positions]
+    far = edited(far, [Edit("vehicle.wheel_positions", places)])
+    drive = drive_from_log(drive_log(seed=0), far)
+    del drive.channels["steer_angle"]
+    path = driven_path(drive)
+    (finding,) = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
+    assert finding.what == "turns the vehicle more than the rig says"
+    assert [cure[0].key for cure in finding.cures] == ["vehicle.wheel_positions", "vehicle.max_steer"]
+    found = np.ptp([x for x, _ in finding.cures[0][0].value])
+    assert found == pytest.approx(np.ptp([x for x, _ in rig().vehicle.wheel_positions]), rel=0.1)

@@ -31,7 +31,7 @@ from offpiste.files import PARTIAL, check_folder, remove_partials, write_folder
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
-SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown surface normals
+SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals
 SNAPSHOTS = "snapshots"
 
 
@@ -77,8 +77,7 @@ class Dataset:
     def __repr__(self) -> str:
         """What is in it, in a line; its arrays would fill hundreds of screens."""
         minutes = sum(len(drive.rows.time) for drive in self.drives) * DT / 60
-        what = f"{len(self.drives)} drives, {minutes:.1f} min, split {self.split.text}, {len(self.features)} features"
-        return f"<Dataset {self.path}: {what}>"
+        return f"<Dataset {self.path}: {len(self.drives)} drives, {minutes:.1f} min, {len(self.features)} features>"
 
     @property
     def findings(self) -> tuple[str, ...]:

@@ -1,0 +1,179 @@
+"""Scale of the steering: how much the vehicle turns, against what the rig's geometry asks for."""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.steering_agreement import Agreement
+from offpiste.inspection.steering_fit import SteeringFit, curvature_per_unit
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.edits import Edit, number, rounded
+from offpiste.rig.rig import Rig
+
+_CLEAR: Final = 0.7
+"""Correlation of the steady fit above which the scale is clear."""
+_SHARES: Final = (0.55, 1.1)
+"""Turning over what the wheels' angle asks for. Of 200 healthy channels, none had less than 0.6 in the fit that shows
+more, on ice and with much slip, too, and none more than 1.0 in the fit that shows less."""
+_USUAL_SHARE: Final = 0.83
+"""The share that a remedy assumes: tyres slip."""
+_SHARES_WITHOUT_SLIP: Final = (0.7, 1.15)
+"""The same, extrapolated to no speed: of 220 healthy channels all lay within, where that was clear."""
+_CLEAR_WITHOUT_SLIP: Final = 0.85
+"""Correlation of that fit above which it is clear."""
+_USUAL_WITHOUT_SLIP: Final = 0.94
+_MARGIN: Final = 2.0
+"""Standard deviations by which it has to lie outside."""
+_RANGES: Final = (0.25, 0.9)
+"""Largest steering angles that vehicles have [rad]."""
+_SHAPES: Final = (1.0, 2.8)
+"""Wheelbases in tracks that vehicles have."""
+
+
+def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, rig: Rig) -> list[Finding]:
+    """Findings on the scale of `steer` and `steer_angle`: yaw rate over speed is tan(angle) / wheelbase without slip.
+
+    Where the two contradict each other, one of them is blamed: the one that the turning fits less.
+
+    Args:
+        fits: of those that have an effect.
+    """
+    suspect = _suspect(fits, rig) if agreement is not None and agreement.is_off else None
+    if agreement is not None and suspect is not None:
+        return [_contradiction(suspect, agreement, rig)]
+    ratios = {
+        name: _extrapolated_ratio(name, fit, rig) or _gripping_ratio(name, fit, rig) for name, fit in fits.items()
+    }
+    return [_off(name, ratio, rig) for name, ratio in ratios.items() if ratio is not None]
+
+
+def _suspect(fits: Mapping[str, SteeringFit], rig: Rig) -> str | None:
+    """Which of the two steerings the turning fits less; None where it does not tell."""
+    shares = {name: _share(name, fit, rig) for name, fit in fits.items()}
+    steer, angle = shares.get("steer"), shares.get("steer_angle")
+    if steer is None or angle is None:
+        return None
+    return "steer" if abs(np.log(steer)) >= abs(np.log(angle)) else "steer_angle"
+
+
+def _share(name: str, fit: SteeringFit, rig: Rig) -> float | None:
+    """Turning over what is usual at this steering, by the fit that is clear; None where none is."""
+    part = fit.extrapolated
+    if part is not None and part.strength >= _CLEAR_WITHOUT_SLIP:
+        return 1 / (abs(float(part.gain[0])) * curvature_per_unit(name, rig) * _USUAL_WITHOUT_SLIP)
+    for part in (fit.gripping, fit.settled):
+        if part.strength >= _CLEAR:
+            return abs(float(part.gain[part.best()])) / (_USUAL_SHARE * curvature_per_unit(name, rig))
+    return None
+
+
+def _contradiction(name: str, agreement: Agreement, rig: Rig) -> Finding:
+    """The finding on the one that is wrong where command and angle contradict each other."""
+    share = agreement.share
+    evidence = (
+        f"the wheels' angle is {share:.2f} ± {agreement.sigma:.2f} times steer * max_steer, and the vehicle turns "
+    )
+    if name == "steer_angle":
+        evidence += "as the command says"
+        edit = _angle_edit(1 / share, rig)
+        return Finding("warning", name, "does not fit the command", evidence, str(edit), 0.6, ((edit,),))
+    evidence += "as the angle says"
+    angle, source = share * rig.vehicle.max_steer, rig.channels["steer"]
+    cures = [Edit("vehicle.max_steer", rounded(angle)), Edit("channels.steer.scale", rounded(source.scale * share))]
+    if not _RANGES[0] < angle < _RANGES[1]:  # which no vehicle has: the command is in another unit
+        cures.reverse()
+    remedy = "; or ".join(str(cure) for cure in cures)
+    return Finding("warning", name, "does not fit the wheels' angle", evidence, remedy, 0.6, tuple((c,) for c in cures))
+
+
+def _angle_edit(factor: float, rig: Rig) -> Edit:
+    """The edit that makes the wheels' angle `factor` times as large: another unit where that explains it."""
+    source = rig.channels["steer_angle"]
+    if abs(factor * 180 / np.pi - 1) < 0.4:
+        return Edit("channels.steer_angle.unit", "deg")
+    if source.unit == "deg" and abs(factor * np.pi / 180 - 1) < 0.4:
+        return Edit("channels.steer_angle.unit", "rad")
+    return Edit("channels.steer_angle.scale", rounded(source.scale * factor))
+
+
+def _off(name: str, ratio: float, rig: Rig) -> Finding:
+    """The finding where the vehicle turns `ratio` times as much as the rig says."""
+    evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
+    angle = 0.0
+    if name == "steer":
+        angle = float(np.arctan(ratio * np.tan(rig.vehicle.max_steer)))
+        evidence += f"{angle:.3f} rad at steer = 1; the rig says {rig.vehicle.max_steer:.3f} rad"
+        edit = Edit("vehicle.max_steer", rounded(angle))
+    else:
+        evidence += f"{ratio:.3g} times the angle"
+        edit = _angle_edit(ratio, rig)
+    others = {f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ": _other_wheelbase(rig, 1 / ratio)}
+    others[""] = _other_places(rig, ratio)
+    ways = [("", edit), *((words, other) for words, other in others.items() if other is not None)]
+    # A range of steering that no vehicle has speaks for the places, or the wheels' own.
+    if name == "steer" and not _RANGES[0] < angle < _RANGES[1]:
+        ways = [*ways[:0:-1], ways[0]]
+    remedy = "; or ".join(f"{words}{way}" for words, way in ways)
+    cures = tuple((way,) for _, way in ways)
+    what = "turns the vehicle more than the rig says" if ratio > 1 else "turns the vehicle less than the rig says"
+    return Finding("warning", name, what, evidence, remedy, 0.6, cures)
+
+
+def _gripping_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
+    """True curvature over the rig's, from rows where tyres grip; None where it may be right."""
+    # Tyres that slide spoil one fit, little steering the other: only what both show is a wrong scale.
+    usual = _USUAL_SHARE * curvature_per_unit(name, rig)
+    gains = [(abs(float(part.gain[part.best()])), part) for part in (fit.gripping, fit.settled)]
+    gain, part = min(gains, key=lambda pair: abs(np.log(max(pair[0], 1e-9) / usual)))
+    if min(gains[0][0], gains[1][0]) < usual < max(gains[0][0], gains[1][0]):
+        return None
+    sigma = part.gain_sigma(part.best())
+    if fit.gripping.strength < _CLEAR or fit.settled.strength < _CLEAR or not sigma < 0.2 * gain:
+        return None
+    factor = gain / curvature_per_unit(name, rig)
+    margin = 1.5 * factor * sigma / gain
+    return None if _SHARES[0] - margin < factor < _SHARES[1] + margin else gain / usual
+
+
+def _extrapolated_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
+    """True curvature over the rig's, extrapolated to where no tyre slips; None where it may be right."""
+    part = fit.extrapolated
+    if part is None or part.strength < _CLEAR_WITHOUT_SLIP:
+        return None
+    factor = 1 / (abs(float(part.gain[0])) * curvature_per_unit(name, rig))
+    margin = _MARGIN * part.gain_sigma(0) / abs(float(part.gain[0]))
+    low, high = _SHARES_WITHOUT_SLIP
+    # Noise of the yaw rate makes the factor too large, by the correlation squared at the most.
+    if not margin < 0.5 or (low < factor * (1 + margin) and factor * min(1 - margin, part.strength**2) < high):
+        return None
+    return factor / _USUAL_WITHOUT_SLIP
+
+
+def _other_wheelbase(rig: Rig, factor: float) -> Edit | None:
+    """Wheel positions whose wheelbase is `factor` times as long; None where no vehicle has that shape."""
+    vehicle = rig.vehicle
+    if not _SHAPES[0] < factor * vehicle.wheelbase / max(vehicle.track, 1e-6) < _SHAPES[1]:
+        return None
+    places = [[rounded(x * factor), y] for x, y in vehicle.wheel_positions]
+    return Edit("vehicle.wheel_positions", places)
+
+
+def _other_places(rig: Rig, ratio: float) -> Edit | None:
+    """The unit of positions that explains a turning `ratio` times the rig's; None where none does."""
+    for unit in ("ft", "cm"):
+        if not rig.channels["position"].unit and abs(np.log(ratio / unit_factor("position", unit))) < 0.3:
+            return Edit("channels.position.unit", unit)
+    return None
+
+
+def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
+    """The scale of the steering where the wheelbase is a guess."""
+    curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
+    evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
+    wheelbase = rig.vehicle.wheelbase
+    line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase): {np.arctan(curvature * wheelbase):.3f} at a "
+    line += f"wheelbase of {wheelbase:.3g} m; somewhat more where tyres slid all along"
+    remedy = line if name == "steer" else "compare with tan(angle) / wheelbase"
+    return Finding("note", name, "has this scale", evidence, remedy, 0.4)
