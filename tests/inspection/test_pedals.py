@@ -1,5 +1,7 @@
 """Pedals: one that never comes back to zero, one that drives backwards."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig
@@ -8,7 +10,7 @@ from offpiste.conventions import GRAVITY
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.lags import LAGS, LagFit
-from offpiste.inspection.pedals import check_pedals
+from offpiste.inspection.pedals import check_pedals, pedal_fits
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit
 
@@ -59,6 +61,20 @@ def test_a_brake_without_effect_shows_none() -> None:
     (finding,) = (f for f in inspect_log(_downhill(braking=0.0), rig()).findings if f.where == "brake")
     assert (finding.severity, finding.what) == ("note", "shows no effect on the speed")
     assert "of the time" in finding.evidence
+
+
+def test_a_pedal_acts_in_reverse_as_it_does_forwards_on_slopes_too() -> None:
+    """The same drive, turned round for every other 15 s: the motion, the hills and the pedals stay as they are."""
+    drive = drive_from_log(_downhill(3.0), rig())
+    path = driven_path(drive)
+    assert np.ptp(path.slope) > 0.2
+    way = np.where(path.time % 30 < 15, 1.0, -1.0)
+    turned = replace(path, forward=way * path.forward, acceleration=way * path.acceleration)
+    forwards, backwards = (pedal_fits(drive, one) for one in (path, turned))
+    assert forwards.keys() == backwards.keys() == {"throttle", "brake"}
+    for name, fit in forwards.items():
+        np.testing.assert_allclose(backwards[name].r, fit.r, atol=1e-9)
+        np.testing.assert_allclose(backwards[name].gain, fit.gain, atol=1e-9)
 
 
 def _downhill(braking: float) -> MemoryLog:

@@ -31,7 +31,7 @@ class Path:
         forward: velocity along the heading [m/s].
         yaw, yaw_rate: heading and its rate [rad, rad/s].
         acceleration: d(forward)/dt [m/s^2].
-        slope: dz/ds of the path; 0 where positions are planar.
+        slope: dz/ds of the path, s along the motion, in reverse as well; 0 where positions are planar.
         window: span of pose samples behind each velocity [s].
     """
 

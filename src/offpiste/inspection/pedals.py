@@ -202,7 +202,7 @@ def _pedal_fit(name: str, drive: Drive, path: Path) -> LagFit | None:
     """Fit of the gain in speed, forwards or backwards, by a pedal, with drag, slope and the other pedal taken out."""
     channel = drive.channels[name]
     one, way = np.ones(len(path.time)), np.sign(path.forward)
-    base = [one, np.abs(path.forward), path.forward**2, path.slope * way]
+    base = [one, np.abs(path.forward), path.forward**2, path.slope]  # along the motion, in reverse as well
     other = drive.channels.get("brake" if name == "throttle" else "throttle")
     if other is not None and np.ptp(other.values) > 0:
         base.append(sampled(other, path.time - 0.2, drive.rig))
