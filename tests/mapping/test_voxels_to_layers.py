@@ -214,6 +214,29 @@ def test_single_cells_are_read_as_the_layers_have_them(spread, steep, channels):
             np.testing.assert_array_equal(getattr(cells, name), getattr(layers, name)[rows, columns], err_msg=name)
 
 
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_few_cells_are_read_as_the_layers_have_them(count):
+    """Of a map that moves in between, so that rows wrap around, and whose layers are made now and then."""
+    held, rng = VoxelMap(2, SMALL), np.random.default_rng(count)
+    one = Flattener(held, FlattenSettings(overhang_radius=0.6))
+    for step in range(40):
+        place = np.array([0.7 * step, -0.5 * step, 0.1 * step])
+        held.recentre(place[:2], place[2])
+        points = rng.uniform(-6, 6, (300, 3)) * [1, 1, 0.3] + place
+        features = rng.normal(size=(300, 2)).astype(np.float32)
+        held.insert(points, features, rng.random(300) < 0.5, rng.uniform(1, 40, 300).astype(np.float32))
+        if step % 7 == 3:
+            one.layers()
+        layers = flatten(held, one.settings)
+        for _ in range(2):
+            # Now anywhere, now along a line, as wheels leave them.
+            spread = rng.uniform(0, 2 * N, 2)
+            rows, columns = (rng.uniform(0, spread[:, None], (2, count)) + (2 * N - spread[:, None])).astype(np.int64)
+            cells = one.cells(rows, columns)
+            for name in cells._fields:
+                np.testing.assert_array_equal(getattr(cells, name), getattr(layers, name)[rows, columns], err_msg=name)
+
+
 # --- planes ----------------------------------------------------------------------------------------------------------
 PLANES = {"z = x": (1.0, 0.0), "z = y": (0.0, 1.0), "z = -x/2 + y/3": (-0.5, 1 / 3)}
 

@@ -3,13 +3,19 @@
 The same in plain NumPy is in tests/mapping.
 
 Only columns that changed are looked into; what they show is kept, wrapped around as the voxels are. Rows `first` to
-`last` are those of the layers, from the map's lowest cell.
+`last` are those of the layers, from the map's lowest cell. Loops work on a span of each row: all of it for the layers,
+what lies around some cells where only these are read.
 """
+
+from typing import Final
 
 import numpy as np
 
 from offpiste.compilation import MAPPING
 from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
+
+BLOCK: Final = 32
+"""Columns that are looked through at once for those that changed."""
 
 
 @MAPPING.inlined
@@ -64,18 +70,56 @@ def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-un
 
 
 @MAPPING.entry
-def see_columns(first, last, since, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Keep ground, obstacles and features of the columns that changed after `since`; rows are those of the voxels."""
-    n, block = voxels.changed.shape[0], 32
-    for row in range(first, last):
-        for start in range(0, n, block):
-            changed, newest = voxels.changed[row, start : start + block], np.int32(0)
-            for i in range(len(changed)):
-                newest = max(newest, changed[i])
-            if newest > since:
-                for i in range(len(changed)):
-                    if changed[i] > since:
-                        see_column(row, start + i, size, reach, voxels, surface)
+def put_spans(rows, columns, margin, bare, spans):  # type: ignore[no-untyped-def]
+    """Put, for each row of the map, the first and the last + 1 column within `margin` of some cells; alike if none is.
+
+    Args:
+        rows, columns: of the cells [K].
+        margin: in rows and in columns.
+        bare: room for the same without the margin [n, 2].
+        spans: [n, 2].
+    """
+    n = len(spans)
+    bare[:, 0], bare[:, 1] = n, 0
+    for q in range(len(rows)):
+        bare[rows[q], 0] = min(bare[rows[q], 0], columns[q])
+        bare[rows[q], 1] = max(bare[rows[q], 1], columns[q] + 1)
+    for j in range(n):
+        begin, end = n, 0
+        for jj in range(max(j - margin, 0), min(j + margin + 1, n)):
+            begin, end = min(begin, bare[jj, 0]), max(end, bare[jj, 1])
+        spans[j, 0], spans[j, 1] = 0, 0
+        if begin < end:
+            spans[j, 0], spans[j, 1] = max(begin - margin, 0), min(end + margin, n)
+
+
+@MAPPING.inlined
+def see_block(row, number, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
+    """Keep ground, obstacles and features of the columns of a block that changed since they were last kept."""
+    start, since = number * BLOCK, surface.since[row, number]
+    changed, newest = voxels.changed[row, start : start + BLOCK], since
+    for i in range(len(changed)):
+        newest = max(newest, changed[i])
+    if newest > since:
+        for i in range(len(changed)):
+            if changed[i] > since:
+                see_column(row, start + i, size, reach, voxels, surface)
+        surface.since[row, number] = newest
+
+
+@MAPPING.entry
+def see_columns(first, last, low, spans, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
+    """Keep ground, obstacles and features of the columns in spans of the layers' rows `first` to `last`."""
+    n = voxels.changed.shape[0]
+    for j in range(first, last):
+        row, count = (low[1] + j) % n, spans[j, 1] - spans[j, 0]
+        if count > 0:
+            begin = (low[0] + spans[j, 0]) % n
+            for number in range(begin // BLOCK, (min(begin + count, n) - 1) // BLOCK + 1):
+                see_block(row, number, size, reach, voxels, surface)
+            if begin + count > n:
+                for number in range((begin + count - n - 1) // BLOCK + 1):
+                    see_block(row, number, size, reach, voxels, surface)
 
 
 @MAPPING.loop
@@ -111,36 +155,39 @@ def put(a, out):  # type: ignore[no-untyped-def]
 
 
 @MAPPING.entry
-def read_columns(first, last, low, reference, size, radius, surface, buffers):  # type: ignore[no-untyped-def]
-    """Copy the columns in the layers' order, and find the lowest ground within `radius` cells along the row."""
+def read_columns(first, last, low, spans, reference, size, radius, surface, buffers):  # type: ignore[no-untyped-def]
+    """Copy spans of columns in the layers' order, and find the lowest ground within `radius` cells along the row."""
     n = buffers.height.shape[0]
     start = low[0] % n
     for j in range(first, last):
-        row = (low[1] + j) % n
-        for to, at in ((slice(0, n - start), slice(start, n)), (slice(n - start, n), slice(0, start))):
+        row, begin, end = (low[1] + j) % n, spans[j, 0], spans[j, 1]
+        middle = min(max(begin, n - start), end)
+        for to, shift in ((slice(begin, middle), start), (slice(middle, end), start - n)):
+            at = slice(to.start + shift, to.stop + shift)
             put_heights(surface.level[row, at], surface.z[row, at], np.int32(reference), size, buffers.height[j, to])
             put(surface.x[row, at], buffers.x[j, to])
             put(surface.y[row, at], buffers.y[j, to])
             put(surface.obstacle[row, at], buffers.obstacle[j, to])
             put(surface.feature_height[row, at], buffers.feature_height[j, to])
-        put_lowest_beside(buffers.height[j], radius, buffers.lowest[j])
+        put_lowest_beside(buffers.height[j, begin:end], radius, buffers.lowest[j, begin:end])
 
 
 @MAPPING.entry
-def drop_overhangs(first, last, radius, reach, feature_height, buffers):  # type: ignore[no-untyped-def]
-    """Take the ground of columns whose lowest voxel is a branch, and features too far above their ground.
+def drop_overhangs(first, last, spans, radius, reach, feature_height, buffers):  # type: ignore[no-untyped-def]
+    """Take the ground of columns in spans whose lowest voxel is a branch, and features too far above their ground.
 
     Heights of features become those over the reference level.
     """
     n = buffers.height.shape[0]
     nothing = np.float32(np.nan)
     for j in range(first, last):
-        lowest, height, feature = buffers.centre[j], buffers.height[j], buffers.feature_height[j]
+        span = slice(spans[j, 0], spans[j, 1])
+        lowest, height, feature = buffers.centre[j, span], buffers.height[j, span], buffers.feature_height[j, span]
         lowest[:] = np.float32(np.inf)
         for jj in range(max(j - radius, 0), min(j + radius + 1, n)):
-            put_lower(buffers.lowest[jj], lowest)
-        for i in range(n):
+            put_lower(buffers.lowest[jj, span], lowest)
+        for i in range(len(height)):
             good = (feature[i] <= feature_height) & (height[i] <= lowest[i] + reach)
             feature[i] = height[i] + feature[i] if good else nothing
-        for i in range(n):
+        for i in range(len(height)):
             height[i] = height[i] if height[i] <= lowest[i] + reach else nothing

@@ -1,12 +1,19 @@
-"""Gaps filled from the nearest cell, and the layers written: loops over blocks of rows, and one over chosen cells.
+"""Gaps filled from the nearest cell, and the layers written: loops over blocks of rows, and others over chosen cells.
 
 The nearest cell is found for a whole row at once: neighbours are visited from the furthest to the nearest, and each
-overwrites those before it. Rows are cut into `blocks`; a call takes those from `first` to `last`.
+overwrites those before it. Rows are cut into `blocks`; a call takes those from `first` to `last`. Planes around chosen
+cells are those of `normals.py`: their windows are gathered, then summed in its order.
 """
+
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from offpiste.compilation import MAPPING
+from offpiste.mapping.normals import SUMS, add_columns, put, put_moments, solve, sum_rows
+
+CHUNK: Final = 256
+"""Cells whose windows are gathered at a time: their sums stay in the processor's cache."""
 
 
 @MAPPING.loop
@@ -154,29 +161,107 @@ def write_layers(first, last, blocks, floor, low, offsets, surface, buffers, lay
             )
 
 
+class Gathered(NamedTuple):
+    """Room for the windows of cells.
+
+    Attributes:
+        moments: of the cells beside, by their column in the window [window, SUMS, CHUNK].
+        sums: of the rows of the window [window, SUMS, CHUNK].
+        total: of the window [SUMS, CHUNK].
+        hits: x, y, height of one cell of the window, and a line [4, CHUNK].
+    """
+
+    moments: np.ndarray
+    sums: np.ndarray
+    total: np.ndarray
+    hits: np.ndarray
+
+
+def make_gathered(radius: int) -> Gathered:
+    """Room for windows of +-radius."""
+    shapes = ((2 * radius + 1, SUMS, CHUNK), (2 * radius + 1, SUMS, CHUNK), (SUMS, CHUNK), (4, CHUNK))
+    return Gathered(*(np.zeros(shape, np.float32) for shape in shapes))
+
+
+@MAPPING.loop
+def gather(rows, columns, down, right, buffers, x, y, z):  # type: ignore[no-untyped-def]
+    """Put where the cells `down` rows and `right` columns from some were hit; not a number outside of the map."""
+    n = buffers.height.shape[0]
+    for q in range(len(rows)):
+        j, i = rows[q] + down, columns[q] + right
+        x[q], y[q], z[q] = np.float32(0), np.float32(0), np.float32(np.nan)
+        if 0 <= j < n and 0 <= i < n:
+            x[q], y[q], z[q] = buffers.x[j, i], buffers.y[j, i], buffers.height[j, i]
+
+
 @MAPPING.entry
-def read_cells(rows, columns, floor, low, offsets, limit, surface, buffers, out):  # type: ignore[no-untyped-def]
+def fit_planes_at(radius, size, buffers, gathered, planes):  # type: ignore[no-untyped-def]
+    """Planes around chosen cells.
+
+    Args:
+        radius: of the windows [cells].
+        size: of a cell [m].
+        buffers: x, y, height (`voxels_to_layers.Buffers`).
+        gathered: room.
+        planes: reads rows, columns; writes the rest.
+    """
+    for first in range(0, len(planes.rows), CHUNK):
+        mine = slice(first, min(first + CHUNK, len(planes.rows)))
+        rows, columns = planes.rows[mine], planes.columns[mine]
+        here = slice(0, len(rows))
+        moments, sums, total = gathered.moments[:, :, here], gathered.sums[:, :, here], gathered.total[:, here]
+        x, y, z, line = gathered.hits[0, here], gathered.hits[1, here], gathered.hits[2, here], gathered.hits[3, here]
+        for down in range(-radius, radius + 1):
+            for right in range(-radius, radius + 1):
+                gather(rows, columns, down, right, buffers, x, y, z)
+                put_moments(x, y, z, 0, moments[radius + right])
+            row = sums[radius + down]
+            for q in range(SUMS):
+                put(moments[radius, q], row[q])
+            for k in range(1, radius + 1):
+                add_columns(moments[radius + k], moments[radius - k], np.float32(k), row)
+        sum_rows(sums, radius, radius, total)
+        height = planes.height[mine]
+        gather(rows, columns, 0, 0, buffers, x, y, height)
+        solve(total, x, y, height, size, line, planes.rise_x[mine], planes.rise_y[mine], planes.centre[mine])
+
+
+@MAPPING.entry
+def find_grounds(rows, columns, offsets, buffers, planes):  # type: ignore[no-untyped-def]
+    """Put the cells that the ground of some cells comes from: these themselves where there is none near.
+
+    Args:
+        rows, columns: of the cells; all in the map [K].
+        offsets, buffers: as in `fill_gaps`.
+        planes: `voxels_to_layers.CellPlanes`.
+    """
+    n = buffers.height.shape[0]
+    for q in range(len(rows)):
+        planes.rows[q], planes.columns[q] = rows[q], columns[q]
+        for k in range(len(offsets)):
+            jj, ii = rows[q] + offsets[k, 0], columns[q] + offsets[k, 1]
+            if 0 <= jj < n and 0 <= ii < n and buffers.height[jj, ii] == buffers.height[jj, ii]:
+                planes.rows[q], planes.columns[q] = jj, ii
+                break
+
+
+@MAPPING.entry
+def read_cells(rows, columns, floor, low, offsets, limit, surface, buffers, planes, out):  # type: ignore[no-untyped-def]
     """Read what `write_layers` would write into some cells, without the others.
 
     Args:
         rows, columns: of the cells; all in the map [K].
         floor, low, offsets, limit, surface, buffers: as in `fill_gaps` and `write_layers`.
+        planes: of their grounds, `voxels_to_layers.CellPlanes`.
         out: `voxels_to_layers.MapCells`.
     """
     n, channels = buffers.height.shape[0], out.features.shape[1]
     for q in range(len(rows)):
-        j, i = rows[q], columns[q]
-        found, found_feature = -1, -1
-        for k in range(len(offsets)):
-            jj, ii = j + offsets[k, 0], i + offsets[k, 1]
-            if 0 <= jj < n and 0 <= ii < n and buffers.height[jj, ii] == buffers.height[jj, ii]:
-                found = k
-                break
-        jj, ii = j + offsets[max(found, 0), 0], i + offsets[max(found, 0), 1]
-        rise_x, rise_y, ground = buffers.rise_x[jj, ii], buffers.rise_y[jj, ii], buffers.height[jj, ii]
+        j, i, found_feature = rows[q], columns[q], -1
+        rise_x, rise_y, ground = planes.rise_x[q], planes.rise_y[q], planes.height[q]
         up = np.float32(1) / np.sqrt(np.float32(1) + (rise_x * rise_x + rise_y * rise_y))
-        out.known[q] = found >= 0
-        out.elevation[q] = floor + buffers.centre[jj, ii]
+        out.known[q] = ground == ground
+        out.elevation[q] = floor + planes.centre[q]
         out.normal[q, 0], out.normal[q, 1], out.normal[q, 2] = -rise_x * up, -rise_y * up, up
         for k in range(len(offsets)):
             jj, ii = j + offsets[k, 0], i + offsets[k, 1]

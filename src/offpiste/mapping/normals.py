@@ -82,25 +82,28 @@ def add_second(out, a, b, lower_a, lower_b, lowest_a, lowest_b, shift):  # type:
 
 
 @MAPPING.loop
+def add_columns(a, b, shift, out):  # type: ignore[no-untyped-def]
+    """Add the sums of the cells at +shift and at -shift in the row."""
+    add(out[N], a[N], b[N])
+    add_first(out[SX], a[SX], b[SX], a[N], b[N], shift)
+    add(out[SY], a[SY], b[SY])
+    add(out[SZ], a[SZ], b[SZ])
+    add_second(out[SXX], a[SXX], b[SXX], a[SX], b[SX], a[N], b[N], shift)
+    add_first(out[SXY], a[SXY], b[SXY], a[SY], b[SY], shift)
+    add(out[SYY], a[SYY], b[SYY])
+    add_first(out[SXZ], a[SXZ], b[SXZ], a[SZ], b[SZ], shift)
+    add(out[SYZ], a[SYZ], b[SYZ])
+
+
+@MAPPING.loop
 def sum_columns(moments, radius, out):  # type: ignore[no-untyped-def]
     """Sums over the cells up to `radius` to the left and to the right."""
     n = out.shape[1]
     for q in range(SUMS):
         put(moments[q, radius : radius + n], out[q])
     for k in range(1, radius + 1):
-        shift = np.float32(k)
-        at, to = slice(radius + k, radius + k + n), slice(radius - k, radius - k + n)
-        count_a, count_b, x_a, x_b = moments[N, at], moments[N, to], moments[SX, at], moments[SX, to]
-        y_a, y_b, z_a, z_b = moments[SY, at], moments[SY, to], moments[SZ, at], moments[SZ, to]
-        add(out[N], count_a, count_b)
-        add_first(out[SX], x_a, x_b, count_a, count_b, shift)
-        add(out[SY], y_a, y_b)
-        add(out[SZ], z_a, z_b)
-        add_second(out[SXX], moments[SXX, at], moments[SXX, to], x_a, x_b, count_a, count_b, shift)
-        add_first(out[SXY], moments[SXY, at], moments[SXY, to], y_a, y_b, shift)
-        add(out[SYY], moments[SYY, at], moments[SYY, to])
-        add_first(out[SXZ], moments[SXZ, at], moments[SXZ, to], z_a, z_b, shift)
-        add(out[SYZ], moments[SYZ, at], moments[SYZ, to])
+        right, left = slice(radius + k, radius + k + n), slice(radius - k, radius - k + n)
+        add_columns(moments[:, right], moments[:, left], np.float32(k), out)
 
 
 @MAPPING.loop
@@ -219,16 +222,22 @@ def fit_planes(first, last, blocks, radius, size, buffers):  # type: ignore[no-u
 @MAPPING.loop
 def solve_row(total, line, other, j, size, buffers):  # type: ignore[no-untyped-def]
     """The planes of a row from its sums, and where its hits lie to them."""
-    x, y, z, scale = buffers.x[j], buffers.y[j], buffers.height[j], np.float32(1) / size
-    rise_x, rise_y = buffers.rise_x[j], buffers.rise_y[j]
+    x, y, z, rise_x, rise_y = buffers.x[j], buffers.y[j], buffers.height[j], buffers.rise_x[j], buffers.rise_y[j]
+    solve(total, x, y, z, size, line, rise_x, rise_y, buffers.centre[j])
+    put_offset(x, total[SX], rise_x, size, line)
+    put_offset(y, total[SY], rise_y, size, other)
+    put_residual(z, total[SZ], line, other, buffers.residual[j])
+
+
+@MAPPING.loop
+def solve(total, x, y, z, size, line, rise_x, rise_y, centre):  # type: ignore[no-untyped-def]
+    """Planes from their sums."""
+    scale = np.float32(1) / size
     to_covariances(total)
     put_determinants(z, total[N], total[SXX], total[SXY], total[SYY], line)
     put_rise(total[SXZ], total[SYZ], total[SYY], total[SXY], line, scale, rise_x)
     put_rise(total[SYZ], total[SXZ], total[SXX], total[SXY], line, scale, rise_y)
-    put_centre(x, y, z, rise_x, rise_y, size, buffers.centre[j])
-    put_offset(x, total[SX], rise_x, size, line)
-    put_offset(y, total[SY], rise_y, size, other)
-    put_residual(z, total[SZ], line, other, buffers.residual[j])
+    put_centre(x, y, z, rise_x, rise_y, size, centre)
 
 
 @MAPPING.loop

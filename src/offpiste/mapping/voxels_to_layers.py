@@ -18,8 +18,15 @@ from jaxtyping import Int
 
 from offpiste.compilation import spread_blocks
 from offpiste.errors import MapError
-from offpiste.mapping.ground import drop_overhangs, read_columns, see_columns
-from offpiste.mapping.infill import fill_gaps, read_cells, write_layers
+from offpiste.mapping.ground import BLOCK, drop_overhangs, put_spans, read_columns, see_columns
+from offpiste.mapping.infill import (
+    fill_gaps,
+    find_grounds,
+    fit_planes_at,
+    make_gathered,
+    read_cells,
+    write_layers,
+)
 from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
 from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers, nothing_known
 from offpiste.mapping.voxel_map import VoxelMap, check_positive
@@ -63,6 +70,7 @@ class Surface(NamedTuple):
         obstacle: height of the highest thing in reach over that [m] [n, n].
         feature_height: of the lowest voxel with features over it; infinite if there is none [m] [n, n].
         features: of that voxel, and before them the distance from which they were seen [n, n, 1 + F].
+        since: number of the map's change up to which the columns of a block are kept [n, n / BLOCK].
     """
 
     level: np.ndarray
@@ -72,6 +80,7 @@ class Surface(NamedTuple):
     obstacle: np.ndarray
     feature_height: np.ndarray
     features: np.ndarray
+    since: np.ndarray
 
 
 def make_surface(cells: int, channels: int) -> Surface:
@@ -82,6 +91,7 @@ def make_surface(cells: int, channels: int) -> Surface:
         level=np.zeros(shape, np.int32),
         **{name: np.full(shape, np.nan, np.float32) for name in names},
         features=np.full((*shape, 1 + channels), np.nan, np.float32),
+        since=np.zeros((cells, -(-cells // BLOCK)), np.int32),
     )
 
 
@@ -132,6 +142,29 @@ def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
         moments=np.zeros((blocks, SUMS, cells + 2 * plane_cells), np.float32),
         line=np.zeros((blocks, 2, cells), np.float32),
     )
+
+
+class CellPlanes(NamedTuple):
+    """Planes around K cells.
+
+    Attributes:
+        rows, columns: of the cells.
+        height: of their ground over the floor of the reference level; NaN without any [m].
+        rise_x, rise_y, centre: as in `Buffers`.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    height: np.ndarray
+    rise_x: np.ndarray
+    rise_y: np.ndarray
+    centre: np.ndarray
+
+
+def make_cell_planes(count: int) -> CellPlanes:
+    """Room for the planes around some cells."""
+    places = (np.zeros(count, np.int64) for _ in range(2))
+    return CellPlanes(*places, *(np.zeros(count, np.float32) for _ in range(4)))
 
 
 class MapCells(NamedTuple):
@@ -188,6 +221,11 @@ class Flattener:
         self._offsets = neighbour_offsets(settings.fill_radius / size)
         self._buffers = make_buffers(n, threads, self._plane_cells)
         self._surface, self._since = make_surface(n, voxel_map.channels), 0
+        self._whole = np.tile(np.array([0, n]), (n, 1))
+        self._gathered = make_gathered(self._plane_cells)
+        self._bare, self._spans = np.zeros_like(self._whole), np.zeros_like(self._whole)
+        # What a cell says follows from the nearest ground, whose plane follows from ground that is no branch.
+        self._margin = int(np.abs(self._offsets).max()) + self._plane_cells + self._overhang_cells
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
         """The map's layers.
@@ -202,7 +240,7 @@ class Flattener:
         arrays = Layers(*(getattr(out, layer.name) for layer in LAYERS))
         limit = np.float32(self.settings.feature_height)
 
-        self._find_ground()
+        self._find_whole_ground()
         spread_blocks(threads, threads, smooth_residuals, threads, self._plane_cells, buffers)
         spread_blocks(threads, threads, fill_gaps, threads, self._offsets, limit, buffers)
         spread_blocks(
@@ -214,8 +252,13 @@ class Flattener:
         """What the layers say of some cells, in a fraction of the time that all of them take."""
         out = MapCells(*(nothing_known(name, (len(rows),), self._map.channels) for name in MapCells._fields))
         limit = np.float32(self.settings.feature_height)
-        self._find_ground()
-        read_cells(rows, columns, self._floor, self._map.low, self._offsets, limit, self._surface, self._buffers, out)
+        if self._since < self._map.changes or not self._map.changes:
+            put_spans(rows, columns, self._margin, self._bare, self._spans)
+            self._find_ground(self._spans, 1)
+        planes, offsets, buffers = make_cell_planes(len(rows)), self._offsets, self._buffers
+        find_grounds(rows, columns, offsets, buffers, planes)
+        fit_planes_at(self._plane_cells, np.float32(self._map.settings.size), buffers, self._gathered, planes)
+        read_cells(rows, columns, self._floor, self._map.low, offsets, limit, self._surface, buffers, planes, out)
         return out
 
     @property
@@ -227,16 +270,20 @@ class Flattener:
     def _floor(self) -> float:
         return self._reference * self._map.settings.size
 
-    def _find_ground(self) -> None:
-        """Ground, obstacles, feature heights and planes of all columns, unless the buffers have those of the map."""
+    def _find_whole_ground(self) -> None:
+        """Ground and planes of all columns, unless the buffers have those of the map."""
+        if self._since < self._map.changes or not self._map.changes:
+            threads, step = self._map.settings.threads, np.float32(self._map.settings.size)
+            self._find_ground(self._whole, threads)
+            spread_blocks(threads, threads, fit_planes, threads, self._plane_cells, step, self._buffers)
+            self._since = self._map.changes
+
+    def _find_ground(self, spans: Int[np.ndarray, "n 2"], threads: int) -> None:
+        """Ground, obstacles and feature heights of the columns in spans; of those near their ends some are wrong."""
         voxel_map, settings, buffers, surface = self._map, self.settings, self._buffers, self._surface
-        if self._since == voxel_map.changes > 0:
-            return
-        size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
+        size, n = voxel_map.settings.size, voxel_map.cells
         step, reach, low = np.float32(size), np.float32(settings.vehicle_height), voxel_map.low
         limit, overhang = np.float32(settings.feature_height), self._overhang_cells
-        spread_blocks(threads, n, see_columns, self._since, step, reach, voxel_map.voxels, surface)
-        self._since = voxel_map.changes
-        spread_blocks(threads, n, read_columns, low, self._reference, step, overhang, surface, buffers)
-        spread_blocks(threads, n, drop_overhangs, overhang, reach, limit, buffers)
-        spread_blocks(threads, threads, fit_planes, threads, self._plane_cells, step, buffers)
+        spread_blocks(threads, n, see_columns, low, spans, step, reach, voxel_map.voxels, surface)
+        spread_blocks(threads, n, read_columns, low, spans, self._reference, step, overhang, surface, buffers)
+        spread_blocks(threads, n, drop_overhangs, spans, overhang, reach, limit, buffers)
