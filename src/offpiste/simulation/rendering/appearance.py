@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.rendering.scene import BOXES, Scene
-from offpiste.simulation.rendering.shading import (
+from offpiste.simulation.rendering.ground_shading import (
     BLADES,
+    BUMPS,
     CHANNELS,
     COARSE,
     FINE,
@@ -22,7 +22,6 @@ from offpiste.simulation.rendering.shading import (
     LOW,
     MOST_RELIEF,
     OPEN,
-    RELIEF,
     RIPPLES,
     STONES,
     SUN,
@@ -30,6 +29,7 @@ from offpiste.simulation.rendering.shading import (
     TRAIL_REACH,
     GroundTexture,
 )
+from offpiste.simulation.rendering.scene import BOXES, Scene
 from offpiste.simulation.rendering.texture_noise import WAVELENGTHS, octave_turns, random_lattice
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.noise import smooth_noise, smooth_step
@@ -242,7 +242,7 @@ def _nodes(
     for channel, name, full in (
         (FINE, "fine", MOST_RELIEF),
         (COARSE, "coarse", MOST_RELIEF),
-        (RELIEF, "relief", MOST_RELIEF),
+        (BUMPS, "relief", MOST_RELIEF),
         (STONES, "stones", 1.0),
         (BLADES, "blades", 1.0),
         (RIPPLES, "ripples", 1.0),

@@ -93,21 +93,18 @@ class Lidar:
             motion: `world_from_body` during the revolution.
             start: time of the first column [s].
         """
-        s, shape = self.settings, self._ray.shape[:2]
         distance, echo, surface = self._echoes(scene, *motion.at(start + self._time))
-        seen = (distance > s.min_range) & (distance < s.max_range)
-        random = rng.random(len(echo))[seen]
-        noise = s.range_noise * rng.standard_normal(len(echo))[seen]
-        lost = random <= lost_share(s, distance[seen], echo[seen])
-        returned = np.flatnonzero(seen)[~lost]
-        column, ring = np.unravel_index(returned, shape)
-        measured = distance[returned] + noise[~lost]
-        intensity = echo[returned] * rng.uniform(0.9, 1.1, len(column))
+        n, (columns, rings) = len(distance), self._ray.shape[:2]
+        random, noise = rng.random(n), self.settings.range_noise * rng.standard_normal(n)
+        returned = np.empty(n, np.int32)
+        returned = returned[: _returned(*_limits(self.settings), distance, echo, random, returned)]
+        points = np.empty((len(returned), 3), np.float32)
+        _place(self._ray.reshape(-1, 3), distance, noise, returned, points)
         return Scan(
-            points=(self._ray[column, ring] * measured[:, None]).astype(np.float32),
-            intensity=intensity.astype(np.float32),
-            ring=ring.astype(np.int32),
-            time=self._time[column].astype(np.float32),
+            points=points,
+            intensity=(echo[returned] * rng.uniform(0.9, 1.1, len(returned))).astype(np.float32),
+            ring=returned % np.int32(rings),
+            time=np.repeat(self._time.astype(np.float32), rings)[returned],
             surface=surface[returned],
         )
 
@@ -152,6 +149,36 @@ def _reflect(reflectivity, distances, surfaces, normal, ray, first, distance, ec
         facing = normal[n, 0] * ray[n, 0] + normal[n, 1] * ray[n, 1] + normal[n, 2] * ray[n, 2]
         distance[c, r], surface[c, r] = distances[n], surfaces[n]
         echo[c, r] = reflectivity[surfaces[n]] * abs(facing)
+
+
+def _limits(settings: LidarSettings) -> tuple[float, ...]:
+    """Settings that decide which rays return a point."""
+    return tuple(np.float32((settings.min_range, settings.max_range, settings.dropout, settings.lost)))
+
+
+@RAYS.entry
+def _returned(nearest, farthest, dropout, lost, distance, echo, random, returned):  # type: ignore[no-untyped-def]
+    """Numbers of the rays that return a point, by `lost_share` and even random numbers; returns how many there are."""
+    count, one = 0, np.float32(1)
+    for n in range(len(distance)):
+        if not (nearest < distance[n] < farthest) or random[n] <= dropout:
+            continue
+        range_ratio = farthest / distance[n]
+        strength = echo[n] / np.float32(0.1) * (range_ratio * range_ratio)
+        if random[n] > dropout + (one - dropout) * lost ** max(strength, np.float32(0)):
+            returned[count] = n
+            count += 1
+    return count
+
+
+@RAYS.entry
+def _place(ray, distance, noise, returned, points):  # type: ignore[no-untyped-def]
+    """Measured points of the rays that return one."""
+    for k in range(len(returned)):
+        n = returned[k]
+        measured = distance[n] + noise[n]
+        for axis in range(3):
+            points[k, axis] = ray[n, axis] * measured
 
 
 def lost_share(
