@@ -53,7 +53,8 @@ class Layout:
     def rig(self) -> Rig:
         """The proving ground's rig with these two sensors; the camera's own body is where its rays meet it."""
         camera = Camera(self.suite().cameras[0])
-        seen = np.isfinite(camera.own.distance).reshape(_MODEL.height, _MODEL.width).astype(np.uint8)
+        own = camera.in_rows(camera.own).distance
+        seen = np.isfinite(own).reshape(_MODEL.height, _MODEL.width).astype(np.uint8)
         outlines, _ = cv2.findContours(cv2.dilate(seen, np.ones((5, 5))), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         polygons = [line[:, 0].tolist() for line in outlines if len(line) > 2]
         rig = load_rig("proving_ground")

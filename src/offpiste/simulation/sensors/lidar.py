@@ -94,7 +94,7 @@ class Lidar:
             start: time of the first column [s].
         """
         distance, echo, surface = self._echoes(scene, *motion.at(start + self._time))
-        n, (columns, rings) = len(distance), self._ray.shape[:2]
+        n, rings = len(distance), self.settings.rings
         random, noise = rng.random(n), self.settings.range_noise * rng.standard_normal(n)
         returned = np.empty(n, np.int32)
         returned = returned[: _returned(*_limits(self.settings), distance, echo, random, returned)]
@@ -151,9 +151,10 @@ def _reflect(reflectivity, distances, surfaces, normal, ray, first, distance, ec
         echo[c, r] = reflectivity[surfaces[n]] * abs(facing)
 
 
-def _limits(settings: LidarSettings) -> tuple[float, ...]:
+def _limits(settings: LidarSettings) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Settings that decide which rays return a point."""
-    return tuple(np.float32((settings.min_range, settings.max_range, settings.dropout, settings.lost)))
+    s = settings
+    return np.float32(s.min_range), np.float32(s.max_range), np.float32(s.dropout), np.float32(s.lost)
 
 
 @RAYS.entry

@@ -144,10 +144,13 @@ class Sensing:
     def __init__(
         self, world: World, suite: SensorSuite, rng: np.random.Generator, *, scene: Scene | None = None
     ) -> None:
-        self._scene, light_seed = scene or world_scene(world), int(rng.integers(2**31))
-        self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
-        self._cameras = [Camera(settings) for settings in suite.cameras]
-        self._lidars = [Lidar(settings) for settings in suite.lidars]
+        light_seed = int(rng.integers(2**31))
+        with ThreadPoolExecutor(1, thread_name_prefix="offpiste-cameras") as beside:
+            cameras = beside.submit(lambda: [Camera(settings) for settings in suite.cameras])
+            self._scene = scene or world_scene(world)
+            self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
+            self._lidars = [Lidar(settings) for settings in suite.lidars]
+            self._cameras = cameras.result()
         self._rng = rng
         turns = [round(1 / (lidar.settings.rate * DT)) for lidar in self._lidars]
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
