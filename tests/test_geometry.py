@@ -11,6 +11,7 @@ from offpiste.geometry import (
     local_polynomial,
     planar_body_from_world,
     rotation_from_quaternion,
+    rotation_of_one,
     yaw_from_quaternion,
     yaw_rate_from_body_rates,
 )
@@ -26,6 +27,12 @@ def test_rotations_equal_scipys_whatever_the_quaternions_length():
     rotation = Rotation.random(50, random_state=0)
     scale = np.linspace(0.5, 2, 50)[:, None]
     np.testing.assert_allclose(rotation_from_quaternion(scale * rotation.as_quat()), rotation.as_matrix(), atol=1e-12)
+
+
+def test_one_rotation_is_that_of_many_to_the_bit():
+    quaternion = np.random.default_rng(1).normal(size=(500, 4))
+    each = [rotation_of_one(one) for one in quaternion]
+    np.testing.assert_array_equal(each, rotation_from_quaternion(quaternion))
 
 
 def test_yaw_equals_scipys_and_is_unwrapped():

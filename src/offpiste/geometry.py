@@ -1,5 +1,6 @@
 """Quaternions (xyzw), planar rotations and local polynomials, of rows in NumPy."""
 
+import math
 from typing import Final
 
 import numpy as np
@@ -23,6 +24,20 @@ def rotation_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.n
         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
     return np.moveaxis(np.array(rows), 2, 0)
+
+
+def rotation_of_one(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
+    """`rotation_from_quaternion` of one that is not zero, to the bit, in a tenth of the time."""
+    x, y, z, w = quaternion.tolist()
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+        )
+    )
 
 
 def yaw_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:

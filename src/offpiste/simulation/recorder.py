@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.conventions import GRAVITY
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.geometry import rotation_of_one
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, MAP_TOPIC, WHEEL, WHEELS_TOPIC
 from offpiste.logs.ros.grid_map import grid_map_from_layers
 from offpiste.logs.ros.sensor_messages import message_from_points
@@ -109,7 +109,7 @@ def stamp_ns(time: float) -> int:
 
 def in_body(sample: VehicleSample, vector_world: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     """A world-frame vector in the body frame."""
-    return vector_world @ rotation_from_quaternion(sample.orientation[None])[0]
+    return vector_world @ rotation_of_one(sample.orientation)
 
 
 def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) -> dict[str, Any]:

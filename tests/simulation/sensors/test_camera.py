@@ -6,9 +6,9 @@ import pytest
 
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.rendering.appearance import make_appearance
+from offpiste.simulation.rendering.ground_shading import FINE, GLOSS, HIGH, LOW, SUN
 from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
-from offpiste.simulation.rendering.ground_shading import FINE, GLOSS, HIGH, LOW, SUN
 from offpiste.simulation.sample import Pose, motionless
 from offpiste.simulation.sensors.camera import MODEL, Camera, CameraSettings, pixel_rays, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings

@@ -88,9 +88,9 @@ def with_noise(
     sample: VehicleSample, noise: Noise, imperfections: Imperfections, rng: np.random.Generator
 ) -> VehicleSample:
     """A sample with the noise of the vehicle's sensors; commands and truth stay as they are."""
-    place, tilt, velocity, rate, wheels, (pressure, angle, turning, engine) = np.split(
-        rng.standard_normal(20), (3, 6, 9, 12, 16)
-    )
+    drawn = rng.standard_normal(20)
+    place, tilt, velocity, rate, wheels = drawn[:3], drawn[3:6], drawn[6:9], drawn[9:12], drawn[12:16]
+    pressure, angle, turning, engine = drawn[16:].tolist()
     return replace(
         sample,
         position=sample.position + np.hypot(noise.position, imperfections.pose_noise_m) * place,

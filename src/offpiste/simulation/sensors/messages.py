@@ -56,7 +56,7 @@ def mountings_message(mountings: Sequence[Mounting], stamp_ns: int) -> Any:
 
 def image_message(image: UInt8[np.ndarray, "h w 3"], stamp_ns: int, frame: str) -> Any:
     """A sensor_msgs/CompressedImage message: JPEG of an RGB image."""
-    done, data = cv2.imencode(".jpg", image[:, :, ::-1], (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
     assert done, "OpenCV encodes every RGB image"
     return make("sensor_msgs/CompressedImage", header=header(stamp_ns, frame), format="jpeg", data=data.reshape(-1))
 
