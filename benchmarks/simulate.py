@@ -99,10 +99,11 @@ def parts(world: World, runs: int) -> None:
 
 def _cast_all(scene: Scene, camera: Camera, pose: Pose) -> None:
     """Cast the rays of an image as `render` does, block after block."""
-    origin, rays = pose.apply(camera.origin[None]), camera.rays @ pose.rotation.T.astype(np.float32)
-    for first in range(0, len(rays), BLOCK):
+    origin, turned = pose.apply(camera.origin[None]), np.ascontiguousarray(pose.rotation.T, np.float32)
+    for first in range(0, len(camera.rays), BLOCK):
         block = slice(first, first + BLOCK)
-        scene.cast(origin, rays[block], Hits(*(values[block] for values in vars(camera.own).values())))
+        own = Hits(*(values[block] for values in vars(camera.own).values()))
+        scene.cast(origin, camera.rays[block] @ turned, own)
 
 
 def report(name: str, ratios: list[float]) -> None:

@@ -10,7 +10,16 @@ from offpiste.simulation.rendering.ground_shading import FINE, GLOSS, HIGH, LOW,
 from offpiste.simulation.rendering.meshes import SURFACES
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sample import Pose, motionless
-from offpiste.simulation.sensors.camera import MODEL, Camera, CameraSettings, pixel_rays, project_points, render
+from offpiste.simulation.sensors.camera import (
+    MODEL,
+    TILE,
+    Camera,
+    CameraSettings,
+    pixel_rays,
+    project_points,
+    render,
+    tiled,
+)
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
 from offpiste.simulation.sensors.suite import full_suite, mounted, sensor_suite
 from simulation import scenes
@@ -37,6 +46,15 @@ def test_rays_go_through_the_pixels_that_the_recorded_calibration_says():
     u, v = np.meshgrid(np.arange(MODEL.width), np.arange(MODEL.height))
     np.testing.assert_allclose(pixels[:, 0], np.stack((u, v), axis=-1).reshape(-1, 2), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0)
+
+
+@pytest.mark.parametrize(("width", "height"), [(8, 4), (10, 7), (3, 1), (960, 594)])
+def test_tiles_hold_every_pixel_once_and_neighbours_together(width, height):
+    pixels = tiled(width, height)
+    np.testing.assert_array_equal(np.sort(pixels), np.arange(width * height))
+    v, u = np.divmod(pixels, width)
+    tile = (v // TILE) * (-(-width // TILE)) + u // TILE
+    assert (np.diff(tile) >= 0).all()
 
 
 def test_a_mounted_camera_looks_where_it_is_told():
