@@ -146,6 +146,10 @@ MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
 )
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
+_RESPONSES: Final = ("perception/filter_responses.py",)
+FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
+FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
+"""Compilers of the backbone `filterbank`: products fused with the sums that they go into, and not."""
 KERNELS: Final = Compiler(
     ("dynamics/kernels",), FUSED, loops_make_arrays=False, part="the kernels of training", seconds=20
 )
