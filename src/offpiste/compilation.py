@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -145,6 +145,12 @@ FUSED: Final = frozenset({"contract"})
 MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
 )
+MOTION: Final = Compiler(("perception/motion_compensation.py",), loops_make_arrays=False, entries_make_arrays=False)
+PROJECTION: Final = Compiler(("perception/projection_loops.py",), loops_make_arrays=False, entries_make_arrays=False)
+FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
+CLOUDS: Final = Compiler(("logs/usable_points.py",), loops_make_arrays=False, entries_make_arrays=False)
+FUSED_CLOUDS: Final = replace(CLOUDS, fastmath=FUSED)
+"""Compilers of loops over the points of scans: products fused with the sums that they go into where BLAS does it."""
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
 _RESPONSES: Final = ("perception/filter_responses.py",)
 FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
