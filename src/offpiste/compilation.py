@@ -156,6 +156,9 @@ _RESPONSES: Final = ("perception/filter_responses.py",)
 FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
 """Compilers of the backbone `filterbank`: products fused with the sums that they go into, and not."""
+FEATURE_SETS_KEPT: Final = Compiler(
+    ("dataset/feature_set_loops.py",), loops_make_arrays=False, entries_make_arrays=False
+)
 KERNELS: Final = Compiler(
     ("dynamics/kernels",), FUSED, loops_make_arrays=False, part="the kernels of training", seconds=20
 )
