@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -145,7 +145,20 @@ FUSED: Final = frozenset({"contract"})
 MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
 )
+MOTION: Final = Compiler(("perception/motion_compensation.py",), loops_make_arrays=False, entries_make_arrays=False)
+PROJECTION: Final = Compiler(("perception/projection_loops.py",), loops_make_arrays=False, entries_make_arrays=False)
+FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
+CLOUDS: Final = Compiler(("logs/usable_points.py",), loops_make_arrays=False, entries_make_arrays=False)
+FUSED_CLOUDS: Final = replace(CLOUDS, fastmath=FUSED)
+"""Compilers of loops over the points of scans: products fused with the sums that they go into where BLAS does it."""
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
+_RESPONSES: Final = ("perception/filter_responses.py",)
+FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
+FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
+"""Compilers of the backbone `filterbank`: products fused with the sums that they go into, and not."""
+FEATURE_SETS_KEPT: Final = Compiler(
+    ("dataset/feature_set_loops.py",), loops_make_arrays=False, entries_make_arrays=False
+)
 KERNELS: Final = Compiler(
     ("dynamics/kernels",), FUSED, loops_make_arrays=False, part="the kernels of training", seconds=20
 )

@@ -1,12 +1,13 @@
 """Feature sets: what the map held of passed cells by viewing distance, and which set each trajectory reads."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
+from offpiste.dataset.feature_set_loops import KeptValues, keep_values
 from offpiste.dataset.wheel_passes import Passes
 from offpiste.errors import DatasetError
 
@@ -121,9 +122,6 @@ class MapCellValues:
     normal: Float[np.ndarray, "K 3"]
 
 
-QUANTITIES = tuple(f.name for f in fields(MapCellValues))
-"""What is kept of a cell for each feature set."""
-
 Read = Callable[[Int[np.ndarray, "K 2"]], MapCellValues]
 """Reads cells (column, row on the world-aligned grid) of the map as it is now."""
 
@@ -175,23 +173,11 @@ class FeatureSetRecorder:
         away = np.hypot(*(self._centre[active] - xy).T)
         signed = np.where(time > p.contact[active], -away, away)
         miss = np.abs(signed - DISTANCES[:, None])
-        better = (miss <= TOLERANCE) & (miss < self._nearest[1:, active])
-        values = read(p.cell[active])
-        for number in range(1, len(FEATURE_SETS)):
-            chosen = better[number - 1]
-            self._nearest[number, active[chosen]] = miss[number - 1, chosen]
-            self._keep(number, active, values, QUANTITIES, chosen)
-        self._keep(0, active, values, ("features", "valid", "distance"), values.valid)
-        self._keep(0, active, values, ("elevation",), np.isfinite(values.elevation))
-        self._keep(0, active, values, ("normal",), np.isfinite(values.normal).all(axis=1))
-
-    def _keep(
-        self,
-        number: int,
-        active: Int[np.ndarray, " K"],
-        values: MapCellValues,
-        names: Iterable[str],
-        chosen: Bool[np.ndarray, " K"],
-    ) -> None:
-        for name in names:
-            getattr(self, name)[number, active[chosen]] = getattr(values, name)[chosen]
+        there = read(p.cell[active])
+        values = KeptValues(
+            np.ascontiguousarray(there.features, np.float16).view(np.uint16),
+            np.ascontiguousarray(there.valid),
+            *(np.ascontiguousarray(part, np.float32) for part in (there.distance, there.elevation, there.normal)),
+        )
+        kept = KeptValues(self.features.view(np.uint16), self.valid, self.distance, self.elevation, self.normal)
+        keep_values(active, miss, TOLERANCE, self._nearest, values, kept)

@@ -96,6 +96,8 @@ def _reader(terrain: MapPipeline) -> Callable[[np.ndarray], MapCellValues]:
         inside = np.asarray(((at >= 0) & (at < grid.cells)).all(axis=1))
         column, row = np.where(inside[:, None], at, 0).T
         there = terrain.cells(row, column)
+        if inside.all():  # `there` says not a number itself where something is not known
+            return MapCellValues(there.features, there.valid, there.distance, there.elevation, there.normal)
         valid, ground = inside & there.valid, inside & there.known
         known = inside & np.isfinite(there.normal).all(axis=1)
         return MapCellValues(

@@ -42,14 +42,14 @@ class Channel:
     def linear(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
         """Interpolated values; NaN outside the record and between samples further apart than `max_gap` [s]."""
         values = np.stack([np.interp(at, self.time, column) for column in self.values.T], axis=1)
-        values[~self._covered(at, max_gap)] = np.nan
+        values[~self.covered(at, max_gap)] = np.nan
         return values
 
     def hold(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
         """Last value stamped at or before each time, e.g. of a command; NaN as in `linear`."""
         index = np.searchsorted(self.time, at, side="right") - 1
         values = self.values[np.maximum(index, 0)].copy()
-        values[~self._covered(at, max_gap)] = np.nan
+        values[~self.covered(at, max_gap)] = np.nan
         return values
 
     def latest(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
@@ -62,7 +62,8 @@ class Channel:
         values[(index < 0) | (at - self.time[np.maximum(index, 0)] > max_gap)] = np.nan
         return values
 
-    def _covered(self, at: Float[np.ndarray, " N"], max_gap: float) -> Bool[np.ndarray, " N"]:
+    def covered(self, at: Float[np.ndarray, " N"], max_gap: float) -> Bool[np.ndarray, " N"]:
+        """Whether `linear` knows a value at each time."""
         after = np.clip(np.searchsorted(self.time, at, side="right"), 1, len(self.time) - 1)
         inside = (at >= self.time[0]) & (at <= self.time[-1])
         return inside & (self.time[after] - self.time[after - 1] <= max_gap)

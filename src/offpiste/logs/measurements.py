@@ -107,7 +107,9 @@ def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
         if field not in names:
             what = f"'{lidar.name}': its points have no field '{field}'"
             raise LogError(what, where=f"topic '{source.topic}'", how=f"they have: {', '.join(names)}")
-    points = np.stack([raw.points[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    points = np.empty((len(raw.points), 3))
+    for column, axis in zip(points.T, "xyz", strict=True):
+        column[:] = raw.points[axis]
     keep = usable_points(points, lidar)
     offset = None
     if source.time_field:
@@ -121,13 +123,10 @@ def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
 
 def usable_points(points_lidar: Float[np.ndarray, "n 3"], lidar: Lidar) -> Bool[np.ndarray, " n"]:
     """Points that are finite, within range (drivers write 0, 0, 0 for no echo) and not on the vehicle itself."""
-    source = lidar.source
-    with np.errstate(invalid="ignore", over="ignore"):
-        distance = np.linalg.norm(points_lidar, axis=1)
-    keep = np.isfinite(distance) & (distance > 0) & (distance >= source.min_range) & (distance <= source.max_range)
-    if source.own_body is not None:
-        low, high = source.own_body
-        with np.errstate(invalid="ignore"):
-            body = points_lidar @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
-            keep &= ~((body >= np.array(low)) & (body <= np.array(high))).all(axis=1)
-    return np.asarray(keep)
+    from offpiste.logs.usable_points import mark_usable  # here: numbers alone are read without a compiler
+
+    source, usable = lidar.source, np.empty(len(points_lidar), bool)
+    low, high = np.array(source.own_body or np.full((2, 3), np.nan), np.float64)
+    place = np.ascontiguousarray(lidar.body_from_lidar, np.float64)
+    mark_usable(np.ascontiguousarray(points_lidar), source.min_range, source.max_range, place, low, high, usable)
+    return usable

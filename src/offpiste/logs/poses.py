@@ -93,7 +93,7 @@ def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) 
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.sin((1 - share) * angle) / sine, np.sin(share * angle) / sine
     mixed = np.where(near, 1 - share, weights[0]) * begin + np.where(near, share, weights[1]) * end
-    mixed[np.isnan(orientation.linear(at, max_gap=max_gap)[:, 0])] = np.nan
+    mixed[~orientation.covered(at, max_gap)] = np.nan
     return mixed
 
 

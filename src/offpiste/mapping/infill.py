@@ -261,8 +261,10 @@ def read_cells(rows, columns, floor, low, offsets, limit, surface, buffers, plan
         rise_x, rise_y, ground = planes.rise_x[q], planes.rise_y[q], planes.height[q]
         up = np.float32(1) / np.sqrt(np.float32(1) + (rise_x * rise_x + rise_y * rise_y))
         out.known[q] = ground == ground
-        out.elevation[q] = floor + planes.centre[q]
+        out.elevation[q] = floor + planes.centre[q] if ground == ground else np.float32(np.nan)
         out.normal[q, 0], out.normal[q, 1], out.normal[q, 2] = -rise_x * up, -rise_y * up, up
+        if up != up:
+            out.normal[q] = np.float32(np.nan)
         for k in range(len(offsets)):
             jj, ii = j + offsets[k, 0], i + offsets[k, 1]
             if 0 <= jj < n and 0 <= ii < n:

@@ -127,7 +127,7 @@ class SensorMapper:
         if recent:
             projection = project(points, [k.view for k in recent], self._settings.projection)
         if projection is not None and self._channels:
-            features = projection.gather([k.features for k in recent]).astype(np.float32)
+            features = projection.gather([k.features for k in recent]).astype(np.float32, copy=False)
             cloud = replace(cloud, features=features, has_feature=projection.seen)
         ghosts = self.pipeline.add(cloud, pose[:3, 3])
         return MappedScan(points, ghosts, projection, recent)

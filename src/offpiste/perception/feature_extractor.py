@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 
+from offpiste.compilation import single_threaded_torch
 from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.pca import PrincipalComponents, load_pca
 
@@ -41,7 +42,9 @@ class FeatureExtractor:
     @torch.no_grad()
     def extract(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
         """Features of the patches of an image."""
-        return np.asarray(self.pca.project(self.backbone(pixels[None])[0]).cpu().numpy(), np.float32)
+        features = self.backbone(pixels[None])[0]
+        with single_threaded_torch():  # for so few numbers threads are not worth waking
+            return np.asarray(self.pca.project(features).cpu().numpy(), np.float32)
 
 
 def load_feature_extractor(path: Path, device: str = "cpu") -> FeatureExtractor:

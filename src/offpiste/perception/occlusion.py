@@ -9,6 +9,7 @@ never occludes itself, however steeply it is seen. The idea is that of Pintus et
 unstructured raw point clouds using screen-space operators", VAST 2011.
 """
 
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -44,14 +45,14 @@ def occluded_points(
     if not len(pixels):
         return np.zeros(0, dtype=bool)
     width, height = (length // cell + 1 for length in size)
-    column = np.clip(np.floor((pixels[:, 0] + 0.5) / cell), 0, width - 1).astype(np.int64)
-    row = np.clip(np.floor((pixels[:, 1] + 0.5) / cell), 0, height - 1).astype(np.int64)
+    row, column = np.empty((2, len(pixels)), np.int64)
     nearest = np.full((height, width), np.inf)
-    np.minimum.at(nearest, (row, column), depth)
+    _put_nearest(np.ascontiguousarray(pixels), np.ascontiguousarray(depth), cell, row, column, nearest)
     window = max(1, int(np.ceil(reach / cell)))
     return np.asarray(_surrounded(nearest, row, column, depth, window, _sectors(window), relative, absolute))
 
 
+@cache
 def _sectors(window: int) -> UInt8[np.ndarray, "k k"]:
     """Eighth of a turn, around east, north-east, ..., of each cell of the window."""
     y, x = np.mgrid[-window : window + 1, -window : window + 1]
@@ -86,4 +87,14 @@ def _surrounded_loop(  # type: ignore[no-untyped-def]
     return occluded
 
 
+def _put_nearest_loop(pixels, depth, cell, row, column, nearest) -> None:  # type: ignore[no-untyped-def]
+    """Put the cell of each point and the least depth in each cell."""
+    height, width = nearest.shape
+    for i in range(len(depth)):
+        column[i] = min(max(np.int64(np.floor((pixels[i, 0] + 0.5) / cell)), 0), width - 1)
+        row[i] = min(max(np.int64(np.floor((pixels[i, 1] + 0.5) / cell)), 0), height - 1)
+        nearest[row[i], column[i]] = min(nearest[row[i], column[i]], depth[i])
+
+
+_put_nearest = OCCLUSION.entry(_put_nearest_loop)
 _surrounded = OCCLUSION.entry(_surrounded_loop)

@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.errors import PerceptionError
 from offpiste.perception.camera import PinholeCamera
-from offpiste.perception.motion_compensation import inverse, transformed
+from offpiste.perception.motion_compensation import inverse
 from offpiste.perception.occlusion import occluded_points
+from offpiste.perception.projection_loops import gather_features, keep_better, put_in_camera, put_pixels
 from offpiste.rig.camera import CameraModel
 
 NEAREST = 0.2
@@ -93,9 +94,8 @@ class Projection:
             features: one feature image for each view [rows, columns, f].
         """
         result = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
-        for index, image in enumerate(features):
-            mine = self.view == index
-            result[mine] = image[self.row[mine], self.column[mine]]
+        for number, image in enumerate(features):
+            gather_features(number, self.view, self.row, self.column, image, result)
         return result
 
 
@@ -111,43 +111,43 @@ def project(
     """
     settings = settings or ProjectionSettings()
     n = len(points_world)
-    view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
-    row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
-    for index, this in enumerate(views):
-        points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
-        result, at = project_to_pinhole(points, model)
+    out = Projection(np.full(n, -1), np.full((n, 2), np.nan), *(np.zeros((2, n), np.int64)), np.full(n, np.nan))
+    arrays = (out.view, out.pixel, out.row, out.column, out.distance)
+    best, points, world = np.full(n, np.inf), np.empty((n, 3)), np.ascontiguousarray(points_world, np.float64)
+    for number, this in enumerate(views):
+        model, grid = this.camera.model, this.camera.grid
+        put_in_camera(world, inverse(this.world_from_camera), points)
+        index, pixels, depth = _in_image(points, model)
+        occluded = np.zeros(len(index), bool)
         if settings.occlusion:
             focal_length = float(model.matrix[0, 0])
             occluded = occluded_points(
-                at,
-                points[result, 2],
+                pixels,
+                depth,
                 model.size,
                 reach=focal_length * np.tan(np.deg2rad(settings.reach)),
                 relative=settings.relative,
                 absolute=settings.absolute,
             )
-            result, at = result[~occluded], at[~occluded]
-        r, c, inside = this.camera.grid.cells(at)
-        inside &= this.camera.free[r, c]
-        result, at, r, c = result[inside], at[inside], r[inside], c[inside]
-        far = np.linalg.norm(points[result], axis=1)
-        cost = -points[result, 2] / far if settings.rule == "centre" else np.full(len(result), -this.time)
-        better = cost < best[result]
-        chosen = result[better]
-        best[chosen], view[chosen], distance[chosen] = cost[better], index, far[better]
-        pixel[chosen], row[chosen], column[chosen] = at[better], r[better], c[better]
-    return Projection(view, pixel, row, column, distance)
+        patches = (*(float(first) for first in grid.offset), float(grid.size))
+        time = np.nan if settings.rule == "centre" else this.time
+        keep_better(number, points, index, pixels, occluded, patches, this.camera.free, time, best, arrays)
+    return out
+
+
+def _in_image(
+    points: Float[np.ndarray, "n 3"], pinhole: CameraModel
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
+    """Indices of points that fall into an image, their places in it [px] and their depths [m]."""
+    n = len(points)
+    index, pixels, depth = np.empty(n, np.int64), np.empty((n, 2)), np.empty(n)
+    count = put_pixels(points, pinhole.matrix, NEAREST, *pinhole.size, index, pixels, depth)
+    return index[:count], pixels[:count], depth[:count]
 
 
 def project_to_pinhole(
     points_camera: Float[np.ndarray, "n 3"], pinhole: CameraModel
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
     """Indices of the points that fall into an image without distortion, and their places in it [px]."""
-    matrix = pinhole.matrix
-    ahead = np.flatnonzero(points_camera[:, 2] > NEAREST)  # false for NaN
-    x, y, z = points_camera[ahead].T
-    pixels = np.stack(
-        (matrix[0, 0] * x / z + matrix[0, 1] * y / z + matrix[0, 2], matrix[1, 1] * y / z + matrix[1, 2]), axis=1
-    )
-    inside = ((pixels > -0.5) & (pixels < np.array(pinhole.size) - 0.5)).all(axis=1)
-    return ahead[inside], pixels[inside]
+    index, pixels, _ = _in_image(np.ascontiguousarray(points_camera, np.float64), pinhole)
+    return index, pixels

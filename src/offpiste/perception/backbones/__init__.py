@@ -46,6 +46,10 @@ class Backbone(ABC):
     def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
         """Features of images in [0, 1] on the backbone's device, whose sides are multiples of the patch."""
 
+    def _features_of_pixels(self, pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns C"]:
+        """Features of images as `__call__` is given them, cropped; a backbone may have a way that is faster."""
+        return self._features(_unit_range(pixels.to(self.device)))
+
     @property
     @abstractmethod
     def device(self) -> torch.device:
@@ -77,7 +81,7 @@ class Backbone(ABC):
         _, height, width, _ = pixels.shape
         rows, columns = self.grid(width, height).crop
         with torch.no_grad():
-            features = self._features(_unit_range(pixels[:, rows, columns].to(self.device)))
+            features = self._features_of_pixels(pixels[:, rows, columns])
             finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
         if not finite:
             raise PerceptionError(

@@ -1,0 +1,52 @@
+"""Points in the world against plain NumPy: scans of any length, moments in any order, poses that are unknown."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from offpiste.logs.channel import Channel
+from offpiste.logs.measurements import Cloud, Lidar
+from offpiste.logs.poses import Poses
+from offpiste.perception.motion_compensation import MOMENT, distinct, points_in_world
+from offpiste.rig.sensors import LidarSource
+
+
+def plain(cloud: Cloud, lidar: Lidar, poses: Poses) -> np.ndarray:
+    ticks, which = np.unique(np.round(cloud.times / MOMENT), return_inverse=True)
+    matrix = (poses.at(ticks * MOMENT) @ lidar.body_from_lidar)[which]
+    terms = matrix[:, :3, :3] * cloud.points[:, None]
+    return (terms[..., 0] + terms[..., 2]) + terms[..., 1] + matrix[:, :3, 3]
+
+
+def curved(rng: np.random.Generator) -> Poses:
+    time = np.linspace(0, 2, 101)
+    turns = Rotation.from_rotvec(np.cumsum(rng.normal(size=(101, 3)) * 0.05, axis=0)).as_quat()
+    return Poses(
+        Channel("position", "m", time, np.cumsum(rng.normal(size=(101, 3)), axis=0) + 1000),
+        Channel("orientation", "1", time, turns),
+        0.5,
+    )
+
+
+@pytest.mark.parametrize("count", [0, 1, 5000])
+@pytest.mark.parametrize("span", [0.0, 0.1, 30.0])
+def test_points_in_world_are_those_of_numpy(count: int, span: float):
+    rng = np.random.default_rng(count)
+    mounting = np.eye(4)
+    mounting[:3, :3], mounting[:3, 3] = Rotation.random(random_state=1).as_matrix(), (0.3, -0.2, 1.9)
+    lidar = Lidar("top", mounting, LidarSource(topic="top"))
+    offset = None if span == 0 else rng.uniform(-0.3 * span, span, count)
+    cloud = Cloud(0.01, "top", rng.normal(size=(count, 3)) * 40, offset, np.ones(count))
+    poses = curved(rng)
+    world = points_in_world(cloud, lidar, poses)
+    np.testing.assert_array_equal(world, plain(cloud, lidar, poses))
+    if count > 1 and span > 0:
+        assert np.isnan(world).any()  # before the log begins
+        assert np.isfinite(world).any()
+
+
+@pytest.mark.parametrize("width", [0, 3, 1000, 10**7])
+def test_distinct_ticks_are_those_of_numpy(width: int):
+    tick = np.random.default_rng(width).integers(-width, width + 1, 2000).astype(np.float64) + 17e12
+    for one, other in zip(distinct(tick), np.unique(tick, return_inverse=True), strict=True):
+        np.testing.assert_array_equal(one, other)
