@@ -147,7 +147,11 @@ MAPPING: Final = Compiler(
 )
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
 KERNELS: Final = Compiler(
-    ("dynamics/kernels",), FUSED, loops_make_arrays=False, part="the kernels of training", seconds=20
+    ("dynamics/kernels", "mapping/terrain_map.py"),
+    FUSED,
+    loops_make_arrays=False,
+    part="the kernels of training",
+    seconds=20,
 )
 PLANNING: Final = Compiler(
     ("dynamics/kernels", "planning", "mapping/terrain_map.py"),

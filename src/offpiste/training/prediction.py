@@ -10,6 +10,7 @@ from jaxtyping import Int
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.errors import DatasetError, OffpisteError, did_you_mean
 from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.training.terrain_sources import encoded, on_map
@@ -85,4 +86,5 @@ def roll_out(
     if lookup != "map":
         return batch, predict(dynamics, batch)
     batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
-    return batch, rollout(dynamics, dynamics.start(batch.history, batch.state, batch.actuators), batch.control, source)
+    start = dynamics.start(batch.history, batch.state, batch.actuators)
+    return batch, predict_on(dynamics, start, batch.control, source)

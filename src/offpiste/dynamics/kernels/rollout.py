@@ -55,15 +55,23 @@ def make_buffer_sets(networks: Networks, one: Lane) -> BufferSets:
 
 
 @KERNELS.loop
+def load_controls(w: np.ndarray, controls: np.ndarray, recorded: np.ndarray, block: int, t: int) -> None:
+    """Controls of step t into the workspace; lanes behind the batch repeat its last window."""
+    for i in range(LANES):
+        window = min(block * LANES + i, len(controls) - 1)
+        for k in range(COMMANDED):
+            if recorded[ACTUATED + k]:
+                w[(CONTROL_ROW + k) * LANES + i] = controls[window, t, k]
+
+
+@KERNELS.loop
 def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
     """Controls, mean normals and codes of step t into the workspace; lanes behind the batch repeat its last window."""
     last = len(record.controls) - 1
     codes = record.codes.shape[2]
+    load_controls(w, record.controls, record.recorded, block, t)
     for i in range(LANES):
         window = min(block * LANES + i, last)
-        for k in range(COMMANDED):
-            if record.recorded[ACTUATED + k]:
-                w[(CONTROL_ROW + k) * LANES + i] = record.controls[window, t, k]
         for k in range(3):
             four = record.normals[window, t]
             w[(NORMAL_ROW + k) * LANES + i] = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
@@ -85,6 +93,36 @@ def advance_block(
         compensate(networks[k], buffer_sets[k], w, before[MOVED:], after[MOVED:], units)
     advance(w, c)
     copy(w[NEXT : NEXT + MOVED], after[:MOVED])
+
+
+@KERNELS.loop
+def begin(start: np.ndarray, recorded: np.ndarray, before: np.ndarray, block: int) -> None:
+    """Model states of a block into lanes; slots of absent actuators are 0."""
+    for i in range(LANES):
+        window = min(block * LANES + i, len(start) - 1)
+        for k in range(start.shape[1]):
+            absent = STATES <= k < len(STEPPED) and not recorded[k - STATES]
+            before[k * LANES + i] = f4(0) if absent else start[window, k]
+
+
+@KERNELS.loop
+def keep(
+    after: np.ndarray,
+    start: np.ndarray,
+    recorded: np.ndarray,
+    block: int,
+    t: int,
+    states: np.ndarray,
+    actuators: np.ndarray,
+) -> None:
+    """States and actuators after step t out of their lanes; absent actuators stay as they started."""
+    for i in range(min(LANES, len(start) - block * LANES)):
+        window = block * LANES + i
+        for k in range(STATES):
+            states[window, t, k] = after[k * LANES + i]
+        for k in range(ACTUATED):
+            moved = recorded[k]
+            actuators[window, t, k] = after[(STATES + k) * LANES + i] if moved else start[window, STATES + k]
 
 
 @KERNELS.entry
@@ -115,24 +153,12 @@ def forward(
     w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
     buffer_sets = make_buffer_sets(networks, f4(1))
     for block in range(first, last):
-        for i in range(LANES):
-            window = min(block * LANES + i, batch - 1)
-            for k in range(start.shape[1]):
-                absent = STATES <= k < len(STEPPED) and not record.recorded[k - STATES]
-                tape[block, 0, k * LANES + i] = f4(0) if absent else start[window, k]
+        begin(start, record.recorded, tape[block, 0], block)
         for t in range(steps):
             after = tape[block, (t + 1) % slots]
             load(w, record, block, t)
             advance_block(w, c, networks, buffer_sets, tape[block, t % slots], after)
-            for i in range(min(LANES, batch - block * LANES)):
-                window = block * LANES + i
-                for k in range(STATES):
-                    states[window, t, k] = after[k * LANES + i]
-                for k in range(ACTUATED):
-                    if record.recorded[k]:
-                        actuators[window, t, k] = after[(STATES + k) * LANES + i]
-                    else:
-                        actuators[window, t, k] = start[window, STATES + k]
+            keep(after, start, record.recorded, block, t, states, actuators)
 
 
 @KERNELS.entry
