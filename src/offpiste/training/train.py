@@ -31,7 +31,7 @@ from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import squared_errors, summed_loss
-from offpiste.training.map_loss import map_loss
+from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
@@ -51,11 +51,13 @@ def train(
     resume: bool = False,
     tensorboard: bool = False,
     group: Group = ALONE,
+    maps: MapLoss | None = None,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
     Args:
         group: the processes that train together; only the first one writes and logs.
+        maps: those of the validation windows, where a training before has read them; otherwise they are read here.
 
     Raises:
         RunError: a setting is out of range, or the folder holds a run already and `resume` is false, or one with
@@ -101,7 +103,7 @@ def train(
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
         return summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
-    maps = map_loss(validation, group)
+    maps = maps or map_loss(validation, group)
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)

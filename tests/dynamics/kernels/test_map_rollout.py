@@ -79,9 +79,7 @@ def difference(found: torch.Tensor, wanted: torch.Tensor) -> float:
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("kind", ["compressed", "direct", "blind", "parametric"])
 @torch.no_grad()
-def test_kernels_agree_with_the_eager_model(
-    kind: str, held: bool, batch: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kernels_agree_with_the_eager_model(kind: str, held: bool, batch: int, monkeypatch: pytest.MonkeyPatch) -> None:
     if held and kind in ("blind", "parametric"):
         pytest.skip("it holds nothing")
     model = model_of(kind, VEHICLE)

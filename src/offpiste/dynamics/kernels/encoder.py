@@ -79,8 +79,7 @@ def _layers(encoder: Compressor, matrices: Sequence[Tensor]) -> Layers:
 
 
 def layers_of(encoder: FeatureEncoder | None) -> Layers:
-    """What kernels read of any encoder: matrices without rows where features are codes (`Identity`), no features at all
-    where there is none."""
+    """What kernels read of any encoder: matrices are empty where features are codes, and all is where there is none."""
     if isinstance(encoder, Compressor):
         return _layers(encoder, _matrices(encoder))
     mean = np.zeros(0, np.float32) if encoder is None else encoder.mean.numpy()

@@ -24,6 +24,12 @@ UNKNOWN_ROW = ROW[UNKNOWN[0]]
 CODES = len(ROWS)
 CONSTANTS = len(LEARNED)
 
+GIVEN = COMMANDED + 3 + 1
+"""Controls, mean normals, which follow them in the workspace, and the share of unknown ones."""
+
+TOGETHER = 8
+"""Steps of a window that are packed at a time: what is read and written stays in the processor's first cache."""
+
 Networks = tuple[Network, Network, Network]
 """Of the forces, the brake and the steering."""
 
@@ -34,17 +40,12 @@ class Record(NamedTuple):
     """What a rollout is given.
 
     Attributes:
-        controls: [B, T, U].
-        normals: of each wheel, in the world frame [B, T, 4, 3].
-        unknown: which of them are (`inputs.unknown_normals`) [B, T, 1].
-        codes: of the wheels [B, T, 4 E].
+        rows: controls, mean normals, share of unknown ones and terms of the first network, in lanes
+            [blocks, T, (GIVEN + N) * LANES]: windows lie far apart in memory, and each step reads all of a block.
         recorded: are the actuators, then the controls there? Slots of absent ones are not computed with.
     """
 
-    controls: np.ndarray
-    normals: np.ndarray
-    unknown: np.ndarray
-    codes: np.ndarray
+    rows: np.ndarray
     recorded: np.ndarray
 
 
@@ -64,28 +65,72 @@ def load_controls(w: np.ndarray, controls: np.ndarray, recorded: np.ndarray, blo
                 w[(CONTROL_ROW + k) * LANES + i] = controls[window, t, k]
 
 
+@KERNELS.entry
+def pack(
+    first: int,
+    last: int,
+    controls: np.ndarray,
+    normals: np.ndarray,
+    known: np.ndarray,
+    terms: np.ndarray,
+    recorded: np.ndarray,
+    rows: np.ndarray,
+) -> None:
+    """Bring what is given of blocks `first` ... `last - 1` into lanes; those behind the batch repeat its last window.
+
+    Args:
+        controls: [B, T, U].
+        normals, known: of each wheel, in the world frame [B, T, 4, 3], and whether it is [B, T, 4].
+        terms: [B, T, N].
+        recorded: see `Record`.
+        rows: to fill.
+    """
+    batch, steps, _ = controls.shape
+    for block in range(first, last):
+        for begin in range(0, steps, TOGETHER):
+            for i in range(LANES):
+                window = min(block * LANES + i, batch - 1)
+                for t in range(begin, min(begin + TOGETHER, steps)):
+                    row, four = rows[block, t], normals[window, t]
+                    for k in range(COMMANDED):
+                        row[k * LANES + i] = controls[window, t, k] if recorded[ACTUATED + k] else f4(0)
+                    for k in range(3):
+                        mean = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
+                        row[(COMMANDED + k) * LANES + i] = mean
+                    unknown = f4(0)
+                    for k in range(4):
+                        unknown += f4(0) if known[window, t, k] else f4(0.25)
+                    row[(COMMANDED + 3) * LANES + i] = unknown
+                    for k in range(terms.shape[2]):
+                        row[(GIVEN + k) * LANES + i] = terms[window, t, k]
+
+
+@KERNELS.entry
+def unpack(first: int, last: int, rows: np.ndarray, values: np.ndarray) -> None:
+    """Bring rows [blocks, T, N * LANES] out of their lanes, into [B, T, N]."""
+    batch, steps, count = values.shape
+    for block in range(first, last):
+        for begin in range(0, steps, TOGETHER):
+            for i in range(min(LANES, batch - block * LANES)):
+                for t in range(begin, min(begin + TOGETHER, steps)):
+                    for k in range(count):
+                        values[block * LANES + i, t, k] = rows[block, t, k * LANES + i]
+
+
 @KERNELS.loop
-def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
-    """Controls, mean normals and codes of step t into the workspace; lanes behind the batch repeat its last window."""
-    last = len(record.controls) - 1
-    codes = record.codes.shape[2]
-    load_controls(w, record.controls, record.recorded, block, t)
-    for i in range(LANES):
-        window = min(block * LANES + i, last)
-        for k in range(3):
-            four = record.normals[window, t]
-            w[(NORMAL_ROW + k) * LANES + i] = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
-        for k in range(record.unknown.shape[2]):
-            w[(UNKNOWN_ROW + k) * LANES + i] = record.unknown[window, t, k]
-        for k in range(codes):
-            w[(CODES + k) * LANES + i] = record.codes[window, t, k]
+def load(w: np.ndarray, terms: np.ndarray, record: Record, block: int, t: int) -> None:
+    """Controls, mean normals and unknown ones of step t into the workspace, and what is added to the first network."""
+    row = record.rows[block, t]
+    copy(row, w[CONTROL_ROW * LANES : (NORMAL_ROW + 3) * LANES])
+    copy(row[(GIVEN - 1) * LANES :], w[UNKNOWN_ROW * LANES : (UNKNOWN_ROW + 1) * LANES])
+    copy(row[GIVEN * LANES :], terms)
 
 
 @KERNELS.loop
 def advance_block(
     w: np.ndarray, c: np.ndarray, networks: Networks, buffer_sets: BufferSets, before: np.ndarray, after: np.ndarray
 ) -> None:
-    """One step of a block, from one model state to the next; controls, normals and codes are loaded."""
+    """One step of a block, from one model state to the next; what is given is loaded."""
     units = (len(before) - MOVED) // (2 * LANES)
     copy(before, w[:MOVED])
     sense(w, c)
@@ -148,15 +193,14 @@ def forward(
             adjoint.
         states, actuators: to fill [B, T, 6], [B, T, A].
     """
-    batch, steps, _ = record.controls.shape
-    slots = tape.shape[1]
-    w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
+    steps, slots = record.rows.shape[1], tape.shape[1]
+    w = np.zeros(CODES * LANES, f4)
     buffer_sets = make_buffer_sets(networks, f4(1))
     for block in range(first, last):
         begin(start, record.recorded, tape[block, 0], block)
         for t in range(steps):
             after = tape[block, (t + 1) % slots]
-            load(w, record, block, t)
+            load(w, buffer_sets[0].terms, record, block, t)
             advance_block(w, c, networks, buffer_sets, tape[block, t % slots], after)
             keep(after, start, record.recorded, block, t, states, actuators)
 
@@ -172,7 +216,7 @@ def backward(
     states_bar: np.ndarray,
     actuators_bar: np.ndarray,
     start_bar: np.ndarray,
-    codes_bar: np.ndarray,
+    terms_bar: np.ndarray,
     c_bar: np.ndarray,
     gates_bar: np.ndarray,
     inner_bar: np.ndarray,
@@ -183,14 +227,14 @@ def backward(
     Args:
         first, last, record, c, networks, tape: as in `forward`.
         states_bar, actuators_bar: adjoints of the results.
-        start_bar, codes_bar: to fill, like `start` and `record.codes`; the latter may be empty.
+        start_bar: to fill, like `start`.
+        terms_bar: adjoints of the terms, to fill [blocks, T, N * LANES].
         c_bar: adjoint of the learned constants, by block, to fill.
         gates_bar, inner_bar, outer_bar: adjoints of the first network's weights by block, zero, to add to; without rows
             where a matrix is frozen.
     """
-    batch, steps, _ = record.controls.shape
-    codes = record.codes.shape[2]
-    w = np.zeros((CODES + codes) * LANES, f4)
+    batch, steps, _ = states_bar.shape
+    w = np.zeros(CODES * LANES, f4)
     w_bar = np.zeros_like(w)
     after = np.zeros(tape.shape[2], f4)
     units = (len(after) - MOVED) // (2 * LANES)
@@ -205,7 +249,7 @@ def backward(
         for step in range(steps):
             t = steps - 1 - step
             before = tape[block, t]
-            load(w, record, block, t)
+            load(w, buffer_sets[0].terms, record, block, t)
             advance_block(w, c, networks, buffer_sets, before, after)
 
             w_bar[:] = f4(0)
@@ -228,10 +272,7 @@ def backward(
                 )  # fmt: skip
             sense_adjoint(w, c, w_bar, constants_bar)
             model_state_bar[:MOVED] = w_bar[:MOVED]
-            if len(codes_bar) > 0:
-                for i in range(inside):
-                    for k in range(codes):
-                        codes_bar[block * LANES + i, t, k] = w_bar[(CODES + k) * LANES + i]
+            copy(bars[0].terms, terms_bar[block, t])
         for i in range(inside):
             for k in range(start_bar.shape[1]):
                 start_bar[block * LANES + i, k] = model_state_bar[k * LANES + i]
