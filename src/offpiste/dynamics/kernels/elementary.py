@@ -150,10 +150,10 @@ def matrix_products(lanes: int) -> MatrixProducts:
                 rows = x[k * lanes : (k + 4) * lanes]
                 for i in range(lanes):
                     x0, x1, x2, x3 = rows[i], rows[lanes + i], rows[2 * lanes + i], rows[3 * lanes + i]
-                    out[i] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
-                    out[lanes + i] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
-                    out[2 * lanes + i] += c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3
-                    out[3 * lanes + i] += d0 * x0 + d1 * x1 + d2 * x2 + d3 * x3
+                    out[i] = out[i] + a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                    out[lanes + i] = out[lanes + i] + b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+                    out[2 * lanes + i] = out[2 * lanes + i] + c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3
+                    out[3 * lanes + i] = out[3 * lanes + i] + d0 * x0 + d1 * x1 + d2 * x2 + d3 * x3
 
     @KERNELS.summing_loop
     def add_outer(g: np.ndarray, x: np.ndarray, w: np.ndarray) -> None:

@@ -18,10 +18,10 @@ from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels.elementary import Lane, f4, matrix_products, tanh
 
-CELLS = 64
+CELLS = 128
 """Cells that go through the layers side by side."""
 
-CHUNK = 16
+CHUNK = 8
 """Blocks whose gradients are summed before those of others, so that sums do not depend on the number of threads."""
 
 _add_product, _add_outer = matrix_products(CELLS)

@@ -78,9 +78,8 @@ def weights(compensator: Compensator | None, scale: Tensor | None = None, *, apa
     from_hidden, from_inputs, _ = first.weight.split((HIDDEN, seen, apart), dim=1)
     inner = torch.cat((from_inputs, first.bias[:, None]), dim=1)
     outer = torch.cat((pad(last.weight, (0, -last.in_features % 4)), last.bias[:, None]), dim=1)
-    bias = (cell.bias_ih + cell.bias_hh)[:, None]
     return Weights(
-        gates=_pad(torch.cat((cell.weight_hh, cell.weight_ih[:, :seen], bias), dim=1)),
+        gates=_pad(torch.cat((cell.weight_hh, cell.weight_ih[:, :seen], (cell.bias_ih + cell.bias_hh)[:, None]), 1)),
         inner=torch.cat((_pad(inner), _pad(from_hidden)), dim=1),
         outer=_pad(outer if scale is None else scale[:, None] * outer),
     )
@@ -88,9 +87,8 @@ def weights(compensator: Compensator | None, scale: Tensor | None = None, *, apa
 
 def weights_apart(compensator: Compensator, apart: int) -> Float[Tensor, "N I"]:
     """Weights of gates, then hidden layer, on the last `apart` inputs, differentiable; padded rows as `weights`."""
-    (first, *_) = compensator.output.children()
-    assert isinstance(first, nn.Linear)
-    parts = (matrix[:, matrix.shape[1] - apart :] for matrix in (compensator.cell.weight_ih, first.weight))
+    first = next(layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
+    parts = (matrix[:, -apart:] for matrix in (compensator.cell.weight_ih, first.weight))
     return torch.cat([pad(part, (0, 0, 0, -len(part) % 4)) for part in parts])
 
 

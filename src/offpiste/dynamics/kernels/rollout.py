@@ -27,9 +27,6 @@ CONSTANTS = len(LEARNED)
 GIVEN = COMMANDED + 3 + 1
 """Controls, mean normals, which follow them in the workspace, and the share of unknown ones."""
 
-TOGETHER = 8
-"""Steps of a window that are packed at a time: what is read and written stays in the processor's first cache."""
-
 Networks = tuple[Network, Network, Network]
 """Of the forces, the brake and the steering."""
 
@@ -65,6 +62,17 @@ def load_controls(w: np.ndarray, controls: np.ndarray, recorded: np.ndarray, blo
                 w[(CONTROL_ROW + k) * LANES + i] = controls[window, t, k]
 
 
+@KERNELS.inlined
+def _into_lanes(values: np.ndarray, block: int, t: int, k: int, row: np.ndarray) -> None:
+    """Column k of values [B, T, N] at step t; lanes behind the batch repeat its last window."""
+    batch = len(values)
+    inside = min(LANES, batch - block * LANES)
+    for i in range(inside):
+        row[i] = values[block * LANES + i, t, k]
+    for i in range(inside, LANES):
+        row[i] = values[batch - 1, t, k]
+
+
 @KERNELS.entry
 def pack(
     first: int,
@@ -87,22 +95,24 @@ def pack(
     """
     batch, steps, _ = controls.shape
     for block in range(first, last):
-        for begin in range(0, steps, TOGETHER):
+        for t in range(steps):
+            row = rows[block, t]
+            for k in range(COMMANDED):
+                if recorded[ACTUATED + k]:
+                    _into_lanes(controls, block, t, k, row[k * LANES : (k + 1) * LANES])
+                else:
+                    row[k * LANES : (k + 1) * LANES] = f4(0)
+            for k in range(3):
+                for i in range(LANES):
+                    four = normals[min(block * LANES + i, batch - 1), t]
+                    mean = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
+                    row[(COMMANDED + k) * LANES + i] = mean
             for i in range(LANES):
-                window = min(block * LANES + i, batch - 1)
-                for t in range(begin, min(begin + TOGETHER, steps)):
-                    row, four = rows[block, t], normals[window, t]
-                    for k in range(COMMANDED):
-                        row[k * LANES + i] = controls[window, t, k] if recorded[ACTUATED + k] else f4(0)
-                    for k in range(3):
-                        mean = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
-                        row[(COMMANDED + k) * LANES + i] = mean
-                    unknown = f4(0)
-                    for k in range(4):
-                        unknown += f4(0) if known[window, t, k] else f4(0.25)
-                    row[(COMMANDED + 3) * LANES + i] = unknown
-                    for k in range(terms.shape[2]):
-                        row[(GIVEN + k) * LANES + i] = terms[window, t, k]
+                four_known = known[min(block * LANES + i, batch - 1), t]
+                count = f4(four_known[0]) + f4(four_known[1]) + f4(four_known[2]) + f4(four_known[3])
+                row[(COMMANDED + 3) * LANES + i] = f4(1) - f4(0.25) * count
+            for k in range(terms.shape[2]):
+                _into_lanes(terms, block, t, k, row[(GIVEN + k) * LANES : (GIVEN + k + 1) * LANES])
 
 
 @KERNELS.entry
@@ -110,11 +120,10 @@ def unpack(first: int, last: int, rows: np.ndarray, values: np.ndarray) -> None:
     """Bring rows [blocks, T, N * LANES] out of their lanes, into [B, T, N]."""
     batch, steps, count = values.shape
     for block in range(first, last):
-        for begin in range(0, steps, TOGETHER):
-            for i in range(min(LANES, batch - block * LANES)):
-                for t in range(begin, min(begin + TOGETHER, steps)):
-                    for k in range(count):
-                        values[block * LANES + i, t, k] = rows[block, t, k * LANES + i]
+        for t in range(steps):
+            for k in range(count):
+                for i in range(min(LANES, batch - block * LANES)):
+                    values[block * LANES + i, t, k] = rows[block, t, k * LANES + i]
 
 
 @KERNELS.loop
@@ -161,12 +170,13 @@ def keep(
     actuators: np.ndarray,
 ) -> None:
     """States and actuators after step t out of their lanes; absent actuators stay as they started."""
-    for i in range(min(LANES, len(start) - block * LANES)):
-        window = block * LANES + i
-        for k in range(STATES):
-            states[window, t, k] = after[k * LANES + i]
-        for k in range(ACTUATED):
-            moved = recorded[k]
+    inside = min(LANES, len(start) - block * LANES)
+    for k in range(STATES):
+        for i in range(inside):
+            states[block * LANES + i, t, k] = after[k * LANES + i]
+    for k in range(ACTUATED):
+        for i in range(inside):
+            window, moved = block * LANES + i, recorded[k]
             actuators[window, t, k] = after[(STATES + k) * LANES + i] if moved else start[window, STATES + k]
 
 
@@ -254,12 +264,12 @@ def backward(
 
             w_bar[:] = f4(0)
             w_bar[NEXT : NEXT + MOVED] = model_state_bar[:MOVED]
-            for i in range(inside):
-                window = block * LANES + i
-                for k in range(STATES):
-                    w_bar[NEXT + k * LANES + i] += states_bar[window, t, k]
-                for k in range(ACTUATED):
-                    w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[window, t, k]
+            for k in range(STATES):
+                for i in range(inside):
+                    w_bar[NEXT + k * LANES + i] += states_bar[block * LANES + i, t, k]
+            for k in range(ACTUATED):
+                for i in range(inside):
+                    w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[block * LANES + i, t, k]
             advance_adjoint(w, c, w_bar, constants_bar)
             compensate_adjoint(
                 networks[0], buffer_sets[0], bars[0], w, w_bar, model_state_bar[MOVED:], units,
