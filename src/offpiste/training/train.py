@@ -60,8 +60,7 @@ def train(
         maps: those of the validation windows, where a training before has read them; otherwise they are read here.
 
     Raises:
-        RunError: a setting is out of range, or the folder holds a run already and `resume` is false, or one with
-            other settings.
+        RunError: a setting is out of range, the folder holds a run and `resume` is false, or one with other settings.
         DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
         OffpisteError: the folder is a file.
@@ -79,7 +78,6 @@ def train(
     record = metrics_writer(folder / "metrics.jsonl") if group.writes else _unrecorded
     if tensorboard and group.writes:
         record = also_tensorboard(record, folder / "tensorboard")
-
     if group.writes:
         _warn_beforehand(dataset, validation)
     kept: dict[str, KeptEpoch] = {}

@@ -130,7 +130,8 @@ def rollout_on_maps(
         np.float32(maps.resolution),
         terrain.wheels.contiguous().numpy(),
         maps.place.numpy(),
-        *(tensor.numpy().view(np.uint16) for tensor in (maps.slope, maps.features)),
+        maps.slope.numpy().view(np.uint16),
+        maps.features.numpy().view(np.uint16),
         held.contiguous().numpy(),
     )
     (batch, steps), matrices = controls.shape[:2], compensator_weights(dynamics)
