@@ -30,6 +30,10 @@ class Terrain:
     known: Bool[Tensor, "*batch 4"]
     latent: Float[Tensor, "*batch 4 E"]
 
+    def rows(self, part: slice) -> "Terrain":
+        """Some of the rows of a batch: fields are [B, R, 4, ...]."""
+        return Terrain(self.normal[:, part], self.known[:, part], self.latent[:, part])
+
     @staticmethod
     def of(normal: Float[Tensor, "*batch 4 3"]) -> "Terrain":
         """Ground without features, from normals that are NaN where unknown."""

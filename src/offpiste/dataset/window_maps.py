@@ -38,13 +38,14 @@ class WindowMaps:
                 place = np.searchsorted(snapshots.row, row[mine]).clip(max=len(snapshots.row) - 1)
                 self._snapshot[mine] = np.where(snapshots.row[place] == row[mine], place, -1)
         self._whole: MapStack | None = None
+        self._latest: tuple[np.ndarray, CellStack] | None = None
         self._numbers = np.full(len(drives), -1)
 
     def take(self, index: Int[np.ndarray, " m"]) -> "WindowMaps":
         """The maps of some of the windows."""
         other = copy(self)
         other._drive, other._snapshot = self._drive[index], self._snapshot[index]
-        other._whole, other._numbers = None, np.full_like(self._numbers, -1)
+        other._whole, other._latest, other._numbers = None, None, np.full_like(self._numbers, -1)
         return other
 
     @property
@@ -64,14 +65,20 @@ class WindowMaps:
         return not self.snapped.any() and any(one is not None and len(one.row) > 0 for one in snapshots)
 
     def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack | CellStack, Int[np.ndarray, " B"]]:
-        """Maps of some windows, and the number of the map that each reads; -1 where it has none."""
+        """Maps of some windows, and the number of the map that each reads; -1 where it has none.
+
+        The snapshots asked for last are kept: models that are compared read the same ones in turn.
+        """
         if self.snapped.any():
             have = self._snapshot[index] >= 0
             keys = np.stack((self._drive[index], self._snapshot[index]), axis=1)[have]
             different, place = np.unique(keys, axis=0, return_inverse=True)
             number = np.full(len(index), -1)
             number[have] = place.ravel()
-            return self._stacked([self._load(*key) for key in different.tolist()]), number
+            if self._latest is None or not np.array_equal(self._latest[0], different):
+                self._latest = None  # before others are read: memory holds one stack at a time
+                self._latest = different, self._stacked([self._load(*key) for key in different.tolist()])
+            return self._latest[1], number
         if self._whole is None:
             used = [n for n in np.unique(self._drive) if self._drives[n].load_map is not None]
             if not used:

@@ -109,6 +109,7 @@ class Windows:
         min_speed = dataset.min_speed if min_speed is None else min_speed
         rows = [drive.rows for drive in dataset.drives]
         self.device = torch.device(device)
+        self._up = torch.tensor([0.0, 0.0, 1.0], device=self.device)
         self._columns = {
             name: self._joined([r.column(name) for r in rows])
             for name, column in COLUMNS.items()
@@ -203,10 +204,8 @@ class Windows:
         read = {name: segments.of(self._columns[name], column) for name, column in self._gathered}
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
         normal = self._normals.at(first, count, feature_set_choice.normals)
-        if not self._level:
-            self._refuse_invalid(normal)
-        terrain_of = LevelNormals.terrain if self._level else Terrain.of
-        before, after = terrain_of(normal[:, :HISTORY_STEPS]), terrain_of(normal[:, HISTORY_STEPS:])
+        terrain = LevelNormals.terrain(normal) if self._level else self._recorded(normal)
+        before, after = terrain.rows(slice(HISTORY_STEPS)), terrain.rows(slice(HISTORY_STEPS, None))
         ground = None
         if self._cells is None and "normal_causal" in read and self.start == "causal":
             before = Terrain.of(read["normal_causal"]["past"][:, :, None].expand_as(before.normal))
@@ -269,16 +268,17 @@ class Windows:
         origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
         return start + torch.as_tensor(origin, device=self.device)
 
-    def _refuse_invalid(self, normal: Float[Tensor, "B R 4 3"]) -> None:
-        """Raise if normals are neither unit vectors nor unknown, or unknown although no map made them.
+    def _recorded(self, normal: Float[Tensor, "B R 4 3"]) -> Terrain:
+        """`Terrain.of`, once it is sure that normals are unit vectors, or unknown where a map made them.
 
         They stay on disk when a dataset is opened, and are looked at when a batch reads them.
         """
-        unit = (normal.square().sum(dim=-1) - 1).abs() < UNIT_TOLERANCE
-        legal = unit | normal.isnan().all(dim=-1) if self.dataset.features else unit
-        if not legal.all():
+        unit = (torch.linalg.vecdot(normal, normal) - 1).abs() < UNIT_TOLERANCE
+        others = normal[~unit]
+        if not (others.isnan().all() if self.dataset.features else not len(others)):
             what = "surface normals of the dataset are not unit vectors"
             raise DatasetError(what, where=self.dataset.path, how="extract it again")
+        return Terrain(torch.where(unit[..., None], normal, self._up), unit, normal[..., :0])
 
     @cached_property
     def _driven_normal(self) -> Float[Tensor, "N 4 3"]:

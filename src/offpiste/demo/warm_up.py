@@ -23,6 +23,8 @@ from offpiste.dynamics.hybrid import Hybrid
 from offpiste.dynamics.kernels.actuators import rollout_actuators
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells
+from offpiste.dynamics.kernels.map_rollout import predict_on
+from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.progress import show
 from offpiste.shipped import PREFIX
 from offpiste.state import ModelState, Terrain
@@ -53,7 +55,7 @@ def warm_up_all() -> None:
 
 
 def compile_training() -> None:
-    """Roll a model and its actuators out and back, with codes of two cells."""
+    """Roll a model and its actuators out and back, with codes of two cells; and the model over a map of one."""
     vehicle = Vehicle(1000.0, 2.0, 0.5, CONTROL, ACTUATORS, features=2)
     encoder = Compressor(vehicle.features)
     model, lags = Hybrid(vehicle, encoder=encoder), Actuators(vehicle)
@@ -64,6 +66,22 @@ def compile_training() -> None:
     level = Terrain.of(torch.tensor([0.0, 0.0, 1.0]).expand(1, STEPS, 4, 3))
     ground = Terrain(level.normal, level.known, codes_under_wheels(codes, torch.zeros(1, STEPS, 4, dtype=torch.int64)))
     rollout_recorded(model, ModelState(state, actuators, recurrent, recurrent), controls, ground).state.sum().backward()
+    maps = CellStack(
+        0.2,
+        torch.zeros(1, 2, dtype=torch.float64),
+        torch.zeros(1, 1, 1, dtype=torch.int32),
+        torch.zeros(1, 2, dtype=torch.float16),
+        torch.zeros(1, vehicle.features, dtype=torch.float16),
+    )
+    terrain = MapTerrain(
+        maps,
+        torch.zeros(1, dtype=torch.int64),
+        torch.zeros(1, 2, dtype=torch.float64),
+        torch.zeros(4, 2),
+        encoder,
+    )
+    with torch.no_grad():
+        predict_on(model, ModelState(state, actuators, recurrent, recurrent), controls, terrain)
     units = torch.zeros(1, lags.hidden)
     rollout_actuators(lags, controls, torch.zeros(1, STEPS), actuators, units, units).sum().backward()
 

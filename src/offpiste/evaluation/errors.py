@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from offpiste.errors import RunError
 from offpiste.files import write_whole
 from offpiste.state import wrap_angle
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import Lookup, MapSource, in_parts, roll_out
+from offpiste.training.prediction import Lookup, MapSource, in_parts, roll_batch_out, roll_out
 from offpiste.training.terrain_sources import on_map
 
 HORIZONS = (1, 2, 3, 4, 5)
@@ -177,44 +177,57 @@ def positions(windows: Errors | SeededErrors, among: Errors | SeededErrors) -> I
     return np.asarray(result)
 
 
+@dataclass(frozen=True)
+class Predictor:
+    """A model, and the weights of the loss that its predictions are measured by."""
+
+    dynamics: Dynamics
+    weights: Float[Tensor, " 5"]
+
+
 @torch.no_grad()
-def prediction_errors(
-    dynamics: Dynamics,
+def errors_of_models(
+    predictors: Sequence[Predictor],
     windows: Windows,
     index: Int[np.ndarray, " n"],
     *,
     lookup: Lookup | None,
     scale: Float[Tensor, " 5"],
-    weights: Float[Tensor, " 5"],
     map_source: MapSource = on_map,
     chunk: int | None = None,
     track: Progress = no_progress,
     description: str = "evaluating",
-) -> Errors:
-    """Errors of a model on windows.
+) -> list[Errors]:
+    """Errors of each of some models on the same windows, which are read once for all of them.
 
     Args:
         index: numbers of the windows.
         lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the terrain.
-        scale, weights: of the loss (`offpiste.training.losses.summed_loss`).
+        scale: of the loss (`offpiste.training.losses.summed_loss`).
         map_source: the map that "map" reads, where it is not the windows' own.
         chunk: windows rolled out side by side, when not as many as usual.
         track: shows progress over the chunks.
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
-    scale, weights = scale.to(windows.device), weights.to(windows.device)
-    values, losses = [], []
+    scale = scale.to(windows.device)
+    values: list[list[Tensor]] = [[] for _ in predictors]
+    losses: list[list[Tensor]] = [[] for _ in predictors]
     for part in track(in_parts(index, windows, lookup, chunk), description):
-        batch, predicted = roll_out(dynamics, windows, part, lookup, map_source)
-        state = predicted.state
-        values.append(_absolute_errors(state[:, steps], batch.target[:, steps]))
-        losses.append(summed_loss(state, batch.target, scale, weights))
-    return Errors(
-        windows.drive[index],
-        windows.row_in_drive(index),
-        _infinite_if_failed(torch.cat(values)),
-        _infinite_if_failed(torch.cat(losses)),
-    )
+        batch = windows.gather(part)
+        for number, each in enumerate(predictors):
+            state = roll_batch_out(each.dynamics, windows, part, batch, lookup, map_source).state
+            values[number].append(_absolute_errors(state[:, steps], batch.target[:, steps]))
+            losses[number].append(summed_loss(state, batch.target, scale, each.weights.to(windows.device)))
+    drive, row = windows.drive[index], windows.row_in_drive(index)
+    measured = ((_infinite_if_failed(torch.cat(of)) for of in both) for both in zip(values, losses, strict=True))
+    return [Errors(drive, row, *both) for both in measured]
+
+
+def prediction_errors(
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, weights: Float[Tensor, " 5"], **settings: Any
+) -> Errors:
+    """Errors of one model; `weights` are those of the loss, `settings` as for `errors_of_models`."""
+    return errors_of_models([Predictor(dynamics, weights)], windows, index, **settings)[0]
 
 
 @torch.no_grad()

@@ -1,24 +1,27 @@
-"""Training and evaluation of a figure's models: two steps per run, each done once and shared by both figures."""
+"""Training and evaluation of a figure's models: a step a run and a step a terrain lookup, shared by both figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from offpiste.checksums import CHECKSUMS
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.errors import Errors, prediction_errors, save_errors
+from offpiste.evaluation.errors import Errors, Predictor, errors_of_models, save_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.files import write_bytes
 from offpiste.progress import track
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
 from offpiste.reproduction.steps import Step
+from offpiste.training.distributed import ALONE
 from offpiste.training.fitness import refuse_seen
+from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run, load_run
 from offpiste.training.terrain_sources import on_map
@@ -88,17 +91,29 @@ def run_errors(
         scale: of the loss, the same for all runs.
         map_source: the map that is read, where it is not the windows' own.
     """
+    return errors_of_runs([run], windows, index, reading, scale=scale, map_source=map_source)[0]
+
+
+def errors_of_runs(
+    runs: Sequence[Run],
+    windows: Windows,
+    index: np.ndarray,
+    reading: Reading,
+    *,
+    scale: torch.Tensor,
+    map_source: MapSource = on_map,
+) -> list[Errors]:
+    """The same of several runs, for which windows and maps are read once."""
     lookup, chosen = reading
-    return prediction_errors(
-        run.dynamics,
+    return errors_of_models(
+        [Predictor(run.dynamics, torch.tensor(run.weights.in_order())) for run in runs],
         windows.with_feature_set(chosen) if chosen else windows,
         index,
         lookup=lookup,
         scale=scale,
-        weights=torch.tensor(run.weights.in_order()),
         map_source=map_source,
         track=track,
-        description=f"evaluating {run.folder.name}",
+        description=f"evaluating {', '.join(run.folder.name for run in runs)}",
     )
 
 
@@ -110,8 +125,8 @@ def mapped(dataset: Dataset) -> bool:
 WINDOW_SECONDS, READING = 0.5e-3, 1.8
 """Rough time of the kernels per window [s], and its factor for models that read features."""
 
-MAP_SECONDS = 0.08
-"""Rough time per window with a map of its own [s]."""
+MAP_SECONDS = 0.02
+"""Rough time to read a window's own map [s]."""
 
 
 @dataclass(frozen=True)
@@ -146,24 +161,37 @@ class EvaluationData:
         return load_run(self.settings.runs / f"{BASELINE}-0").scale
 
 
+@lru_cache(maxsize=1)
+def _opened(data: Path, start: str, device: str, version: tuple[int, ...]) -> tuple[Dataset, MapLoss | None]:
+    """A dataset and the maps of its validation windows, kept by a process for all runs that it trains.
+
+    Args:
+        version: differs where the dataset does.
+    """
+    dataset = open_dataset(data)
+    return dataset, map_loss(Windows(dataset, "validation", start=start, device=device), ALONE)
+
+
 def train_run(settings: ReproductionSettings, model: FigureModel, seed: int) -> None:
     """Train a run, or resume its training."""
     folder = settings.runs / model.folder(seed)
     reuse_stages(settings.runs, folder, seed)
     config = model.config(settings.size, seed, settings.device)
-    train(open_dataset(settings.data), config, folder, resume=(folder / "config.json").exists())
+    written = tuple(path.stat().st_mtime_ns for path in sorted(settings.data.glob(f"*/{CHECKSUMS}")))
+    dataset, maps = _opened(settings.data, config.start, config.device, written)
+    train(dataset, config, folder, resume=(folder / "config.json").exists(), maps=maps)
 
 
-def evaluate_run(settings: ReproductionSettings, model: FigureModel, seed: int, readings: Sequence[Reading]) -> None:
-    """Compute and save the errors of a run that are missing."""
+def evaluate_all(settings: ReproductionSettings, runs: Sequence[Path], reading: Reading) -> None:
+    """Compute and save the errors of all runs that lack them, for one terrain lookup."""
+    missing = [folder for folder in runs if not errors_path(folder, reading).exists()]
     data = EvaluationData(settings, open_dataset(settings.data))
-    run = load_run(settings.runs / model.folder(seed), device=settings.device)
-    refuse_seen(run, data.dataset, PART)
-    for reading in readings:
-        if not errors_path(run.folder, reading).exists():
-            index = evaluation_windows(data.windows, reading, settings.size.stride)
-            errors = run_errors(run, data.windows, index, reading, scale=data.scale)
-            save_errors(errors_path(run.folder, reading), errors)
+    loaded = [load_run(folder, device=settings.device) for folder in missing]
+    for run in loaded:
+        refuse_seen(run, data.dataset, PART)
+    index = evaluation_windows(data.windows, reading, settings.size.stride)
+    for run, errors in zip(loaded, errors_of_runs(loaded, data.windows, index, reading, scale=data.scale), strict=True):
+        save_errors(errors_path(run.folder, reading), errors)
 
 
 def model_stages(
@@ -176,31 +204,35 @@ def model_stages(
     """
     first: list[Step] = []
     others: list[Step] = []
-    evaluations: list[Step] = []
     for model in models:
         for seed in range(settings.size.seeds):
-            folder = settings.runs / model.folder(seed)
-            name = f"{model.label}, seed {seed}"
             training = Step(
-                f"train {name}",
+                f"train {model.label}, seed {seed}",
                 _cost_of_training(settings, model, driven),
-                (folder / "model.json").exists,
+                (settings.runs / model.folder(seed) / "model.json").exists,
                 partial(train_run, settings, model, seed),
             )
             (first if model.model == BASELINE else others).append(training)
-            evaluations.append(
-                Step(
-                    f"evaluate {name}",
-                    _cost_of_evaluation(settings, readings, driven),
-                    partial(_evaluated, folder, readings),
-                    partial(evaluate_run, settings, model, seed, readings),
-                )
-            )
+    runs = [settings.runs / model.folder(seed) for model in models for seed in range(settings.size.seeds)]
+    evaluations = [
+        Step(
+            f"evaluate all runs {_where(reading)}",
+            _cost_of_evaluation(settings, reading, len(runs), driven),
+            partial(_evaluated, runs, reading),
+            partial(evaluate_all, settings, runs, reading),
+        )
+        for reading in sorted(readings, key=lambda reading: reading[0] != "map")  # the longest one first
+    ]
     return [first, others, evaluations]
 
 
-def _evaluated(folder: Path, readings: Sequence[Reading]) -> bool:
-    return all(errors_path(folder, reading).exists() for reading in readings)
+def _where(reading: Reading) -> str:
+    lookup, chosen = reading
+    return "on the map" if lookup == "map" else f"at recorded places, {chosen}"
+
+
+def _evaluated(runs: Sequence[Path], reading: Reading) -> bool:
+    return all(errors_path(run, reading).exists() for run in runs)
 
 
 def _cost_of_training(settings: ReproductionSettings, model: FigureModel, driven: DrivenTime) -> float:
@@ -211,7 +243,8 @@ def _cost_of_training(settings: ReproductionSettings, model: FigureModel, driven
     return WINDOW_SECONDS * windows * train.epochs * READING + 2
 
 
-def _cost_of_evaluation(settings: ReproductionSettings, readings: Sequence[Reading], driven: DrivenTime) -> float:
-    recorded = 0.5 * WINDOW_SECONDS * driven.test / DT / settings.size.stride
-    on_map = MAP_SECONDS * driven.test / settings.size.snapshot_seconds
-    return sum(on_map if lookup == "map" else recorded for lookup, _ in readings) + 1
+def _cost_of_evaluation(settings: ReproductionSettings, reading: Reading, runs: int, driven: DrivenTime) -> float:
+    size = settings.size
+    if reading[0] == "map":
+        return driven.test / size.snapshot_seconds * (MAP_SECONDS + WINDOW_SECONDS * runs) + 1
+    return 0.3 * WINDOW_SECONDS * runs * driven.test / DT / size.stride + 1

@@ -11,7 +11,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics, rollout
+from offpiste.dynamics import Dynamics
+from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.state import Trajectory
 from offpiste.training.distributed import Group
@@ -60,7 +61,7 @@ class MapLoss:
             source = MapTerrain(maps, number, places, self.windows.wheels, dynamics.encoder)
             batch, ahead = read_on(dynamics, source, batch)
             start = dynamics.start(batch.history, batch.state, batch.actuators)
-            total += loss(rollout(dynamics, start, batch.control, ahead), batch).double().sum()
+            total += loss(predict_on(dynamics, start, batch.control, ahead), batch).double().sum()
         return float(self.group.sum(total)) / len(self.index)
 
     @cached_property

@@ -10,6 +10,7 @@ from jaxtyping import Int
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.errors import DatasetError, OffpisteError, did_you_mean
 from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.training.terrain_sources import encoded, on_map
@@ -82,7 +83,25 @@ def roll_out(
         map_source: the map that "map" reads, where it is not the windows' own.
     """
     batch = windows.gather(index)
+    return batch, roll_batch_out(dynamics, windows, index, batch, lookup, map_source)
+
+
+def roll_batch_out(
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " B"],
+    batch: Batch,
+    lookup: Lookup | None,
+    map_source: MapSource = on_map,
+) -> Trajectory:
+    """What a model predicts for a batch of windows.
+
+    Args:
+        index: of the windows in the batch.
+        lookup, map_source: as of `roll_out`.
+    """
     if lookup != "map":
-        return batch, predict(dynamics, batch)
+        return predict(dynamics, batch)
     batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
-    return batch, rollout(dynamics, dynamics.start(batch.history, batch.state, batch.actuators), batch.control, source)
+    start = dynamics.start(batch.history, batch.state, batch.actuators)
+    return predict_on(dynamics, start, batch.control, source)

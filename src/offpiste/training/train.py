@@ -31,7 +31,7 @@ from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import squared_errors, summed_loss
-from offpiste.training.map_loss import map_loss
+from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
@@ -51,15 +51,16 @@ def train(
     resume: bool = False,
     tensorboard: bool = False,
     group: Group = ALONE,
+    maps: MapLoss | None = None,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
     Args:
         group: the processes that train together; only the first one writes and logs.
+        maps: those of the validation windows, where a training before has read them; otherwise they are read here.
 
     Raises:
-        RunError: a setting is out of range, or the folder holds a run already and `resume` is false, or one with
-            other settings.
+        RunError: a setting is out of range, the folder holds a run and `resume` is false, or one with other settings.
         DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
         OffpisteError: the folder is a file.
@@ -77,7 +78,6 @@ def train(
     record = metrics_writer(folder / "metrics.jsonl") if group.writes else _unrecorded
     if tensorboard and group.writes:
         record = also_tensorboard(record, folder / "tensorboard")
-
     if group.writes:
         _warn_beforehand(dataset, validation)
     kept: dict[str, KeptEpoch] = {}
@@ -101,7 +101,7 @@ def train(
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
         return summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
-    maps = map_loss(validation, group)
+    maps = maps or map_loss(validation, group)
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)

@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL, STATE
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.inputs import UNKNOWN, drive_train, unknown_normals
+from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.model_arrays import (
     Given,
@@ -24,8 +24,9 @@ from offpiste.dynamics.kernels.model_arrays import (
     learned_constants,
     networks,
     record,
+    terms_of_codes,
 )
-from offpiste.dynamics.kernels.rollout import backward, forward
+from offpiste.dynamics.kernels.rollout import backward, forward, unpack
 from offpiste.state import ModelState, Terrain, Trajectory
 
 
@@ -67,14 +68,14 @@ def rollout_recorded(
     """
     latent = terrain.latent if dynamics.codes else terrain.latent[..., :0]
     _check(dynamics, model_state, controls, terrain, latent)
-    start, codes, learned = model_state.pack(), latent.flatten(-2), learned_constants(dynamics)
-    matrices = compensator_weights(dynamics)
-    tensors = (start, learned, codes, *matrices)
+    start, learned = model_state.pack(), learned_constants(dynamics)
+    terms, matrices = terms_of_codes(dynamics, latent.flatten(-2)), compensator_weights(dynamics, apart=True)
+    tensors = (start, learned, terms, *matrices)
     given = Given(
         start=start.detach().contiguous().numpy(),
-        record=record(dynamics.vehicle, controls, terrain, codes),
+        record=record(dynamics.vehicle, controls, terrain, terms),
         constants=constants(dynamics, learned),
-        networks=networks(dynamics, matrices),
+        networks=networks(dynamics, matrices, apart=True),
         differentiate=torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors),
     )
     return Trajectory(*_Rollout.apply(given, *tensors))  # type: ignore[no-untyped-call]
@@ -86,8 +87,7 @@ class _Rollout(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, given: Given, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         """States [B, T, 6] and actuators [B, T, A]; `tensors`, which `given` was made of, tie them to the graph."""
-        batch, steps, _ = given.record.controls.shape
-        blocks = -(-batch // layout.LANES)
+        batch, (blocks, steps, _) = len(given.start), given.record.rows.shape
         slots = steps + 1 if given.differentiate else 2
         tape = np.empty((blocks, slots, given.start.shape[1] * layout.LANES), np.float32)
         states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (len(STATE), len(ACTUATORS)))
@@ -100,9 +100,10 @@ class _Rollout(torch.autograd.Function):
     def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
         """Adjoints of `tensors`."""
         given, tape = ctx.given, ctx.tape
-        _, _, _, codes_wanted, *matrices_wanted = ctx.needs_input_grad
-        start = np.empty_like(given.start)
-        codes = np.empty(given.record.codes.shape if codes_wanted else (0, 0, 0), np.float32)
+        *_, terms_wanted, gates_wanted, inner_wanted, outer_wanted = ctx.needs_input_grad
+        matrices_wanted = gates_wanted, inner_wanted, outer_wanted
+        start, count = np.empty_like(given.start), given.networks[0].terms
+        in_lanes = np.empty((*given.record.rows.shape[:2], count * layout.LANES), np.float32)
         # By block, so that sums do not depend on the number of threads.
         main = given.networks[0]
         shapes = [
@@ -110,9 +111,12 @@ class _Rollout(torch.autograd.Function):
         ]
         by_block = [np.zeros((len(tape), *shape), np.float32) for shape in ((len(layout.LEARNED),), *shapes)]
         seeds = (bar.contiguous().numpy() for bar in bars)
-        spread_kernel(len(tape), backward, *given[1:4], tape, *seeds, start, codes, *by_block)
+        spread_kernel(len(tape), backward, *given[1:4], tape, *seeds, start, in_lanes, *by_block)
+        terms = np.empty((len(start), in_lanes.shape[1], count), np.float32)
+        if terms_wanted:
+            spread_kernel(len(tape), unpack, in_lanes, terms)
         learned, *matrices = (blocks.sum(axis=0) for blocks in by_block)
-        adjoints = zip((start, learned, codes, *matrices), ctx.needs_input_grad[1:], strict=True)
+        adjoints = zip((start, learned, terms, *matrices), ctx.needs_input_grad[1:], strict=True)
         return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
 
 
@@ -123,7 +127,6 @@ def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrai
     expected = {
         "controls": (controls, (batch, steps, len(CONTROL))),
         "normals": (terrain.normal, (batch, steps, 4, 3)),
-        "unknown normals": (unknown_normals(terrain), (batch, steps, UNKNOWN)),
         "latent": (latent, (batch, steps, 4, codes)),
         "state": (model_state.state, (batch, len(STATE))),
         "actuators": (model_state.actuators, (batch, len(ACTUATORS))),
@@ -132,6 +135,8 @@ def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrai
     }
     if not supports(dynamics, controls.device, controls.dtype):
         raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
+    if terrain.known.shape != (batch, steps, 4) or terrain.known.dtype != torch.bool:
+        raise ValueError(f"known normals are {list(terrain.known.shape)}, {terrain.known.dtype}")
     for name, (tensor, shape) in expected.items():
         if tuple(tensor.shape) != shape or (tensor.device, tensor.dtype) != (controls.device, controls.dtype):
             result = f"{list(tensor.shape)}, {tensor.dtype} on {tensor.device}"

@@ -4,6 +4,7 @@ A block of cells is standardised and goes through both hidden layers while it li
 computes them again, which is cheaper than to keep them.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +18,10 @@ from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels.elementary import Lane, f4, matrix_products, tanh
 
-CELLS = 64
+CELLS = 128
 """Cells that go through the layers side by side."""
 
-CHUNK = 16
+CHUNK = 8
 """Blocks whose gradients are summed before those of others, so that sums do not depend on the number of threads."""
 
 _add_product, _add_outer = matrix_products(CELLS)
@@ -57,16 +58,32 @@ def encode_cells(
     encoder: Compressor, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]
 ) -> Float[Tensor, "M E"]:
     """`encoder(features, valid)`, several times as fast; gradients reach the encoder's weights."""
-    matrices = tuple(_padded(layer) for layer in encoder.layers.children() if isinstance(layer, nn.Linear))
+    matrices = _matrices(encoder)
+    given = features.contiguous().numpy(), valid.contiguous().numpy(), _layers(encoder, matrices)
+    return _Encode.apply(given, encoder.size, *matrices)  # type: ignore[no-untyped-call, no-any-return]
+
+
+def _matrices(encoder: Compressor) -> list[Tensor]:
+    """Weights of its layers with their biases as columns, differentiable."""
+    return [_padded(layer) for layer in encoder.layers.children() if isinstance(layer, nn.Linear)]
+
+
+def _layers(encoder: Compressor, matrices: Sequence[Tensor]) -> Layers:
     first, second, last = (matrix.detach().contiguous() for matrix in matrices)
-    layers = Layers(
+    return Layers(
         encoder.mean.numpy(),
         (1 / encoder.scale).numpy(),
         *(matrix.numpy() for matrix in (first, second, last)),
         *(matrix.t().contiguous().numpy() for matrix in (second, last)),
     )
-    given = features.contiguous().numpy(), valid.contiguous().numpy(), layers
-    return _Encode.apply(given, encoder.size, *matrices)  # type: ignore[no-untyped-call, no-any-return]
+
+
+def layers_of(encoder: FeatureEncoder | None) -> Layers:
+    """What kernels read of any encoder: matrices are empty where features are codes, and all is where there is none."""
+    if isinstance(encoder, Compressor):
+        return _layers(encoder, _matrices(encoder))
+    mean = np.zeros(0, np.float32) if encoder is None else encoder.mean.numpy()
+    return Layers(mean, np.ones_like(mean), *(np.zeros((0, 0), np.float32) for _ in range(5)))
 
 
 def _padded(layer: nn.Linear) -> Float[Tensor, "N M"]:
@@ -148,7 +165,7 @@ class Activations(NamedTuple):
 
 
 @KERNELS.maker
-def _activations(layers: Layers, one: Lane) -> Activations:
+def make_activations(layers: Layers, one: Lane) -> Activations:
     """Empty rows; `one` stands where biases read it, 0 for adjoints."""
     seen = np.zeros(layers.first.shape[1] * CELLS, f4)
     inner = np.zeros(layers.second.shape[1] * CELLS, f4)
@@ -161,7 +178,7 @@ def _activations(layers: Layers, one: Lane) -> Activations:
 
 
 @KERNELS.loop
-def _encode_block(a: Activations, features: np.ndarray, valid: np.ndarray, layers: Layers, block: int) -> None:
+def encode_block(a: Activations, features: np.ndarray, valid: np.ndarray, layers: Layers, block: int) -> None:
     """A block of cells through all layers; lanes behind the last cell repeat it."""
     last, channels = len(features) - 1, len(layers.mean)
     for i in range(CELLS):
@@ -198,9 +215,9 @@ def encode_forward(
         layers: see `Layers`.
         codes: to fill [M, E].
     """
-    a = _activations(layers, f4(1))
+    a = make_activations(layers, f4(1))
     for block in range(first * CHUNK, min(last * CHUNK, -(-len(codes) // CELLS))):
-        _encode_block(a, features, valid, layers, block)
+        encode_block(a, features, valid, layers, block)
         for i in range(min(CELLS, len(codes) - block * CELLS)):
             for k in range(codes.shape[1]):
                 codes[block * CELLS + i, k] = a.code[k * CELLS + i]
@@ -225,10 +242,10 @@ def encode_backward(
         codes_bar: adjoint of the result.
         first_bar, second_bar, last_bar: adjoints of the layers' weights by chunk, zero, to add to.
     """
-    a, bar = _activations(layers, f4(1)), _activations(layers, f4(0))
+    a, bar = make_activations(layers, f4(1)), make_activations(layers, f4(0))
     for block in range(first * CHUNK, min(last * CHUNK, -(-len(codes_bar) // CELLS))):
         chunk, inside = block // CHUNK, min(CELLS, len(codes_bar) - block * CELLS)
-        _encode_block(a, features, valid, layers, block)
+        encode_block(a, features, valid, layers, block)
         bar.code[:] = f4(0)
         for i in range(inside):
             for k in range(codes_bar.shape[1]):

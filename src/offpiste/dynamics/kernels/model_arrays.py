@@ -7,14 +7,15 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
+from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
-from offpiste.dynamics.inputs import unknown_normals
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.network import Network, Weights, network, weights
-from offpiste.dynamics.kernels.rollout import Networks, Record
+from offpiste.dynamics.kernels.network import Network, Weights, network, weights, weights_apart
+from offpiste.dynamics.kernels.rollout import GIVEN, Networks, Record, pack
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import Terrain
 
@@ -41,12 +42,31 @@ def record(
     vehicle: Vehicle,
     controls: Float[Tensor, "B T U"],
     terrain: Terrain,
-    codes: Float[Tensor, "B T C"],
+    terms: Float[Tensor, "B T N"],
 ) -> Record:
-    """What the rollout is given."""
-    tensors = controls, terrain.normal, unknown_normals(terrain), codes
-    commanded, normals, unknown, read = (tensor.detach().contiguous().numpy() for tensor in tensors)
-    return Record(commanded, normals, unknown, read, recorded_channels(vehicle))
+    """What the rollout is given, block by block."""
+    tensors = controls, terrain.normal, terrain.known, terms
+    given = tuple(tensor.detach().contiguous().numpy() for tensor in tensors)
+    (batch, steps), recorded = controls.shape[:2], recorded_channels(vehicle)
+    blocks = -(-batch // layout.LANES)
+    rows = np.empty((blocks, steps, (GIVEN + terms.shape[2]) * layout.LANES), np.float32)
+    spread_kernel(blocks, pack, *given, recorded, rows)
+    return Record(rows, recorded)
+
+
+def terms_of_codes(dynamics: Dynamics, codes: Float[Tensor, "B T C"]) -> Float[Tensor, "B T N"]:
+    """What codes add to the gates and the hidden layer of the network that corrects the forces, differentiable.
+
+    It does not depend on the model state, so that one matrix product before the rollout takes the place of one a step.
+    Codes have no range (`Compensator.standardise_on`).
+    """
+    parts, _ = kernel_parts(dynamics)
+    if parts.compensator is None or not codes.shape[-1]:
+        return codes[..., :0]
+    count = codes.shape[-1]
+    mean, scale = (values[len(values) - count :] for values in (parts.compensator.mean, parts.compensator.scale))
+    matrix = weights_apart(parts.compensator, count) / scale
+    return functional.linear(codes, matrix, -(matrix @ mean))
 
 
 def recorded_channels(vehicle: Vehicle) -> np.ndarray:
@@ -73,10 +93,10 @@ def learned_constants(dynamics: Dynamics) -> Float[Tensor, " K"]:
     return torch.stack(kernel_parts(dynamics)[0].bicycle())
 
 
-def compensator_weights(dynamics: Dynamics) -> Weights:
-    """Weights of the network that corrects the forces, differentiable."""
+def compensator_weights(dynamics: Dynamics, *, apart: bool = False) -> Weights:
+    """Weights of the network that corrects the forces, differentiable; those of the codes may stay apart."""
     parts, _ = kernel_parts(dynamics)
-    return weights(parts.compensator, parts.force_scale)
+    return weights(parts.compensator, parts.force_scale, apart=4 * dynamics.codes if apart else 0)
 
 
 def constants(dynamics: Dynamics, learned: Float[Tensor, " K"]) -> np.ndarray:
@@ -96,11 +116,12 @@ def switches(vehicle: Vehicle) -> list[float]:
     return [float(values[name]) for name in layout.SWITCHES]
 
 
-def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
+def networks(dynamics: Dynamics, compensator: Weights, *, apart: bool = False) -> Networks:
     """The networks of the forces, the brake and the steering; their recurrent states follow each other in this order.
 
     Args:
         compensator: the first one's weights.
+        apart: whether `terms_of_codes` are added instead of reading codes.
     """
     vehicle, (parts, actuators) = dynamics.vehicle, kernel_parts(dynamics)
     seen = [
@@ -111,10 +132,13 @@ def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
         *layout.UNKNOWN,
         *layout.FORCE,
     ]
+    codes = range(len(layout.ROWS), len(layout.ROWS) + 4 * dynamics.codes)
+    added = len(compensator.gates) + len(compensator.inner) if apart and len(codes) else 0
     first = network(
         parts.compensator,
         compensator,
-        inputs=[*(layout.ROW[name] for name in seen), *range(len(layout.ROWS), len(layout.ROWS) + 4 * dynamics.codes)],
+        inputs=[*(layout.ROW[name] for name in seen), *(() if apart else codes)],
+        terms=added,
         first_hidden=0,
         first_output=layout.ROW[layout.CORRECTION[0]],
     )

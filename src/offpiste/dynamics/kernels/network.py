@@ -37,6 +37,7 @@ class Network(NamedTuple):
 
     Attributes:
         inputs: rows of the workspace that the network sees.
+        terms: rows that are added to gates and hidden layer from elsewhere (`Buffers.terms`); 0: none are.
         mean, inverse_scale: that these are standardised with.
         low, high: range of each, standardised.
         gates, inner, outer: see `Weights`.
@@ -46,6 +47,7 @@ class Network(NamedTuple):
     """
 
     inputs: np.ndarray
+    terms: int
     mean: np.ndarray
     inverse_scale: np.ndarray
     low: np.ndarray
@@ -60,44 +62,60 @@ class Network(NamedTuple):
     first_output: int
 
 
-def weights(compensator: Compensator | None, scale: Tensor | None = None) -> Weights:
+def weights(compensator: Compensator | None, scale: Tensor | None = None, *, apart: int = 0) -> Weights:
     """Weights as `Weights`, differentiable.
 
     Args:
         compensator: or None, for no network.
         scale: factors of the outputs.
+        apart: number of inputs, the last ones, that `weights_apart` has instead.
     """
     if compensator is None:
         return Weights(*(torch.zeros(0, 0, dtype=torch.float32) for _ in Weights._fields))
     cell = compensator.cell
     first, last = (layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
-    from_hidden, from_inputs = first.weight.split((HIDDEN, cell.input_size), dim=1)
+    seen = cell.input_size - apart
+    from_hidden, from_inputs, _ = first.weight.split((HIDDEN, seen, apart), dim=1)
     inner = torch.cat((from_inputs, first.bias[:, None]), dim=1)
     outer = torch.cat((pad(last.weight, (0, -last.in_features % 4)), last.bias[:, None]), dim=1)
     return Weights(
-        gates=_pad(torch.cat((cell.weight_hh, cell.weight_ih, (cell.bias_ih + cell.bias_hh)[:, None]), dim=1)),
+        gates=_pad(torch.cat((cell.weight_hh, cell.weight_ih[:, :seen], (cell.bias_ih + cell.bias_hh)[:, None]), 1)),
         inner=torch.cat((_pad(inner), _pad(from_hidden)), dim=1),
         outer=_pad(outer if scale is None else scale[:, None] * outer),
     )
 
 
+def weights_apart(compensator: Compensator, apart: int) -> Float[Tensor, "N I"]:
+    """Weights of gates, then hidden layer, on the last `apart` inputs, differentiable; padded rows as `weights`."""
+    first = next(layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
+    parts = (matrix[:, -apart:] for matrix in (compensator.cell.weight_ih, first.weight))
+    return torch.cat([pad(part, (0, 0, 0, -len(part) % 4)) for part in parts])
+
+
 def network(
-    compensator: Compensator | None, weights: Weights, *, inputs: list[int], first_hidden: int, first_output: int
+    compensator: Compensator | None,
+    weights: Weights,
+    *,
+    inputs: list[int],
+    first_hidden: int,
+    first_output: int,
+    terms: int = 0,
 ) -> Network:
     """What the kernels read.
 
     Args:
         compensator: or None, for no network.
         weights: from `weights`.
-        inputs, first_hidden, first_output: see `Network`.
+        inputs, first_hidden, first_output, terms: see `Network`.
     """
-    nothing = torch.zeros(0, dtype=torch.float32)
+    nothing, count = torch.zeros(0, dtype=torch.float32), len(inputs)
     return Network(
         inputs=np.array(inputs, dtype=np.int64),
-        mean=(nothing if compensator is None else compensator.mean).numpy(),
-        inverse_scale=(nothing if compensator is None else 1 / compensator.scale).numpy(),
-        low=(nothing if compensator is None else compensator.low).numpy(),
-        high=(nothing if compensator is None else compensator.high).numpy(),
+        terms=terms,
+        mean=(nothing if compensator is None else compensator.mean[:count]).numpy(),
+        inverse_scale=(nothing if compensator is None else 1 / compensator.scale[:count]).numpy(),
+        low=(nothing if compensator is None else compensator.low[:count]).numpy(),
+        high=(nothing if compensator is None else compensator.high[:count]).numpy(),
         gates=_array(weights.gates),
         inner=_array(weights.inner),
         outer=_array(weights.outer),
@@ -133,12 +151,14 @@ class Buffers(NamedTuple):
         cell: workspace of the LSTM cell (`layout.CELL_ROWS`).
         layer: hidden layer, padding, 1, padding.
         trust: factor of the outputs, 1 while the inputs are within their ranges.
+        terms: what is added to the gates, then to the hidden layer, from elsewhere; empty where nothing is.
     """
 
     seen: np.ndarray
     cell: np.ndarray
     layer: np.ndarray
     trust: np.ndarray
+    terms: np.ndarray
 
 
 @KERNELS.maker
@@ -151,7 +171,16 @@ def make_buffers(network: Network, one: Lane) -> Buffers:
         seen[bias : bias + LANES] = one
         bias = network.inner.shape[0] * LANES
         layer[bias : bias + LANES] = one
-    return Buffers(seen, np.zeros(CELL, f4), layer, np.zeros(LANES, f4))
+    return Buffers(seen, np.zeros(CELL, f4), layer, np.zeros(LANES, f4), np.zeros(network.terms * LANES, f4))
+
+
+@KERNELS.loop
+def _begin(terms: np.ndarray, sums: np.ndarray) -> None:
+    """Sums begin with the terms from elsewhere, or with 0."""
+    if len(terms) > 0:
+        copy(terms, sums)
+    else:
+        sums[:] = f4(0)
 
 
 @KERNELS.loop
@@ -180,7 +209,7 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
     for i in range(LANES):
         s.trust[i] = f4(1) / (f4(1) + f4(FADE) * s.trust[i])
 
-    s.cell[:GATES] = f4(0)
+    _begin(s.terms[:GATES], s.cell[:GATES])
     add_product(network.gates, s.seen, s.cell)
     copy(before[memory : memory + UNITS], s.cell[MEMORY : MEMORY + UNITS])
     cell(s.cell)
@@ -189,7 +218,7 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
 
     copy(s.cell[NEXT_HIDDEN : NEXT_HIDDEN + UNITS], s.seen[len(s.seen) - UNITS :])
     width = network.inner.shape[0] * LANES
-    s.layer[:width] = f4(0)
+    _begin(s.terms[GATES:], s.layer[:width])
     add_product(network.inner, s.seen[inputs:], s.layer)
     for i in range(width):
         s.layer[i] = tanh(s.layer[i])
@@ -243,6 +272,7 @@ def compensate_adjoint(
     for i in range(network.inner.shape[0] * LANES):
         bar.layer[i] *= f4(1) - s.layer[i] * s.layer[i]
 
+    copy(bar.layer, bar.terms[GATES:])
     add_outer(bar.layer, s.seen[inputs:], inner_bar)
     bar.seen[:] = f4(0)
     add_product(network.inner_t, bar.layer, bar.seen[inputs:])
@@ -252,6 +282,7 @@ def compensate_adjoint(
         bar.cell[NEXT_HIDDEN + i] = model_state_bar[hidden + i] + bar.seen[after + i]
     copy(model_state_bar[memory : memory + UNITS], bar.cell[NEXT_MEMORY : NEXT_MEMORY + UNITS])
     cell_adjoint(s.cell, bar.cell)
+    copy(bar.cell, bar.terms[:GATES])
     add_outer(bar.cell, s.seen, gates_bar)
     add_product(network.gates_t, bar.cell, bar.seen)
 

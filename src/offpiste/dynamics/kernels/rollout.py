@@ -24,6 +24,9 @@ UNKNOWN_ROW = ROW[UNKNOWN[0]]
 CODES = len(ROWS)
 CONSTANTS = len(LEARNED)
 
+GIVEN = COMMANDED + 3 + 1
+"""Controls, mean normals, which follow them in the workspace, and the share of unknown ones."""
+
 Networks = tuple[Network, Network, Network]
 """Of the forces, the brake and the steering."""
 
@@ -34,17 +37,12 @@ class Record(NamedTuple):
     """What a rollout is given.
 
     Attributes:
-        controls: [B, T, U].
-        normals: of each wheel, in the world frame [B, T, 4, 3].
-        unknown: which of them are (`inputs.unknown_normals`) [B, T, 1].
-        codes: of the wheels [B, T, 4 E].
+        rows: controls, mean normals, share of unknown ones and terms of the first network, in lanes
+            [blocks, T, (GIVEN + N) * LANES]: windows lie far apart in memory, and each step reads all of a block.
         recorded: are the actuators, then the controls there? Slots of absent ones are not computed with.
     """
 
-    controls: np.ndarray
-    normals: np.ndarray
-    unknown: np.ndarray
-    codes: np.ndarray
+    rows: np.ndarray
     recorded: np.ndarray
 
 
@@ -55,29 +53,93 @@ def make_buffer_sets(networks: Networks, one: Lane) -> BufferSets:
 
 
 @KERNELS.loop
-def load(w: np.ndarray, record: Record, block: int, t: int) -> None:
-    """Controls, mean normals and codes of step t into the workspace; lanes behind the batch repeat its last window."""
-    last = len(record.controls) - 1
-    codes = record.codes.shape[2]
+def load_controls(w: np.ndarray, controls: np.ndarray, recorded: np.ndarray, block: int, t: int) -> None:
+    """Controls of step t into the workspace; lanes behind the batch repeat its last window."""
     for i in range(LANES):
-        window = min(block * LANES + i, last)
+        window = min(block * LANES + i, len(controls) - 1)
         for k in range(COMMANDED):
-            if record.recorded[ACTUATED + k]:
-                w[(CONTROL_ROW + k) * LANES + i] = record.controls[window, t, k]
-        for k in range(3):
-            four = record.normals[window, t]
-            w[(NORMAL_ROW + k) * LANES + i] = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
-        for k in range(record.unknown.shape[2]):
-            w[(UNKNOWN_ROW + k) * LANES + i] = record.unknown[window, t, k]
-        for k in range(codes):
-            w[(CODES + k) * LANES + i] = record.codes[window, t, k]
+            if recorded[ACTUATED + k]:
+                w[(CONTROL_ROW + k) * LANES + i] = controls[window, t, k]
+
+
+@KERNELS.inlined
+def _into_lanes(values: np.ndarray, block: int, t: int, k: int, row: np.ndarray) -> None:
+    """Column k of values [B, T, N] at step t; lanes behind the batch repeat its last window."""
+    batch = len(values)
+    inside = min(LANES, batch - block * LANES)
+    for i in range(inside):
+        row[i] = values[block * LANES + i, t, k]
+    for i in range(inside, LANES):
+        row[i] = values[batch - 1, t, k]
+
+
+@KERNELS.entry
+def pack(
+    first: int,
+    last: int,
+    controls: np.ndarray,
+    normals: np.ndarray,
+    known: np.ndarray,
+    terms: np.ndarray,
+    recorded: np.ndarray,
+    rows: np.ndarray,
+) -> None:
+    """Bring what is given of blocks `first` ... `last - 1` into lanes; those behind the batch repeat its last window.
+
+    Args:
+        controls: [B, T, U].
+        normals, known: of each wheel, in the world frame [B, T, 4, 3], and whether it is [B, T, 4].
+        terms: [B, T, N].
+        recorded: see `Record`.
+        rows: to fill.
+    """
+    batch, steps, _ = controls.shape
+    for block in range(first, last):
+        for t in range(steps):
+            row = rows[block, t]
+            for k in range(COMMANDED):
+                if recorded[ACTUATED + k]:
+                    _into_lanes(controls, block, t, k, row[k * LANES : (k + 1) * LANES])
+                else:
+                    row[k * LANES : (k + 1) * LANES] = f4(0)
+            for k in range(3):
+                for i in range(LANES):
+                    four = normals[min(block * LANES + i, batch - 1), t]
+                    mean = f4(0.25) * (four[0, k] + four[1, k] + four[2, k] + four[3, k])
+                    row[(COMMANDED + k) * LANES + i] = mean
+            for i in range(LANES):
+                four_known = known[min(block * LANES + i, batch - 1), t]
+                count = f4(four_known[0]) + f4(four_known[1]) + f4(four_known[2]) + f4(four_known[3])
+                row[(COMMANDED + 3) * LANES + i] = f4(1) - f4(0.25) * count
+            for k in range(terms.shape[2]):
+                _into_lanes(terms, block, t, k, row[(GIVEN + k) * LANES : (GIVEN + k + 1) * LANES])
+
+
+@KERNELS.entry
+def unpack(first: int, last: int, rows: np.ndarray, values: np.ndarray) -> None:
+    """Bring rows [blocks, T, N * LANES] out of their lanes, into [B, T, N]."""
+    batch, steps, count = values.shape
+    for block in range(first, last):
+        for t in range(steps):
+            for k in range(count):
+                for i in range(min(LANES, batch - block * LANES)):
+                    values[block * LANES + i, t, k] = rows[block, t, k * LANES + i]
+
+
+@KERNELS.loop
+def load(w: np.ndarray, terms: np.ndarray, record: Record, block: int, t: int) -> None:
+    """Controls, mean normals and unknown ones of step t into the workspace, and what is added to the first network."""
+    row = record.rows[block, t]
+    copy(row, w[CONTROL_ROW * LANES : (NORMAL_ROW + 3) * LANES])
+    copy(row[(GIVEN - 1) * LANES :], w[UNKNOWN_ROW * LANES : (UNKNOWN_ROW + 1) * LANES])
+    copy(row[GIVEN * LANES :], terms)
 
 
 @KERNELS.loop
 def advance_block(
     w: np.ndarray, c: np.ndarray, networks: Networks, buffer_sets: BufferSets, before: np.ndarray, after: np.ndarray
 ) -> None:
-    """One step of a block, from one model state to the next; controls, normals and codes are loaded."""
+    """One step of a block, from one model state to the next; what is given is loaded."""
     units = (len(before) - MOVED) // (2 * LANES)
     copy(before, w[:MOVED])
     sense(w, c)
@@ -85,6 +147,37 @@ def advance_block(
         compensate(networks[k], buffer_sets[k], w, before[MOVED:], after[MOVED:], units)
     advance(w, c)
     copy(w[NEXT : NEXT + MOVED], after[:MOVED])
+
+
+@KERNELS.loop
+def begin(start: np.ndarray, recorded: np.ndarray, before: np.ndarray, block: int) -> None:
+    """Model states of a block into lanes; slots of absent actuators are 0."""
+    for i in range(LANES):
+        window = min(block * LANES + i, len(start) - 1)
+        for k in range(start.shape[1]):
+            absent = STATES <= k < len(STEPPED) and not recorded[k - STATES]
+            before[k * LANES + i] = f4(0) if absent else start[window, k]
+
+
+@KERNELS.loop
+def keep(
+    after: np.ndarray,
+    start: np.ndarray,
+    recorded: np.ndarray,
+    block: int,
+    t: int,
+    states: np.ndarray,
+    actuators: np.ndarray,
+) -> None:
+    """States and actuators after step t out of their lanes; absent actuators stay as they started."""
+    inside = min(LANES, len(start) - block * LANES)
+    for k in range(STATES):
+        for i in range(inside):
+            states[block * LANES + i, t, k] = after[k * LANES + i]
+    for k in range(ACTUATED):
+        for i in range(inside):
+            window, moved = block * LANES + i, recorded[k]
+            actuators[window, t, k] = after[(STATES + k) * LANES + i] if moved else start[window, STATES + k]
 
 
 @KERNELS.entry
@@ -110,29 +203,16 @@ def forward(
             adjoint.
         states, actuators: to fill [B, T, 6], [B, T, A].
     """
-    batch, steps, _ = record.controls.shape
-    slots = tape.shape[1]
-    w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
+    steps, slots = record.rows.shape[1], tape.shape[1]
+    w = np.zeros(CODES * LANES, f4)
     buffer_sets = make_buffer_sets(networks, f4(1))
     for block in range(first, last):
-        for i in range(LANES):
-            window = min(block * LANES + i, batch - 1)
-            for k in range(start.shape[1]):
-                absent = STATES <= k < len(STEPPED) and not record.recorded[k - STATES]
-                tape[block, 0, k * LANES + i] = f4(0) if absent else start[window, k]
+        begin(start, record.recorded, tape[block, 0], block)
         for t in range(steps):
             after = tape[block, (t + 1) % slots]
-            load(w, record, block, t)
+            load(w, buffer_sets[0].terms, record, block, t)
             advance_block(w, c, networks, buffer_sets, tape[block, t % slots], after)
-            for i in range(min(LANES, batch - block * LANES)):
-                window = block * LANES + i
-                for k in range(STATES):
-                    states[window, t, k] = after[k * LANES + i]
-                for k in range(ACTUATED):
-                    if record.recorded[k]:
-                        actuators[window, t, k] = after[(STATES + k) * LANES + i]
-                    else:
-                        actuators[window, t, k] = start[window, STATES + k]
+            keep(after, start, record.recorded, block, t, states, actuators)
 
 
 @KERNELS.entry
@@ -146,7 +226,7 @@ def backward(
     states_bar: np.ndarray,
     actuators_bar: np.ndarray,
     start_bar: np.ndarray,
-    codes_bar: np.ndarray,
+    terms_bar: np.ndarray,
     c_bar: np.ndarray,
     gates_bar: np.ndarray,
     inner_bar: np.ndarray,
@@ -157,14 +237,14 @@ def backward(
     Args:
         first, last, record, c, networks, tape: as in `forward`.
         states_bar, actuators_bar: adjoints of the results.
-        start_bar, codes_bar: to fill, like `start` and `record.codes`; the latter may be empty.
+        start_bar: to fill, like `start`.
+        terms_bar: adjoints of the terms, to fill [blocks, T, N * LANES].
         c_bar: adjoint of the learned constants, by block, to fill.
         gates_bar, inner_bar, outer_bar: adjoints of the first network's weights by block, zero, to add to; without rows
             where a matrix is frozen.
     """
-    batch, steps, _ = record.controls.shape
-    codes = record.codes.shape[2]
-    w = np.zeros((CODES + codes) * LANES, f4)
+    batch, steps, _ = states_bar.shape
+    w = np.zeros(CODES * LANES, f4)
     w_bar = np.zeros_like(w)
     after = np.zeros(tape.shape[2], f4)
     units = (len(after) - MOVED) // (2 * LANES)
@@ -179,17 +259,17 @@ def backward(
         for step in range(steps):
             t = steps - 1 - step
             before = tape[block, t]
-            load(w, record, block, t)
+            load(w, buffer_sets[0].terms, record, block, t)
             advance_block(w, c, networks, buffer_sets, before, after)
 
             w_bar[:] = f4(0)
             w_bar[NEXT : NEXT + MOVED] = model_state_bar[:MOVED]
-            for i in range(inside):
-                window = block * LANES + i
-                for k in range(STATES):
-                    w_bar[NEXT + k * LANES + i] += states_bar[window, t, k]
-                for k in range(ACTUATED):
-                    w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[window, t, k]
+            for k in range(STATES):
+                for i in range(inside):
+                    w_bar[NEXT + k * LANES + i] += states_bar[block * LANES + i, t, k]
+            for k in range(ACTUATED):
+                for i in range(inside):
+                    w_bar[NEXT + (STATES + k) * LANES + i] += actuators_bar[block * LANES + i, t, k]
             advance_adjoint(w, c, w_bar, constants_bar)
             compensate_adjoint(
                 networks[0], buffer_sets[0], bars[0], w, w_bar, model_state_bar[MOVED:], units,
@@ -202,10 +282,7 @@ def backward(
                 )  # fmt: skip
             sense_adjoint(w, c, w_bar, constants_bar)
             model_state_bar[:MOVED] = w_bar[:MOVED]
-            if len(codes_bar) > 0:
-                for i in range(inside):
-                    for k in range(codes):
-                        codes_bar[block * LANES + i, t, k] = w_bar[(CODES + k) * LANES + i]
+            copy(bars[0].terms, terms_bar[block, t])
         for i in range(inside):
             for k in range(start_bar.shape[1]):
                 start_bar[block * LANES + i, k] = model_state_bar[k * LANES + i]

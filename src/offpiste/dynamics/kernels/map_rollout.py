@@ -1,0 +1,299 @@
+"""Rollouts over maps that are read under predicted wheels, by kernels and without gradients: validation and evaluation.
+
+Each block of lanes finds its cells, encodes their features and steps on, so that nothing but the maps lies in memory.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.compilation import KERNELS, spread_kernel
+from offpiste.conventions import ACTUATORS, STATE
+from offpiste.dynamics.base import Dynamics, rollout
+from offpiste.dynamics.feature_encoder import Compressor, Identity
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.autograd import supports
+from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
+from offpiste.dynamics.kernels.encoder import CELLS, Activations, Layers, encode_block, layers_of, make_activations
+from offpiste.dynamics.kernels.layout import LANES
+from offpiste.dynamics.kernels.model_arrays import (
+    compensator_weights,
+    constants,
+    learned_constants,
+    networks,
+    recorded_channels,
+)
+from offpiste.dynamics.kernels.rollout import (
+    CODES,
+    NORMAL_ROW,
+    UNKNOWN_ROW,
+    Networks,
+    advance_block,
+    begin,
+    keep,
+    load_controls,
+    make_buffer_sets,
+)
+from offpiste.mapping import terrain_map
+from offpiste.mapping.terrain_sampler import CellStack, HeldCodes, MapTerrain
+from offpiste.state import ModelState, TerrainSource, Trajectory
+
+WHEELS = 4
+YAW = layout.ROW["yaw"]
+
+on_map = KERNELS.inlined(terrain_map.on_map)
+bilinear = KERNELS.inlined(terrain_map.bilinear)
+wheel_position = KERNELS.inlined(terrain_map.wheel_position)
+
+
+class Ground(NamedTuple):
+    """Maps as the kernel reads them.
+
+    Attributes:
+        shift: from each window's frame to cell [0, 0] of its map [B, 2] [m].
+        number: of the map of each window [B].
+        resolution: [m].
+        wheels: in the body frame [4, 2] [m].
+        place: see `CellStack` [S, ny, nx].
+        slope: of the cells, float16 as bits [C, 2].
+        features: alike [C, F].
+        held: codes that stay for the whole rollout [B, 4 E]; of no window where codes are read.
+    """
+
+    shift: np.ndarray
+    number: np.ndarray
+    resolution: Lane
+    wheels: np.ndarray
+    place: np.ndarray
+    slope: np.ndarray
+    features: np.ndarray
+    held: np.ndarray
+
+
+class Samples(NamedTuple):
+    """What a block reads at the cells under its wheels: of wheel k and lane i in row k * LANES + i.
+
+    Attributes:
+        features, bits: [4 * LANES, F], as numbers and as the same memory's bits.
+        valid: whether there are features [4 * LANES].
+        slope, slope_bits: of the four cells around one wheel [8], alike.
+    """
+
+    features: np.ndarray
+    bits: np.ndarray
+    valid: np.ndarray
+    slope: np.ndarray
+    slope_bits: np.ndarray
+
+
+def predict_on(
+    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], source: TerrainSource
+) -> Trajectory:
+    """`rollout` of the same arguments, by the kernel where it can and no gradient is wanted."""
+    terrain = source.source if isinstance(source, HeldCodes) else source
+    stepped = not torch.is_grad_enabled() and supports(dynamics, controls.device, controls.dtype)
+    if not stepped or not isinstance(terrain, MapTerrain) or not _supports_maps(dynamics, terrain):
+        return rollout(dynamics, model_state, controls, source)
+    held = source.latent.flatten(-2) if isinstance(source, HeldCodes) else controls.new_zeros(0, 0)
+    return rollout_on_maps(dynamics, model_state, controls, terrain, held)
+
+
+def _supports_maps(dynamics: Dynamics, terrain: MapTerrain) -> bool:
+    """Whether the maps are lists of float16 cells, and their features are read as the model encodes them."""
+    maps, encoders = terrain.maps, (None, dynamics.encoder)
+    if not isinstance(maps, CellStack) or not isinstance(dynamics.encoder, Identity | Compressor | None):
+        return False
+    return maps.slope.dtype == maps.features.dtype == torch.float16 and terrain.encode in encoders
+
+
+def rollout_on_maps(
+    dynamics: Dynamics,
+    model_state: ModelState,
+    controls: Float[Tensor, "B T U"],
+    terrain: MapTerrain,
+    held: Float[Tensor, "H C"],
+) -> Trajectory:
+    """Predict T steps, reading maps of float16 cells.
+
+    Args:
+        held: codes of the wheels that stay for the whole rollout; none where they are read.
+    """
+    maps = terrain.maps
+    assert isinstance(maps, CellStack)
+    shift = (terrain.offset - maps.origin[terrain.number]).float()
+    ground = Ground(
+        shift.numpy(),
+        terrain.number.numpy(),
+        np.float32(maps.resolution),
+        terrain.wheels.contiguous().numpy(),
+        maps.place.numpy(),
+        maps.slope.numpy().view(np.uint16),
+        maps.features.numpy().view(np.uint16),
+        held.contiguous().numpy(),
+    )
+    (batch, steps), matrices = controls.shape[:2], compensator_weights(dynamics)
+    states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (len(STATE), len(ACTUATORS)))
+    given = (
+        model_state.pack().detach().contiguous().numpy(),
+        controls.detach().contiguous().numpy(),
+        recorded_channels(dynamics.vehicle),
+        constants(dynamics, learned_constants(dynamics)),
+        networks(dynamics, matrices),
+        ground,
+        layers_of(dynamics.encoder),
+        4 * dynamics.codes,
+    )
+    spread_kernel(-(-batch // LANES), forward_on_maps, *given, states.numpy(), actuators.numpy())
+    return Trajectory(states, actuators)
+
+
+@KERNELS.maker
+def _make_samples(layers: Layers) -> Samples:
+    features, slope = np.zeros((WHEELS * LANES, len(layers.mean)), f4), np.zeros(8, f4)
+    valid = np.zeros(WHEELS * LANES, np.bool_)
+    return Samples(features, features.view(np.uint32), valid, slope, slope.view(np.uint32))
+
+
+@KERNELS.inlined
+def _widened(half: Lane) -> Lane:
+    """Bits of a float16 as those of the float32 times 2^-112; what is not finite becomes not a number.
+
+    Subnormal numbers come out right, too.
+    """
+    bits = np.uint32(half)
+    sign, rest = (bits & np.uint32(0x8000)) << np.uint32(16), bits & np.uint32(0x7FFF)
+    return sign | (np.uint32(0x7FC00000) if rest >= np.uint32(0x7C00) else rest << np.uint32(13))
+
+
+SCALE = f4(2.0**112)
+"""Factor of numbers that `_widened` gives."""
+
+
+@KERNELS.loop
+def _read_slope(ground: Ground, s: Samples, number: int, x: Lane, y: Lane) -> tuple[Lane, Lane]:
+    """Slope between the four cells around a place on the map, in cells; NaN where it is unknown."""
+    _, rows, columns = ground.place.shape
+    x0, y0 = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
+    x1, y1 = min(x0 + 1, columns - 1), min(y0 + 1, rows - 1)
+    for n in range(4):
+        cell = ground.place[number, y1 if n >= 2 else y0, x1 if n % 2 else x0]
+        cell = cell if cell >= 0 else len(ground.slope) - 1
+        for k in range(2):
+            s.slope_bits[2 * n + k] = _widened(ground.slope[cell, k])
+    for n in range(8):
+        s.slope[n] *= SCALE
+    u, v, one, a = x - f4(x0), y - f4(y0), f4(1), s.slope
+    return bilinear(a[0], a[2], a[4], a[6], u, v, one), bilinear(a[1], a[3], a[5], a[7], u, v, one)
+
+
+@KERNELS.loop
+def _read_features(ground: Ground, s: Samples, row: int, cell: int) -> None:
+    """Features of a cell into a row of the samples, and whether all are there."""
+    valid = cell >= 0
+    if valid:
+        for k in range(s.features.shape[1]):
+            s.bits[row, k] = _widened(ground.features[cell, k])
+        for k in range(s.features.shape[1]):
+            s.features[row, k] *= SCALE
+        for k in range(ground.features.shape[1]):  # also of those that the model does not read
+            valid &= (ground.features[cell, k] & np.uint16(0x7FFF)) < np.uint16(0x7C00)
+    s.valid[row] = valid
+
+
+@KERNELS.loop
+def _sample(w: np.ndarray, before: np.ndarray, ground: Ground, s: Samples, block: int, reads: bool) -> None:
+    """Mean normals and unknown ones under a block into the workspace, features into the samples, as `sample_maps`."""
+    _, rows, columns = ground.place.shape
+    w[NORMAL_ROW * LANES : (NORMAL_ROW + 3) * LANES] = f4(0)
+    w[UNKNOWN_ROW * LANES : (UNKNOWN_ROW + 1) * LANES] = f4(0)
+    last_x, last_y, zero, quarter = f4(columns - 1), f4(rows - 1), f4(0), f4(0.25)
+    for i in range(LANES):
+        window = min(block * LANES + i, len(ground.number) - 1)
+        yaw, number = before[YAW * LANES + i], ground.number[window]
+        c, s_ = cos(yaw), sin(yaw)
+        for k in range(WHEELS):
+            px, py = wheel_position(before[i], before[LANES + i], c, s_, ground.wheels[k, 0], ground.wheels[k, 1])
+            x = (px + ground.shift[window, 0]) / ground.resolution
+            y = (py + ground.shift[window, 1]) / ground.resolution
+            rise_x, rise_y, cell = f4(np.nan), f4(np.nan), np.int32(-1)
+            if on_map(x, y, last_x, last_y, f4(0.5)):
+                x, y = min(max(x, zero), last_x), min(max(y, zero), last_y)
+                cell = ground.place[number, int(np.rint(y)), int(np.rint(x))]
+                rise_x, rise_y = _read_slope(ground, s, number, x, y)
+            if np.isfinite(rise_x) and np.isfinite(rise_y):
+                up = quarter / np.sqrt(f4(1) + rise_x * rise_x + rise_y * rise_y)
+                w[NORMAL_ROW * LANES + i] -= rise_x * up
+                w[(NORMAL_ROW + 1) * LANES + i] -= rise_y * up
+                w[(NORMAL_ROW + 2) * LANES + i] += up
+            else:
+                w[(NORMAL_ROW + 2) * LANES + i] += quarter
+                w[UNKNOWN_ROW * LANES + i] += quarter
+            if reads:
+                _read_features(ground, s, k * LANES + i, cell)
+
+
+@KERNELS.loop
+def _encode(w: np.ndarray, s: Samples, a: Activations, layers: Layers, size: int) -> None:
+    """Codes of the samples into the workspace, `size` under each wheel."""
+    channels = len(layers.mean)
+    if layers.first.shape[0] == 0:  # the features are the codes, with their flag
+        for k in range(WHEELS):
+            for i in range(LANES):
+                valid = s.valid[k * LANES + i]
+                for e in range(channels):
+                    value = s.features[k * LANES + i, e] if valid else layers.mean[e]
+                    w[(CODES + k * size + e) * LANES + i] = value
+                w[(CODES + k * size + channels) * LANES + i] = f4(-1) if valid else f4(1)
+        return
+    for block in range(-(-WHEELS * LANES // CELLS)):
+        encode_block(a, s.features, s.valid, layers, block)
+        for row in range(block * CELLS, min((block + 1) * CELLS, WHEELS * LANES)):
+            k, i = divmod(row, LANES)
+            for e in range(size):
+                w[(CODES + k * size + e) * LANES + i] = a.code[e * CELLS + row - block * CELLS]
+
+
+@KERNELS.entry
+def forward_on_maps(
+    first: int,
+    last: int,
+    start: np.ndarray,
+    controls: np.ndarray,
+    recorded: np.ndarray,
+    c: np.ndarray,
+    networks: Networks,
+    ground: Ground,
+    layers: Layers,
+    codes: int,
+    states: np.ndarray,
+    actuators: np.ndarray,
+) -> None:
+    """Roll blocks `first` ... `last - 1` out, as `rollout.forward`, over maps instead of a record.
+
+    Args:
+        codes: numbers that the networks read of all wheels.
+    """
+    batch, steps, _ = controls.shape
+    w = np.zeros((CODES + codes) * LANES, f4)
+    tape = np.zeros((2, start.shape[1] * LANES), f4)
+    buffer_sets, samples = make_buffer_sets(networks, f4(1)), _make_samples(layers)
+    activations = make_activations(layers, f4(1))
+    held = len(ground.held) > 0
+    for block in range(first, last):
+        begin(start, recorded, tape[0], block)
+        if held:
+            for i in range(LANES):
+                window = min(block * LANES + i, batch - 1)
+                for k in range(codes):
+                    w[(CODES + k) * LANES + i] = ground.held[window, k]
+        for t in range(steps):
+            before, after = tape[t % 2], tape[(t + 1) % 2]
+            load_controls(w, controls, recorded, block, t)
+            _sample(w, before, ground, samples, block, codes > 0 and not held)
+            if codes > 0 and not held:
+                _encode(w, samples, activations, layers, codes // WHEELS)
+            advance_block(w, c, networks, buffer_sets, before, after)
+            keep(after, start, recorded, block, t, states, actuators)
