@@ -46,7 +46,7 @@ def test_parts_that_stand_still_are_complained_of_and_interleaved_blocks_are_pro
     data = dataset(at_speed(speed))
     line = split_warning(data) or ""
     assert "validation drives at a median of 0.0 m/s, train at" in line
-    assert "; better: --split " in line
+    assert "; better: extract again, into another --out, with --split " in line
     proposed = line.split("--split ")[1].split(" ")[0]
     assert split_warning(data.relabelled(parse_split(proposed))) is None
 
@@ -76,7 +76,7 @@ def test_a_short_drive_gets_a_split_in_which_every_part_has_windows() -> None:
     found = fitting_split(drive, 0.0, 1.5)
     assert found is not None
     assert all(part.windows for part in part_facts(data.relabelled(found)))
-    assert f"give --split {found.text}, or" in described(drive, data.split)
+    assert f"with --split {found.text}, or" in described(drive, data.split)
     assert fitting_split(dataset(at_speed(wandering(800))).drives[0], 0.0, 1.5) is None
 
 

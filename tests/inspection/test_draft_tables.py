@@ -170,7 +170,7 @@ def test_a_pedal_with_a_sign_is_throttle_and_brake(tmp_path: Path, factor: float
     rig = drafted(path)
     assert rig.channels["throttle"].fields == rig.channels["brake"].fields == ("throttle",)
     channels = drive_from_log(open_log(path), rig).channels
-    scale = 1 / 0.8 if factor == 100 else factor
+    scale = 1.0 if factor == 100 else factor  # of percent, although this driver never goes beyond 80
     np.testing.assert_allclose(channels["throttle"].values[:, 0], DRIVEN["throttle"] * scale, atol=1e-3)
     np.testing.assert_allclose(channels["brake"].values[:, 0], DRIVEN["brake"] * scale, atol=1e-3)
     assert "brake" not in rig.absent
@@ -240,3 +240,46 @@ def test_latitude_and_longitude_become_metres(tmp_path: Path) -> None:
     position = drive_from_log(open_log(tmp_path / "gps.csv"), rig).channels["position"].values
     np.testing.assert_allclose(np.diff(position[:, :2], axis=0), np.diff(np.stack((x, y), axis=1), axis=0), atol=1e-3)
     np.testing.assert_array_equal(position[:, 2], 500)
+
+
+def compass(path: Path, columns: Columns) -> Path:
+    """The drive with a heading clockwise from north and a servo that is positive to the right."""
+    table = written(path, {**columns, "Heading [deg]": ("yaw", DEG), "Servo [deg]": ("angle", -DEG)})
+    lines = table.read_text().splitlines()
+    at = lines[0].split(",").index("Heading [deg]")
+    rows = [line.split(",") for line in lines[1:]]
+    for row in rows:
+        row[at] = f"{(90 - float(row[at])) % 360:.4f}"
+    table.write_text("\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n")
+    return table
+
+
+def test_a_compass_is_turned_round_and_the_world_not_mirrored(tmp_path: Path) -> None:
+    columns: Columns = {"t": ("t", 1), "Easting [m]": ("x", 1), "Northing [m]": ("y", 1)}
+    path = compass(tmp_path / "drive.csv", columns)
+    rig = drafted(path)
+    assert rig.channels["position"].fields == ("Easting [m]", "Northing [m]")
+    inspection = inspect_log(open_log(path))
+    cure = {edit.key: edit.value for edit in inspection.cure}
+    assert cure == {"channels.yaw.sign": -1, "channels.yaw.offset": -90.0, "channels.steer.sign": -1}
+    assert "clockwise" in inspection.findings[0].what
+    yaw = drive_from_log(open_log(path), edited(rig, inspection.cure)).channels["yaw"].values[:, 0]
+    np.testing.assert_allclose(np.angle(np.exp(1j * (yaw - DRIVEN["yaw"]))), 0, atol=1e-4)
+
+    mirrored = edited(rig, [Edit("channels.position.fields", ["Northing [m]", "Easting [m]"])])
+    (finding,) = (f for f in inspect_log(open_log(path), mirrored).findings if f.severity == "warning")
+    assert "mirror" in finding.what
+    again = edited(mirrored, finding.cures[0])
+    assert not [f for f in inspect_log(open_log(path), again).findings if f.severity != "note"]
+    assert again.channels["steer"].sign == -1
+
+
+def test_a_size_of_no_vehicle_is_another_unit(tmp_path: Path) -> None:
+    path = written(tmp_path / "drive.csv", {**POSE, "steering": ("angle", 1 / WIDEST)})
+    places = [[90, 70], [90, -70], [-90, 70], [-90, -70]]
+    numbers = {"wheel_positions": places, "mass": 700.0, "source": "data sheet", "max_steer": WIDEST}
+    rig = edited(drafted(path), [Edit(f"vehicle.{name}", value) for name, value in numbers.items()])
+    inspection = inspect_log(open_log(path), rig)
+    assert "too light" in inspection.findings[0].what
+    assert inspection.cure == (Edit("vehicle.wheel_positions", [[x / 100, y / 100] for x, y in places]),)
+    assert inspect_log(open_log(path), edited(rig, inspection.cure)).findings == ()

@@ -12,7 +12,7 @@ from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.lags import LAGS, LagFit
 from offpiste.inspection.pedals import check_pedals, pedal_fits
 from offpiste.logs.drive import drive_from_log
-from offpiste.rig.edits import Edit
+from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seconds=60)
 
@@ -152,3 +152,33 @@ def test_a_pedal_that_is_a_second_late_is_late_and_not_reversed() -> None:
     assert whats[0.1] == [("acts the wrong way", "channels.throttle.scale")]
     unsure = LagFit(LAGS, r, r, 1000, np.outer(np.linspace(0.0, 2.0, 9), r), np.tile(r, (9, 1)))
     assert check_pedals({"throttle": unsure}, drive, path) == [], "some stretches alone say so"
+
+
+def _triggers(low: float, high: float) -> MemoryLog:
+    """The log with pedals as triggers: `high` when released, `low` when pressed fully."""
+    log = CLEAN
+    for name in ("throttle", "brake"):
+        log = log.change("pedals", name, lambda x: high - (high - low) * np.clip(1.25 * x - 0.25, 0, 1))
+    return log
+
+
+@pytest.mark.parametrize("low", [-1.0, 0.0])
+def test_two_triggers_that_rest_high_are_both_reversed_and_not_exchanged(low: float) -> None:
+    log = _triggers(low, 1.0)
+    inspection = inspect_log(log, rig())
+    cured = edited(rig(), inspection.cure)
+    assert [cured.channels[name].fields for name in ("throttle", "brake")] == [("throttle",), ("brake",)]
+    channels = drive_from_log(log, cured).channels
+    for name in ("throttle", "brake"):
+        pressed = np.clip(1.25 * CLEAN.data["pedals"][1][name] - 0.25, 0, 1)
+        np.testing.assert_allclose(channels[name].values[:, 0], pressed, atol=1e-3)
+    assert not [f for f in inspect_log(log, cured).findings if f.severity != "note"]
+
+
+def test_a_range_of_valid_values_never_drops_most_samples() -> None:
+    """As `sign = -1` leaves a trigger: -1 when released, some quick touches beyond."""
+    log = _triggers(-1.0, 1.0)
+    half = edited(rig(), [Edit("channels.throttle.sign", -1), Edit("channels.brake.sign", -1)])
+    cure = inspect_log(log, half).cure
+    assert {edit.key.rpartition(".")[2] for edit in cure} == {"scale", "offset"}
+    assert not [f for f in inspect_log(log, edited(half, cure)).findings if f.severity != "note"]

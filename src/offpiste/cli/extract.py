@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 from typing import Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.conventions import PERCEPTION_LATENCY
+from offpiste.progress import show
 
 
 @COMMANDS.register("extract")
@@ -74,4 +76,7 @@ class Extract:
             cluster=self.cluster,
             force=self.force,
         )
+        model = "dc" if self.pca else "b"
+        if not self.shard:
+            show(f"next: {join(['offpiste', 'train', str(self.out), '--model', model, '--out', f'runs/{model}'])}")
         return 0

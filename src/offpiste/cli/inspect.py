@@ -77,17 +77,21 @@ class Inspect:
             lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]
             print(*lines, sep="\n", file=sys.stderr)  # noqa: T201
         if not self.json:
-            show(f"next: {self._next(path, usable=inspection.usable)}")
+            show(f"next: {self._next(path, usable=inspection.usable, cured=bool(inspection.cure))}")
         return 0 if inspection.usable else 1
 
-    def _next(self, log: str, *, usable: bool) -> str:
-        """The command that comes next, as a line to paste."""
-        if self.write_rig:
-            return join(["offpiste", "inspect", log, "--rig", str(self.write_rig)])
-        if self.rig and usable:
-            return join(["offpiste", "extract", log, "--rig", self.rig, "--out", "dataset.zarr"])
-        if self.rig and self.rig.endswith(".toml"):
-            return join(["offpiste", "inspect", log, "--rig", self.rig])
+    def _next(self, log: str, *, usable: bool, cured: bool) -> str:
+        """The command that comes next, as a line to paste, and what to do before it."""
+        rig = str(self.write_rig) if self.write_rig else self.rig
+        if rig is None:
+            return join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
+        if usable and self.rig and not (self.write_rig and cured):
+            return join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
+        again = join(["offpiste", "inspect", log, "--rig", rig])
+        if self.write_rig and usable:
+            return again if self.rig else f"{again}    # once [vehicle] in {rig} holds your vehicle's numbers"
+        if rig.endswith(".toml"):
+            return f"{again}    # once {rig} is corrected as said above"
         return join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
 
     def _survey(self, logs: list[str]) -> int:

@@ -148,7 +148,7 @@ def described(
     wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
     if split.kind in ("blocks", "fold") and min(wanted) == 0:
         other = fitting_split(drive, min_hindsight, min_speed)
-        how = f"give --split {other.text}" if other else "record two minutes or more"
+        how = f"extract again, into another --out, with --split {other.text}" if other else "record two minutes or more"
         lines.append(
             f"  warning: too short or slow for {split.text}: a part has no window, so `train` refuses it alone; {how},"
             " or several drives with --split drives:FILE"

@@ -187,4 +187,5 @@ def split_warning(dataset: Dataset) -> str | None:
             )
         return line + how
     split, parts = better
-    return f"{line}; better: --split {split.text} ({'; '.join(part.words for part in parts[1:])})"
+    words = "; ".join(part.words for part in parts[1:])
+    return f"{line}; better: extract again, into another --out, with --split {split.text} ({words})"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from offpiste.dataset.log_findings import warning_line
+from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import RunError
@@ -70,6 +71,10 @@ def evaluate_runs(
     )
     for stranger in strangers:
         logger.warning(stranger)
+    trained_here = all(model.split is None for model in models) and {run.split for run in runs} == {dataset.split.text}
+    unlike = split_warning(dataset) if trained_here else None
+    if unlike is not None:
+        logger.warning(unlike)
     evaluation = evaluate_models(
         models,
         dataset,
@@ -78,7 +83,7 @@ def evaluate_runs(
         starts=starts,
         lookups=lookups,
         feature_sets=feature_sets,
-        warnings=strangers,
+        warnings=strangers if unlike is None else (*strangers, unlike),
         device=device,
         track=track,
     )

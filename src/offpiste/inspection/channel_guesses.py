@@ -57,6 +57,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
+    ("steer", 1, r"(?<![a-z])servo(_?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
@@ -221,6 +222,25 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
         fields = tuple(columns[corner] for corner in _CORNERS)
         if (guess := _guess("wheel_speed", topic, fields, named[fields[0]])) is not None:
             yield guess
+
+
+def named_axis(field: str) -> str:
+    """The axis that a position's field is named by: "x" (or east), "y" (or north), "z" (or up); "" for none."""
+    found = _AXIS_NAME.findall(_with_letters(parse_label(field).name))
+    return str(found[-1]) if found else ""
+
+
+def named_direction(field: str) -> bool:
+    """Whether a position's field is named by a direction, east or north, and not by a letter."""
+    return named_axis(field) in ("x", "y") and named_axis(field) != _letter(field)
+
+
+def _letter(field: str) -> str:
+    found = _AXIS_NAME.findall(parse_label(field).name)
+    return str(found[-1]) if found else ""
+
+
+_AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

@@ -7,7 +7,7 @@ from typing import Final
 
 from offpiste.inspection.clocks import check_clocks
 from offpiste.inspection.course import heading_fits
-from offpiste.inspection.draft_values import check_draft_values
+from offpiste.inspection.draft_values import check_draft_values, check_size
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.dropped import check_dropped
@@ -115,7 +115,9 @@ def _missing(topics: Topics) -> list[Finding]:
 
 
 def _draft_values(topics: Topics) -> list[Finding]:
-    return check_draft_values(topics.rig) if topics.rig is not None and topics.given else []
+    if topics.rig is None or not topics.given:
+        return []
+    return check_draft_values(topics.rig) + check_size(topics.rig)
 
 
 def _unread(topics: Topics) -> list[Finding]:

@@ -1,6 +1,6 @@
 """Checks of the heading against the course: mirrored, in another unit, turned; or places with swapped axes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Final
@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.geometry import rotation_from_quaternion
+from offpiste.inspection.channel_guesses import named_axis, named_direction
 from offpiste.inspection.driven_path import STEP, Path
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, fit_lags, jackknife
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
@@ -24,6 +25,10 @@ _APART: Final = 0.6
 """Resultant below which they surely do not agree; drifts and faults of the position alone come near it."""
 _TURNED: Final = np.deg2rad(10.0)
 """Least turn of the heading against the course that is reported [rad]."""
+_SPOILS: Final = np.deg2rad(45.0)
+"""Turn of the heading beyond which forward and sideways are confused, and nothing can be learned [rad]."""
+_NEARLY: Final = np.deg2rad(2.0)
+"""Conventions differ by quarters of a turn: what is this near to one is one [rad]."""
 _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
 _ONE_WAY: Final = 0.7
@@ -62,11 +67,17 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
     if plain.together > _TOGETHER:
         if abs(plain.offset) > _TURNED + SURE * plain.offset_sigma:
             return [_turned(name, plain, drive.rig)]
-        return []
+        return _mirrored(name, drive)
     better = [other for other in others if other.together > max(_TOGETHER, plain.together + 0.1)]
-    better.sort(key=lambda other: (len(_with_offset(name, other, drive.rig)), -other.together))
     cures = tuple(_with_offset(name, other, drive.rig) for other in better)
+    # Axes that are named as they are read are the last to be wrong.
+    order = sorted(
+        range(len(cures)), key=lambda i: (against_names(cures[i], drive.rig), len(cures[i]), -better[i].together)
+    )
+    better, cures = [better[i] for i in order], tuple(cures[i] for i in order)
     what = "the heading does not follow the course"
+    if cures and any(edit.key == "channels.yaw.sign" for edit in cures[0]):
+        what += ": it counts clockwise"
     evidence = f"they agree to {plain.together:.2f} (1: always, 0: never)"
     if not cures:
         how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
@@ -97,6 +108,41 @@ def readings(drive: Drive, path: Path) -> Iterator[Reading]:
         yield Reading(tuple(edits), agreement, *_offset(difference, straight))
 
 
+def against_names(edits: Iterable[Edit], rig: Rig) -> float:
+    """How much the names of positions speak against edits that exchange x and y, in units of warnings.
+
+    Letters may be wrong, and among cures that explain as much they decide; nobody writes "east" for north.
+    """
+    fields = rig.channels["position"].fields[:2]
+    exchanged = any(edit.key == "channels.position.fields" for edit in edits)
+    if not exchanged or [named_axis(field) for field in fields] != ["x", "y"]:
+        return 0.0
+    return 10.0 if all(named_direction(field) for field in fields) else 0.5
+
+
+def _mirrored(name: str, drive: Drive) -> list[Finding]:
+    """A finding where y is read before x, by their names, and the heading follows: a compass, seen in a mirror."""
+    fields, yaw = drive.rig.channels["position"].fields, drive.rig.channels.get("yaw")
+    if yaw is None or drive.rig.motion.axes != "z up" or [named_axis(field) for field in fields[:2]] != ["y", "x"]:
+        return []
+    quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
+    pose = (
+        Edit("channels.position.fields", _swapped(drive.rig)),
+        Edit("channels.yaw.sign", -yaw.sign),
+        Edit("channels.yaw.offset", rounded(yaw.offset - quarter)),
+    )
+    steering = (name for name in ("steer", "steer_angle") if name in drive.rig.channels)
+    signs = tuple(Edit(f"channels.{name}.sign", -drive.rig.channels[name].sign) for name in steering)
+    cure = (*pose, *signs)  # a steering that is right in a mirror is wrong without it
+    evidence = f"position reads {fields[0]} before {fields[1]}, and the heading, clockwise then, follows the course"
+    how = ", ".join(map(str, cure)) + "; left and right are exchanged until then"
+    return [
+        Finding(
+            "warning", name, "the world is seen in a mirror", evidence, how, 1.0, tuple(dict.fromkeys((cure, pose)))
+        )
+    ]
+
+
 def _swapped(rig: Rig) -> list[str]:
     x, y, *z = rig.channels["position"].fields
     return [y, x, *z]
@@ -114,7 +160,11 @@ def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
         sign = stated.get("channels.yaw.sign", source.sign)
         per_unit = sign * unit_factor("yaw", stated.get("channels.yaw.unit", source.unit))
     half = np.pi / abs(per_unit)
-    turn = np.remainder(source.offset + reading.offset / per_unit + half, 2 * half) - half
+    offset = reading.offset
+    quarters = np.round(offset / (np.pi / 2)) * np.pi / 2
+    if abs(offset - quarters) < _NEARLY:
+        offset = quarters
+    turn = np.remainder(source.offset + offset / per_unit + half, 2 * half) - half
     return (*reading.edits, Edit(f"channels.{name}.offset", rounded(float(turn))))
 
 
@@ -126,7 +176,8 @@ def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
     backwards = abs(reading.offset) > np.radians(150)  # whether it reverses is known by what else follows from it
     how += "; or it drives backwards" if backwards else ""
     what = "the heading is turned against the course"
-    return Finding("warning", name, what, evidence, how, 0.8, (cure,), sure=not backwards)
+    severity: Severity = "fatal" if not backwards and abs(reading.offset) > _SPOILS else "warning"
+    return Finding(severity, name, what, evidence, how, 0.8, (cure,), sure=not backwards)
 
 
 def leans_inward(drive: Drive, path: Path) -> bool:

@@ -1,8 +1,9 @@
 """Channels of a first rig: which guesses it takes, with units, scales and signs by names and numbers."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -10,21 +11,25 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
+from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.signals import find_wrap
 from offpiste.logs.log import Log
-from offpiste.rig.channels import Wrap, unit_factor
+from offpiste.rig.channels import ChannelSource, Wrap, unit_factor
 from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
-_COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+_COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
 _WIDEST: Final = 1.05
 """Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
 
 
 _STEEPEST: Final = 1.4
 """Largest `max_steer` that is drafted [rad]."""
+
+Found = Mapping[str, tuple[Guess, float]]
+"""Guesses of controls that only the motion shows, with its correlation (`controls_by_numbers`)."""
 
 Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
 """Guesses of channels of one number, and their values."""
@@ -46,11 +51,14 @@ class Entry:
     max_angle: float = 0.0
 
 
-def draft_channels(log: Log, frame: str) -> dict[str, Entry]:
+def draft_channels(
+    log: Log, frame: str, found: Mapping[str, tuple[Guess, float]] = MappingProxyType({})
+) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
     Args:
         frame: of the linear velocity.
+        found: controls that no name shows.
     """
     guesses = guess_channels(log)
     entries = _pose(log, guesses, frame)
@@ -69,8 +77,17 @@ def draft_channels(log: Log, frame: str) -> dict[str, Entry]:
         values = field_values(log, guess)
         if values is not None and np.ptp(values) > 0:
             scalars[channel] = guess, values[:, 0]
+    for channel, (guess, _) in found.items():
+        if channel not in scalars and (values := field_values(log, guess)) is not None:
+            scalars[channel] = guess, values[:, 0]
     plain = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    return entries | plain | _signed_pedal(scalars) | _steering(scalars)
+    entries |= plain | _signed_pedal(scalars) | _steering(scalars)
+    for channel, (guess, correlation) in found.items():
+        if channel in entries and entries[channel].guess is guess:
+            follows = f"by its numbers: the motion follows it ({correlation:.2f})"
+            comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name").removeprefix(":")
+            entries[channel] = replace(entries[channel], comment=f"GUESSED {follows}{comment and ';'}{comment}")
+    return entries
 
 
 def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
@@ -139,9 +156,9 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
         lines += stated
         comment += " and unit"
     elif channel in ("throttle", "brake") and not (low >= -0.05 and 0.05 < high <= 1.05):
-        scale = 1 / max(high - low, 1e-9)
-        lines += [f"scale = {number(scale)}", f"offset = {number(-low * scale)}", "clip = [0.0, 1.0]"]
-        comment += f"; scaled from {low:.4g}..{high:.4g} to 0..1"
+        pedal, words = _pedal(channel, guess, values)
+        lines += pedal
+        comment += words
     elif channel == "steer" and largest > 1.05:
         lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
         comment += f"; scaled by its largest value, {largest:.4g}"
@@ -152,18 +169,37 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     return Entry(guess, tuple(lines), comment)
 
 
+def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
+    """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
+    low, high = held_range(values)
+    span = whole_range(values)
+    if span == (0.0, 100.0):
+        return ['unit = "percent"', "clip = [0.0, 1.0]"], f" and its numbers up to {high:.4g}: taken as percent"
+    source = ChannelSource(guess.fields, guess.topic)
+    edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
+    lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
+    if span:
+        return [
+            *lines,
+            "clip = [0.0, 1.0]",
+        ], f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
+    comment = f"; scaled from {low:.4g}..{high:.4g} to 0..1, the most that this log holds: is it fully pressed?"
+    return [*lines, "clip = [0.0, 1.0]"], comment
+
+
 def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
     """Throttle and brake where one column holds both, the brake below zero; nothing where it does not."""
     if "throttle" not in scalars:
         return {}
     guess, values = scalars["throttle"]
-    if find_wrap(values) is not None or not is_signed(values):
+    if find_wrap(values) is not None or not is_signed(values) or ("brake" in scalars and rests_high(values)):
         return {}
-    low, high = np.percentile(values, (0.5, 99.5))
+    low, high = held_range(values)
     largest = max(-low, high)
     scaled = _unit_line("throttle", guess) if largest > 1.05 else ()
     if not scaled and largest > 1.05:
-        scaled = (f"scale = {number(1 / largest)}",)
+        full = full_scale(largest)
+        scaled = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / (full or largest))}",)
     comment = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g}: "
     entries = {"throttle": Entry(guess, (*scaled, "clip = [0.0, 1.0]"), comment + "what is above zero")}
     if "brake" not in scalars:

@@ -3,13 +3,14 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
 
 from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.draft_channels import Entry, draft_channels
+from offpiste.inspection.controls_by_numbers import find_controls
+from offpiste.inspection.draft_channels import Entry, Found, draft_channels
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
@@ -60,11 +61,13 @@ class _Seen:
         frame: of its velocity.
         wheelbase: [m], or 0.
         max_steer: [rad], or 0; of the rig's wheelbase.
+        found: controls that only the motion shows, with its correlation.
     """
 
     frame: str = "unknown"
     wheelbase: float = 0.0
     max_steer: float = 0.0
+    found: Found = field(default_factory=dict)
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -95,14 +98,16 @@ def draft_rig(log: Log) -> str:
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
+    if found := find_controls(log, rig):
+        rig = parse_rig(_text(log, _Seen(found=found)), where="the drafted rig")
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
-    seen = _Seen(frame, wheelbase, estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase))
+    seen = _Seen(frame, wheelbase, estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), found)
     return text if seen == _Seen() else _text(log, seen)
 
 
 def _text(log: Log, seen: _Seen) -> str:
-    entries = draft_channels(log, seen.frame)
+    entries = draft_channels(log, seen.frame, seen.found)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
         raise LogError(
             "no topic looks like a pose (position and heading)",

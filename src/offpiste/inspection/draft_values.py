@@ -1,4 +1,4 @@
-"""Mass and wheel positions that a first rig makes up: recognised as such, and noted until they are measured."""
+"""Mass and wheel positions: those that a first rig makes up, noted until they are measured, and those of no vehicle."""
 
 from typing import Final
 
@@ -10,6 +10,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import steering_fits
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
+from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig, Vehicle
 
 MASS: Final = 1000.0
@@ -20,6 +21,9 @@ GUESSED: Final = "GUESSED"
 """What `vehicle.source` begins with until it names a source."""
 _WHEELBASES: Final = (0.05, 8.0)
 """Wheelbases that a vehicle can have [m]."""
+_DENSITIES: Final = (2.0, 5000.0)
+"""Mass over the wheelbase's cube of vehicles [kg/m^3]: cars have some 80, trucks 200, dense small robots 1000."""
+_UNITS: Final = ((0.01, "cm"), (0.001, "mm"), (0.3048, "ft"))
 _CLEAR: Final = 0.8
 """Least correlation of the yaw rate with what speed and steering angle make of it."""
 
@@ -87,6 +91,24 @@ def check_draft_values(rig: Rig) -> list[Finding]:
     evidence = f"{' and '.join(left)}; vehicle.source: {vehicle.source or 'none'}"
     remedy = "measure them, correct [vehicle], and say in vehicle.source where the numbers come from"
     return [Finding("note", "vehicle", "mass and wheel positions are still those of the draft", evidence, remedy, 0.5)]
+
+
+def check_size(rig: Rig) -> list[Finding]:
+    """A warning where wheel positions and mass are those of no vehicle: one of them is in another unit."""
+    vehicle = rig.vehicle
+    if _left(vehicle) or _DENSITIES[0] < vehicle.mass / vehicle.wheelbase**3 < _DENSITIES[1]:
+        return []
+    evidence = f"a wheelbase of {vehicle.wheelbase:.3g} m with {vehicle.mass:.3g} kg"
+    remedy, cures = "vehicle.wheel_positions are in m, vehicle.mass is in kg", []
+    for factor, unit in _UNITS:
+        if _DENSITIES[0] < vehicle.mass / (factor * vehicle.wheelbase) ** 3 < _DENSITIES[1]:
+            places = [[rounded(factor * x), rounded(factor * y)] for x, y in vehicle.wheel_positions]
+            cures.append((Edit("vehicle.wheel_positions", places),))
+            remedy += f"; if these are in {unit}: {cures[-1][0]}"
+            break
+    return [
+        Finding("warning", "vehicle", "is too light or too heavy for its size", evidence, remedy, 1.0, tuple(cures))
+    ]
 
 
 def _left(vehicle: Vehicle) -> list[str]:

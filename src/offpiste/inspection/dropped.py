@@ -33,6 +33,7 @@ def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         outside = ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
         measured = _continuing(values, outside)
         if measured.sum() <= _SHARE * len(values):
+            findings += _mostly(name, outside)
             continue
         reached = values[measured | ~outside]
         low, high = float(reached.min()), float(reached.max())
@@ -45,6 +46,15 @@ def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         share = float(measured.mean())
         findings.append(Finding("warning", name, "valid drops measurements", evidence, str(edit), share, ((edit,),)))
     return findings
+
+
+def _mostly(name: str, outside: Bool[np.ndarray, " n"]) -> list[Finding]:
+    """A note where most samples are dropped: logs may mark what is not known by a value, but seldom so often."""
+    share = float(outside.mean()) if len(outside) else 0.0
+    if share <= 0.5:
+        return []
+    evidence = f"{outside.sum()} of {len(outside)} samples ({share:.1%}); rows without them are not complete"
+    return [Finding("note", name, "valid drops most samples", evidence, "widen or remove `valid`", share)]
 
 
 def _continuing(values: Float[np.ndarray, "n k"], outside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

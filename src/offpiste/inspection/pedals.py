@@ -10,6 +10,7 @@ from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, SURE, LagFit, check_delay, fit_lags, lagged, sampled
+from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.steering_fit import SteeringFit
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -91,6 +92,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
         fits: of `pedal_fits`.
     """
     findings: list[Finding] = []
+    both = _both_flipped(drive) if {*fits} == {*_EFFECTS} else None
     for name, fit in fits.items():
         sign = _EFFECTS[name]
         right, wrong = fit.best(*_OWN_DELAY, sign=sign), fit.best(*_OWN_DELAY, sign=-sign)
@@ -104,8 +106,9 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
                 f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
             )
             cure = _flip(name, drive.channels[name], drive.rig)
-            how = ", ".join(map(str, cure)) + "; or it is the other pedal"
-            findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0, (cure,)))
+            how = ", ".join(map(str, both or cure)) + "; or it is the other pedal"
+            cures = (cure,) if both is None else (both, cure)
+            findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0, cures))
         else:
             findings += check_delay(name, fit, _OWN_DELAY, drive.rig, usual=_USUAL_DELAY[name], clear=_CLEAR, sign=sign)
             findings += _idle(name, drive, path) + _too_small(name, fit, right, drive)
@@ -190,7 +193,8 @@ def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
 def pedal_fits(drive: Drive, path: Path) -> dict[str, LagFit]:
     """Fits of the pedals that move, by name."""
     moved = [name for name in _EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
-    fits = {name: _pedal_fit(name, drive, path) for name in moved}
+    others = {"throttle": drive.channels.get("brake"), "brake": drive.channels.get("throttle")}
+    fits = {name: pedal_fit(drive.channels[name], others[name], path, drive.rig) for name in moved}
     return {name: fit for name, fit in fits.items() if fit is not None}
 
 
@@ -198,22 +202,32 @@ def _has_effect(fit: LagFit) -> bool:
     return fit.strength >= _PEDAL_EFFECT
 
 
-def _pedal_fit(name: str, drive: Drive, path: Path) -> LagFit | None:
+def pedal_fit(channel: Channel, other: Channel | None, path: Path, rig: Rig) -> LagFit | None:
     """Fit of the gain in speed, forwards or backwards, by a pedal, with drag, slope and the other pedal taken out."""
-    channel = drive.channels[name]
     one, way = np.ones(len(path.time)), np.sign(path.forward)
     base = [one, np.abs(path.forward), path.forward**2, path.slope]  # along the motion, in reverse as well
-    other = drive.channels.get("brake" if name == "throttle" else "throttle")
     if other is not None and np.ptp(other.values) > 0:
-        base.append(sampled(other, path.time - 0.2, drive.rig))
-    pedal = lagged(channel, path.time, drive.rig)
+        base.append(sampled(other, path.time - 0.2, rig))
+    pedal = lagged(channel, path.time, rig)
     return fit_lags(path.acceleration * way, np.stack(base, axis=1), pedal, LAGS, path.speed > 0.3)
 
 
 def _flip(name: str, channel: Channel, rig: Rig) -> tuple[Edit, ...]:
-    """The edits that reverse a pedal: 0..1 becomes 1..0, and so does -1..0."""
-    source = rig.channels[name]
-    if np.median(channel.values) < 0:
+    """The edits that reverse a pedal: 0..1 becomes 1..0, -1..0 its opposite, and 1..-1, as of triggers, 0..1."""
+    source, values = rig.channels[name], channel.values[:, 0]
+    if held_range(values)[1] < _RELEASED and np.median(values) < 0:
         return (Edit(f"channels.{name}.sign", -source.sign),)
-    scale, offset = rounded(-source.scale), rounded(source.sign - source.offset)
-    return Edit(f"channels.{name}.scale", scale), Edit(f"channels.{name}.offset", offset)
+    span = whole_range(values)
+    return scaled_to_unit(name, source, span if span and span[0] < 0 else (0.0, 1.0), turned=True)
+
+
+def _both_flipped(drive: Drive) -> tuple[Edit, ...] | None:
+    """The edits that reverse both pedals, where that is likelier than one in the place of the other; None else.
+
+    Reversed pedals are released, and exchanged ones pressed, where both rest: nobody presses both most of the time.
+    """
+    pedals = {name: drive.channels[name] for name in _EFFECTS}
+    resting = [rests_high(pedal.values[:, 0]) for pedal in pedals.values()]
+    if not all(resting):
+        return None
+    return tuple(edit for name, pedal in pedals.items() for edit in _flip(name, pedal, drive.rig))

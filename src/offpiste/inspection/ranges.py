@@ -7,6 +7,7 @@ from jaxtyping import Float
 from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.pedal_scale import rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
@@ -39,14 +40,14 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if outside <= (_CLIPPED if source.clip else 0.005):
             continue
         first, last = np.percentile(values, (0.5, 99.5))
-        cure = _unwrapped(name, source, raw, (low - slack, high + slack))
+        cure = _unwrapped(name, source, raw, (low - slack, high + slack)) or _of_whole_range(name, source, values, low)
         cure = cure or _cure(name, source, rig, (low, high), (float(first), float(last)))
         findings.append(
             Finding(
                 "warning",
                 name,
                 "leaves its range" if not source.clip else "is clipped much of the time",
-                f"{outside:.0%} of the samples are outside of {low:g} to {high:g}; they lie between {first:.3g} "
+                f"{outside:.0%} of the samples are outside of {low:g} to {high:g}; 99 % lie between {first:.3g} "
                 f"and {last:.3g}",
                 ", ".join(map(str, cure)),
                 outside,
@@ -92,6 +93,12 @@ def _unwrapped(
         if (values >= fits[0]).all() and (values <= fits[1]).all():
             return (Edit(f"channels.{name}.wrap", {"above": period / 2, "period": period}),)
     return ()
+
+
+def _of_whole_range(name: str, source: ChannelSource, values: Float[np.ndarray, " n"], low: float) -> tuple[Edit, ...]:
+    """The edits for a pedal whose numbers are of a range from below zero to above it, as triggers' are; else none."""
+    span = whole_range(values) if low == 0 else None
+    return scaled_to_unit(name, source, span, turned=bool(rests_high(values))) if span and span[0] < 0 else ()
 
 
 def _cure(

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.errors import OffpisteError
+from offpiste.inspection.course import against_names
 from offpiste.inspection.findings import Finding, ranked
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
@@ -76,7 +77,7 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
             after = examine(edited(rig, cure))
         except OffpisteError:
             continue  # an edit that this rig does not allow
-        remains = badness(after) + _PER_EDIT * _size(cure, rig)
+        remains = badness(after) + _PER_EDIT * _size(cure, rig) + against_names(cure, rig)
         if remains < least - 1e-9:
             best, least = (cure, after), remains
     return best
@@ -111,8 +112,16 @@ def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
     elif places & _TURNED:
         yield (Edit("channels.position.fields", [fields[1], fields[0], *fields[2:]]),)
         yield from _compass(rig)
-    if {"throttle", "brake"} <= places and {"throttle", "brake"} <= set(rig.channels):
+    pedals = {"throttle", "brake"}
+    if pedals <= places & set(rig.channels) and not any(
+        _channels(cure) == pedals for f in findings for cure in f.cures
+    ):
         yield _swapped("throttle", "brake", rig)
+
+
+def _channels(cure: Cure) -> set[str]:
+    """Channels whose entries a cure sets."""
+    return {edit.key.split(".")[1] for edit in cure if edit.key.startswith("channels.")}
 
 
 def _compass(rig: Rig) -> Iterator[Cure]:

@@ -188,13 +188,17 @@ def _spiked(signal: Signal) -> list[Finding]:
     low, high = _limits(usual, at) if signal.range is None else _around(signal.range)
     low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
     # A quick foot on a pedal stays within what the pedal can show, and a bump within twice what rates usually span.
-    floor, ceiling = signal.range or (float(usual.min()), float(usual.max()))
-    room = (ceiling - floor) / (4 if signal.range else 1)
+    floor, ceiling = float(usual.min()), float(usual.max())
+    room = ceiling - floor
+    if signal.range is not None:
+        room = (signal.range[1] - signal.range[0]) / 4
+        floor, ceiling = min(floor, signal.range[0]), max(ceiling, signal.range[1])
     if at.max() < ceiling + room and at.min() > floor - room:
         return []
     inside = int(((at >= low) & (at <= high)).sum())
     remedy, cures = signal.cure("valid", [rounded(low), rounded(high)])
-    if inside > _MOST_LEFT * len(at):
+    lost = float(np.mean((usual < low) | (usual > high)))
+    if inside > _MOST_LEFT * len(at) or lost > _MAX_SPIKES:
         remedy, cures, inside = "no range of valid values parts them from the others: take another field", (), 0
     return [
         Finding(

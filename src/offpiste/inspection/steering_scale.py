@@ -168,6 +168,12 @@ def _other_places(rig: Rig, ratio: float) -> Edit | None:
     return None
 
 
+def _is_of_an_angle(rig: Rig) -> bool:
+    """Whether the command is recorded as an angle of the road wheels, which the rig divides by `max_steer`."""
+    scaled = rig.channels["steer"].scale * rig.vehicle.max_steer
+    return any(abs(scaled / unit_factor("steer_angle", unit) - 1) < 0.02 for unit in ("rad", "deg"))
+
+
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     """The scale of the steering where the wheelbase is a guess."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
@@ -175,5 +181,8 @@ def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     wheelbase = rig.vehicle.wheelbase
     line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase): {np.arctan(curvature * wheelbase):.3f} at a "
     line += f"wheelbase of {wheelbase:.3g} m; somewhat more where tyres slid all along"
-    remedy = line if name == "steer" else "compare with tan(angle) / wheelbase"
+    if name != "steer" or _is_of_an_angle(rig):
+        line = "none, if it is an angle of the road wheels in the unit that the rig says: then compare with "
+        line += "tan(max_steer) / wheelbase, less a fifth or so for slip" if name == "steer" else "1 / wheelbase"
+    remedy = line
     return Finding("note", name, "has this scale", evidence, remedy, 0.4)

@@ -107,7 +107,13 @@ def unit_factor(channel: str, unit: str) -> float:
     own = known_channels()[channel][0]
     known = _UNITS.get(own, {own: 1.0})
     if unit and unit not in known:
-        raise RigError(f"unit '{unit}' does not measure {channel}", how=f"use one of: {', '.join(known)}")
+        how = f"use one of: {', '.join(known)}"
+        if channel == "steer" and unit in _UNITS["rad"]:
+            factor = f"{_UNITS['rad'][unit]:.4g} / max_steer" if unit != "rad" else "1 / max_steer"
+            how = (
+                f"of an angle of the road wheels in {unit} write channels.steer.scale = {factor} (as a number) instead"
+            )
+        raise RigError(f"unit '{unit}' does not measure {channel}", how=how)
     return known[unit or own]
 
 

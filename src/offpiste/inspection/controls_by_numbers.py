@@ -1,0 +1,143 @@
+"""Controls that no name gives away: fields that the vehicle's motion follows, such as the axes of a joystick."""
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import OffpisteError
+from offpiste.inspection.channel_guesses import Guess, labels
+from offpiste.inspection.driven_path import Path, driven_path
+from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
+from offpiste.inspection.pedal_scale import rests_high
+from offpiste.inspection.pedals import pedal_fit
+from offpiste.inspection.steering_fit import moving_rows, steering_fit
+from offpiste.logs.channel import Channel, read_channel
+from offpiste.logs.drive import drive_from_log
+from offpiste.logs.log import Log
+from offpiste.rig.channels import ChannelSource
+from offpiste.rig.rig import Rig
+
+_FOLLOWS: Final = {"steer": 0.75, "throttle": 0.45, "brake": 0.35}
+"""Least correlation with the turning or the acceleration for a control that is told by its numbers alone."""
+_CLEARER: Final = 0.1
+"""By this much more than the next field."""
+_LEADS: Final = {"steer": (-0.05, 0.6), "throttle": (-0.05, 0.8), "brake": (-0.05, 0.8)}
+"""How long after a command the motion comes [s]: what moves before it is measured."""
+_NEARLY: Final = 0.95
+"""Share of the best correlation that counts as the best: slow signals hardly tell when."""
+_MOST: Final = 24
+"""Most fields that are tried."""
+_MEASURED: Final = re.compile(r"imu|odom|pose|gps|gnss|navsat|twist|accel|magn|tf|image|point|scan", re.IGNORECASE)
+"""Topics and types of what is measured."""
+_MOTION: Final = re.compile(
+    r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"
+)
+"""Names of numbers that follow from the motion, and not the motion from them."""
+
+
+def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
+    """Controls that a rig lacks, by the motion that follows them: where each is, and the correlation.
+
+    Args:
+        rig: with a pose.
+    """
+    lacking = [name for name in _FOLLOWS if name not in rig.channels]
+    if not lacking:
+        return {}
+    try:
+        path = driven_path(drive_from_log(log, rig))
+    except OffpisteError:
+        return {}
+    fields = list(_candidates(log, rig))[:_MOST]
+    found: dict[str, tuple[Guess, float]] = {}
+    for name in lacking:
+        taken = {(guess.topic, guess.fields) for guess, _ in found.values()}
+        left = [guess for guess in fields if (guess.topic, guess.fields) not in taken]
+        # Pedals lie where the steering does: elsewhere too much goes up and down with the speed.
+        if name != "steer":
+            topics = {found["steer"][0].topic} if "steer" in found else set()
+            left = [guess for guess in left if guess.topic in topics]
+        if (best := _clearest(name, left, log, rig, path)) is not None:
+            found[name] = best
+    return found
+
+
+def _clearest(name: str, fields: Collection[Guess], log: Log, rig: Rig, path: Path) -> tuple[Guess, float] | None:
+    scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in fields), key=lambda pair: -pair[0])
+    if not scores or scores[0][0] < _FOLLOWS[name]:
+        return None
+    if len(scores) > 1 and scores[0][0] - scores[1][0] < _CLEARER:
+        return None
+    score, guess = scores[0]
+    return replace(guess, channel=name), score
+
+
+def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: Path) -> float:
+    """Correlation of the motion with a field as this control, later than it; 0 where it does not follow."""
+    source = ChannelSource(guess.fields, guess.topic)
+    trial = msgspec.structs.replace(rig, channels={**rig.channels, name: source})
+    try:
+        channel, _ = read_channel(log, trial, name, source)
+    except OffpisteError:
+        return 0.0
+    if name == "steer":
+        fitted = steering_fit(channel, path, trial, measured=False)
+        if fitted is None or _is_turn_rate(channel, path, trial, fitted.steady.strength):
+            return 0.0
+        return _later(fitted.steady, name, sign=0)
+    pressed = _pressed(channel)
+    fit = None if pressed is None else pedal_fit(pressed, None, path, trial)
+    return 0.0 if fit is None else _later(fit, name, sign=1 if name == "throttle" else -1)
+
+
+def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bool:
+    """Whether a field explains the yaw rate by itself, as a gyroscope does, and no less than times the speed.
+
+    Args:
+        strength: its correlation times the speed.
+    """
+    one = np.ones((len(path.time), 1))
+    fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
+    return fit is not None and fit.strength >= strength
+
+
+def _pressed(channel: Channel) -> Channel | None:
+    """A pedal from 0, released, upwards; None where it rests at neither end."""
+    values: Float[np.ndarray, "n 1"] = channel.values
+    high = rests_high(values[:, 0])
+    if high is None:
+        return None
+    return Channel(channel.name, channel.unit, channel.time, values.max() - values if high else values - values.min())
+
+
+def _later(fit: LagFit, name: str, *, sign: int) -> float:
+    """The correlation with motion that comes later; 0 where motion that comes before explains clearly more."""
+    best, inside = fit.best(sign=sign), fit.best(*_LEADS[name], sign=sign)
+    return float(abs(fit.r[inside])) if abs(fit.r[inside]) >= _NEARLY * abs(fit.r[best]) else 0.0
+
+
+def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
+    """Fields that no channel reads, that change, and that no name says to be measured."""
+    read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
+    for topic in log.topics.values():
+        if topic.count < 100 or _MEASURED.search(f"{topic.name} {topic.type}" if topic.name else ""):
+            continue
+        for field, label in labels(topic).items():
+            if (
+                (topic.name, field) in read
+                or field == log.clock.column
+                or _MOTION.search(label.name.rpartition("/")[2])
+            ):
+                continue
+            try:
+                values = log.read(topic.name, (field,)).values[:, 0]
+            except OffpisteError:
+                continue
+            values = values[np.isfinite(values)]
+            if len(values) > 100 and len(np.unique(values)) > 4 and not (np.diff(values) >= 0).all():
+                yield Guess("", topic.name, (field,), label.unit)

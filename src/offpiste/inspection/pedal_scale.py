@@ -1,0 +1,75 @@
+"""Scale of a pedal: the numbers that loggers write for released and pressed fully, and how to turn it round."""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import median_filter
+
+from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.edits import Edit, rounded
+
+_FULL: Final = (1.0, 10.0, 100.0, 127.0, 255.0, 1000.0, 1023.0, 4095.0, 32767.0, 65535.0)
+"""Numbers for a pedal that is pressed fully."""
+_PRESSED: Final = 0.45
+"""Least share of one of them that drivers reach; from zero, of what rests at an end of its range any."""
+_SLACK: Final = 0.02
+
+
+def held_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Least and largest value that a pedal has for longer than a spike; presses may be rare, so no percentiles."""
+    held = median_filter(values, size=5)
+    return float(held.min()), float(held.max())
+
+
+def full_scale(largest: float) -> float:
+    """The number that loggers write for fully pressed, where the largest of a drive is this; 0 for none."""
+    return next((full for full in _FULL if _PRESSED * full <= largest <= (1 + _SLACK) * full), 0.0)
+
+
+def whole_range(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
+    """The range of a pedal that rests at one end of it: 0..full, or -full..full as of triggers; None for another.
+
+    Args:
+        values: without NaN.
+    """
+    low, high = held_range(values)
+    for full in _FULL:
+        slack = _SLACK * full
+        if abs(low) <= slack and _PRESSED * full <= high <= full + slack:
+            return 0.0, full
+        ends = low <= -full + slack, high >= full - slack
+        rests = float(np.mean(values <= -full + slack)), float(np.mean(values >= full - slack))
+        inside = -full - slack <= low < -slack and slack < high <= full + slack
+        if inside and any(end and rest > 0.1 for end, rest in zip(ends, rests, strict=True)):
+            return -full, full
+    return None
+
+
+def rests_high(values: Float[np.ndarray, " n"]) -> bool | None:
+    """Whether a pedal is released at the upper end of its values; None where it rests at neither end."""
+    low, high = held_range(values)
+    at_low, at_high = (float(np.mean(np.abs(values - end) <= _SLACK * (high - low))) for end in (low, high))
+    if max(at_low, at_high) < 0.1:
+        return None
+    return at_high > at_low
+
+
+def scaled_to_unit(
+    name: str, source: ChannelSource, span: tuple[float, float], *, turned: bool = False
+) -> tuple[Edit, ...]:
+    """The edits that bring a pedal's converted values from a range to 0..1, or to 1..0.
+
+    Args:
+        span: least and largest value, as the rig converts them now.
+        turned: the least becomes 1 and the largest 0.
+    """
+    low, high = span
+    per_unit = source.sign * unit_factor(name, source.unit)
+    # value = sign * (raw * scale + offset) * unit, so (value - low) / (high - low) is again of this form.
+    factor, start = (-1 / (high - low), high) if turned else (1 / (high - low), low)
+    wanted = {"scale": factor * source.scale, "offset": factor * (source.offset - start / per_unit)}
+    now = {"scale": source.scale, "offset": source.offset}
+    return tuple(
+        Edit(f"channels.{name}.{key}", rounded(value) + 0.0) for key, value in wanted.items() if value != now[key]
+    )

@@ -1,0 +1,57 @@
+"""Controls that only the motion shows: axes of a joystick."""
+
+import numpy as np
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.controls_by_numbers import find_controls
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import Rig
+
+
+def joystick(seconds: float = 60.0) -> MemoryLog:
+    """The drive with its controls as unnamed axes, among others that mean nothing."""
+    log = drive_log(seconds=seconds)
+    time, pedals = log.data["pedals"]
+    steer_time, steering = log.data["steering"]
+    steer = np.interp(time, steer_time, steering["angle"])
+    noise = np.random.default_rng(0).normal(size=(2, len(time)))
+    axes = {
+        "axes[0]": -steer,
+        "axes[1]": np.cumsum(noise[0]) / 30,
+        "axes[2]": 1 - 2 * np.clip(1.25 * pedals["brake"] - 0.25, 0, 1),
+        "axes[3]": np.zeros(len(time)),
+        "axes[5]": 1 - 2 * np.clip(1.25 * pedals["throttle"] - 0.25, 0, 1),
+        "axes[6]": np.sign(noise[1]),
+    }
+    return MemoryLog({"odom": log.data["odom"], "joy": (time, axes)})
+
+
+def posed() -> Rig:
+    """A rig with the pose alone."""
+    gone = ["throttle", "brake", "steer", "steer_angle"]
+    given = [name for name in rig().channels if name not in ("position", "orientation")]
+    edits = [Edit(f"channels.{name}", None) for name in given]
+    return edited(rig(), [*edits, Edit("absent", list(dict.fromkeys((*rig().absent, *gone))))])
+
+
+def test_the_axes_of_a_joystick_are_found() -> None:
+    found = find_controls(joystick(), posed())
+    assert {name: guess.fields for name, (guess, _) in found.items()} == {
+        "steer": ("axes[0]",),
+        "throttle": ("axes[5]",),
+        "brake": ("axes[2]",),
+    }
+    assert all(0.3 < correlation <= 1 for _, correlation in found.values())
+
+
+def test_noise_and_what_is_measured_is_no_control() -> None:
+    log = joystick()
+    time, axes = log.data["joy"]
+    assert (
+        find_controls(MemoryLog({"odom": log.data["odom"], "joy": (time, {"axes[1]": axes["axes[1]"]})}), posed()) == {}
+    )
+    # A gyroscope turns as the vehicle does, and not before it.
+    odom_time, odom = log.data["odom"]
+    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
+    gyro = {"axes[0]": np.gradient(yaw, odom_time)}
+    assert find_controls(MemoryLog({"odom": log.data["odom"], "joy": (odom_time, gyro)}), posed()) == {}

@@ -1,0 +1,64 @@
+"""Scales of pedals: by what loggers write, not by what one drive happened to reach."""
+
+import numpy as np
+import pytest
+
+from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, whole_range
+from offpiste.logs.channel import convert
+from offpiste.rig.channels import ChannelSource
+
+
+def presses(low: float, high: float, *, rest: float, share: float = 0.2) -> np.ndarray:
+    """A pedal that rests at one value and is pressed to others for a share of the time, slowly."""
+    t = np.linspace(0, 40, 2000)
+    pressed = np.clip(np.sin(t) - 1 + 2 * share, 0, None) / (2 * share)
+    away = high if rest == low else low
+    return rest + (away - rest) * pressed
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rest", "whole"),
+    [
+        (0.0, 83.75, 0.0, (0.0, 100.0)),
+        (0.0, 210.0, 0.0, (0.0, 255.0)),
+        (0.0, 0.6, 0.0, (0.0, 1.0)),
+        (-0.634, 1.0, 1.0, (-1.0, 1.0)),
+        (-1.0, 0.3, -1.0, (-1.0, 1.0)),
+        (-32767.0, 1000.0, -32767.0, (-32767.0, 32767.0)),
+        (1500.0, 1900.0, 1500.0, None),
+        (0.0, 0.3, 0.0, None),
+        (-0.5, 0.5, 0.5, None),
+    ],
+)
+def test_the_whole_range_is_that_of_usual_loggers(
+    low: float, high: float, rest: float, whole: tuple[float, float] | None
+) -> None:
+    assert whole_range(presses(low, high, rest=rest)) == whole
+
+
+def test_a_spike_is_no_range_and_a_rare_press_is_one() -> None:
+    values = np.zeros(1000)
+    values[500] = 900.0
+    values[600:606] = 80.0
+    assert held_range(values) == (0.0, 80.0)
+
+
+def test_where_a_pedal_rests() -> None:
+    assert rests_high(presses(-1, 1, rest=1.0)) is True
+    assert rests_high(presses(0, 1, rest=0.0)) is False
+    assert rests_high(np.linspace(0, 1, 1000)) is None
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_edits_bring_any_conversion_to_0_to_1(turned: bool) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        scale, offset = rng.uniform(0.1, 5), rng.uniform(-3, 3)
+        source = ChannelSource(("a",), scale=scale, offset=offset, sign=int(rng.choice((-1, 1))), unit="percent")
+        raw = rng.uniform(-10, 10, (50, 1))
+        values = convert("throttle", source, raw)
+        span = float(values.min()), float(values.max())
+        edits = {e.key.rpartition(".")[2]: e.value for e in scaled_to_unit("throttle", source, span, turned=turned)}
+        fixed = ChannelSource(("a",), sign=source.sign, unit="percent", **{"scale": scale, "offset": offset} | edits)
+        wanted = (values - span[0]) / (span[1] - span[0])
+        np.testing.assert_allclose(convert("throttle", fixed, raw), 1 - wanted if turned else wanted, atol=2e-3)
