@@ -9,8 +9,8 @@ import tyro
 
 from experiments.command import run
 from experiments.illnesses.results import read
-from experiments.illnesses.score import COSTLY, Score
-from experiments.illnesses.table import Row
+from experiments.illnesses.score import Score
+from experiments.illnesses.table import Row, costs
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,9 @@ class ByIllness:
         names = sorted({(row.ill.kind, row.ill.name) for row in rows})
         return "\n".join(
             [
-                "| illness | strengths | logs | found | a note | at 5 % and more: found | right first cure |",
-                "|---|---|---|---|---|---|---|",
+                "| illness | strengths | logs | found | a note | at 5 % and more: found | in its own convention |"
+                " right first cure |",
+                "|---|---|---|---|---|---|---|---|",
                 *(_line([row for row in rows if (row.ill.kind, row.ill.name) == name]) for name in names),
             ]
         )
@@ -36,15 +37,21 @@ class ByIllness:
 
 def _line(rows: Sequence[Row]) -> str:
     alone = [row for row in rows if len(row.score.illnesses) == 1]
-    costly = [row for row in alone if row.score.cost is not None and row.score.cost >= COSTLY]
     found = sum(row.ill.found for row in rows)
     noted = sum(row.ill.noted and not row.ill.found for row in rows)
-    of_costly = f"{sum(row.ill.found for row in costly)}/{len(costly)}" if costly else ""
+    of_costly, of_own = (_found([row for row in alone if costs(row.score, own=own)]) for own in (False, True))
     tried = [row for row in alone if row.ill.first_cure and row.ill.curable]
     cured = f"{sum(row.ill.first_cure == 'right' for row in tried)}/{len(tried)}" if tried else ""
     strengths = ", ".join(f"{value:g}" for value in sorted({row.ill.strength for row in rows}))
     name = rows[0].ill.name
-    return f"| {name} | {strengths} | {len(rows)} | {found}/{len(rows)} | {noted or ''} | {of_costly} | {cured} |"
+    return (
+        f"| {name} | {strengths} | {len(rows)} | {found}/{len(rows)} | {noted or ''} | {of_costly} | {of_own} |"
+        f" {cured} |"
+    )
+
+
+def _found(rows: Sequence[Row]) -> str:
+    return f"{sum(row.ill.found for row in rows)}/{len(rows)}" if rows else ""
 
 
 if __name__ == "__main__":

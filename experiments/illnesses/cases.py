@@ -54,6 +54,15 @@ class Patient:
         """What is wrong."""
         return tuple(given for given in self.given if given.illness.kind != "healthy")
 
+    @property
+    def conventional(self) -> Case:
+        """The healthy case by the conventions of the case: as a vehicle records on that has these alone."""
+        case = self.healthy
+        for given in self.illnesses:
+            if given.illness.convention:
+                case = given.illness.change(case, given.strength, np.random.default_rng(self.seed))
+        return case
+
 
 def patient(seed: int, cache: Path, *, names: Sequence[str] = (), healthy: bool = False) -> Patient:
     """The case of a seed.

@@ -25,8 +25,10 @@ for _channel in ("steer", "steer_angle", "yaw_rate", "linear_velocity", "angular
 
 def _declare_unit(channel: str, name: str, factors: tuple[float, ...], unit: str) -> None:
     """A unit that is not the rig's; one that the rig states already is taken the other way."""
+    # What full throttle is, nothing says but its own range: a steering is held to an angle, a velocity to the path.
+    convention = (channel, name) == ("throttle", "scale")
 
-    @illness(f"{channel}: {name}", "channel", factors, unit, (channel,), curable=True)
+    @illness(f"{channel}: {name}", "channel", factors, unit, (channel,), curable=True, convention=convention)
     def _change(case: Case, strength: float, random: np.random.Generator) -> Case:
         stated = case.source(channel).unit
         return case.scaled(channel, 1 / strength if stated and stated in name else strength)

@@ -26,6 +26,9 @@ _TRAINED: Final = 0.7
 """Share of a log that the quick model is fitted to; it is evaluated on the rest."""
 
 
+FEW, MANY = 60, 300
+"""Windows of the quick and of the exact measure: another choice of windows, of the same healthy log, changes the error
+by 2 % in the middle and by 7 % in one of ten logs with few, by 0.4 % and 3 % with many."""
 UNREADABLE: Final = 1e6
 """Cost of a log that cannot be read, or that has too few windows; no model is worse than that."""
 
@@ -121,14 +124,17 @@ def is_cured(left: float, ill: float) -> bool:
 
 @dataclass(frozen=True)
 class Costs:
-    """Errors of quick models, all evaluated on the last part of the healthy log.
+    """Errors of quick models, all evaluated on the last part of one log.
 
     Attributes:
-        healthy: error of a model fitted to the first part of the healthy log [m].
+        evaluated: that log, the healthy one or the healthy one by the conventions of a case.
+        healthy: error of a model fitted to the first part of the healthy log, on the last part of it [m].
+        windows: that a model is fitted to, and evaluated on, at the most.
     """
 
-    healthy_readable: Readable
+    evaluated: Readable
     healthy: float
+    windows: int
 
     def of(self, case: Case) -> float | None:
         """Error of a model fitted to the first part of another case over that of the healthy log, minus 1.
@@ -141,21 +147,21 @@ class Costs:
         """The same for rows that are read already."""
         if not np.isfinite(self.healthy):
             return None
-        return min(_error(readable, self.healthy_readable) / self.healthy - 1, UNREADABLE)
+        return min(_error(readable, self.evaluated, self.windows) / self.healthy - 1, UNREADABLE)
 
 
-def costs_against(healthy: Readable) -> Costs:
-    """Costs of cases against their healthy log."""
-    return Costs(healthy, _error(healthy, healthy))
+def costs_against(healthy: Readable, evaluated: Readable | None = None, *, windows: int = FEW) -> Costs:
+    """Costs of cases against their healthy log, evaluated there or on another one."""
+    return Costs(evaluated or healthy, _error(healthy, healthy, windows), windows)
 
 
-def _error(trained: Readable | None, evaluated: Readable) -> float:
+def _error(trained: Readable | None, evaluated: Readable, windows: int) -> float:
     start, end = evaluated.rows.time[[0, -1]]
     split = start + _TRAINED * (end - start)
     if trained is None:
         return np.inf
-    first = windows_of(trained.rows, trained.vehicle, first=-np.inf, last=split)
-    last = windows_of(evaluated.rows, evaluated.vehicle, first=split, last=np.inf)
+    first = windows_of(trained.rows, trained.vehicle, first=-np.inf, last=split, most=windows)
+    last = windows_of(evaluated.rows, evaluated.vehicle, first=split, last=np.inf, most=windows)
     if first is None or last is None:
         return np.inf
     model = fit(first, trained.vehicle.wheelbase)

@@ -26,6 +26,8 @@ class Illness:
         consequences: channels in which it may show too; a finding there neither finds it nor is a false alarm.
         needs: channels, and more, that the recording must have (`logger.Logger`).
         curable: whether entries of the rig undo it.
+        convention: whether it is a constant scale of a quantity without a unit: any is right that is the same
+            everywhere, where a model is trained and where it drives.
         change: the case with the illness of a strength.
     """
 
@@ -37,6 +39,7 @@ class Illness:
     consequences: tuple[str, ...]
     needs: tuple[str, ...]
     curable: bool
+    convention: bool
     change: Change
 
 
@@ -58,6 +61,7 @@ def illness(
     consequences: tuple[str, ...] = (),
     needs: tuple[str, ...] | None = None,
     curable: bool = False,
+    convention: bool = False,
 ) -> Callable[[Change], Change]:
     """Declare the illness that the decorated function makes; see `Illness`.
 
@@ -67,7 +71,8 @@ def illness(
 
     def declare(change: Change) -> Change:
         wanted = places if needs is None else needs
-        ILLNESSES.register(name)(Illness(name, kind, unit, strengths, places, consequences, wanted, curable, change))
+        one = Illness(name, kind, unit, strengths, places, consequences, wanted, curable, convention, change)
+        ILLNESSES.register(name)(one)
         return change
 
     return declare

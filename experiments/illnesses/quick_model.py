@@ -56,11 +56,12 @@ class Windows:
     place: Float[np.ndarray, "S W 2"]
 
 
-def windows_of(rows: Rows, vehicle: Vehicle, *, first: float, last: float) -> Windows | None:
+def windows_of(rows: Rows, vehicle: Vehicle, *, first: float, last: float, most: int = _MOST_WINDOWS) -> Windows | None:
     """Evenly chosen windows in which all rows are valid and the vehicle moves.
 
     Args:
         first, last: time that the windows lie in [s].
+        most: number of windows.
 
     Returns:
         None where there are too few.
@@ -73,7 +74,7 @@ def windows_of(rows: Rows, vehicle: Vehicle, *, first: float, last: float) -> Wi
     starts = starts[whole & fast]
     if len(starts) < _LEAST_WINDOWS:
         return None
-    starts = starts[np.unique(np.linspace(0, len(starts) - 1, _MOST_WINDOWS).astype(int))]
+    starts = starts[np.unique(np.linspace(0, len(starts) - 1, most).astype(int))]
     return _windows_at(rows, starts, vehicle)
 
 

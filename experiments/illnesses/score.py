@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from experiments.illnesses.cases import Given, Patient
-from experiments.illnesses.effect import UNREADABLE, Costs, Readable, costs_against, distance, is_cured, rows_of
+from experiments.illnesses.effect import MANY, UNREADABLE, Costs, Readable, costs_against, distance, is_cured, rows_of
 from experiments.illnesses.recording import Case
 from offpiste.errors import OffpisteError
 from offpiste.inspection.findings import Finding
@@ -53,6 +53,8 @@ class Score:
         cost: error of the quick model with the illnesses, over the healthy log's, minus 1; None where the healthy log
             has too few windows (`effect.Costs`).
         after: the same after all cures.
+        own_cost, own_after: both by many windows, and in the log's own conventions: the last part of the healthy log is
+            read by what is a convention only (`Illness.convention`), as the vehicle would be driven.
         distance: from the healthy rows, by `effect.distance`.
         false_alarms: warnings and fatal findings that point elsewhere.
         findings: all of them, in words.
@@ -73,6 +75,8 @@ class Score:
     findings: tuple[str, ...]
     error: str = ""
     seconds: float = field(default=0.0)
+    own_cost: float | None = None
+    own_after: float | None = None
 
 
 def serious(findings: Sequence[Finding]) -> list[Finding]:
@@ -114,6 +118,8 @@ def score(patient: Patient, log: Log, *, storage: str) -> Score:
         harmless=tuple(str(given) for given in patient.given if given.illness.kind == "healthy"),
         cost=0.0,
         after=0.0,
+        own_cost=0.0,
+        own_after=0.0,
         distance=0.0,
         false_alarms=tuple(_words(f) for f in serious(findings) if not _explained(f, patient)),
         findings=tuple(_words(f) for f in findings),
@@ -130,15 +136,18 @@ def _with_effects(result: Score, patient: Patient, findings: Sequence[Finding]) 
     if healthy is None:
         ill = tuple(_illness_score(given, patient, findings, None, 0.0, None) for given in patient.illnesses)
         return replace(result, illnesses=ill)
-    costs = costs_against(healthy)
+    costs, own = costs_against(healthy), costs_against(healthy, rows_of(patient.conventional), windows=MANY)
     sick = rows_of(patient.case)
-    away, cost = distance(sick, healthy), costs.of_rows(sick)
-    after = _after_all(patient.case, findings, costs)
+    away, cost, own_cost = distance(sick, healthy), costs.of_rows(sick), own.of_rows(sick)
+    cured = _after_all(patient.case, findings)
+    changed = cured is not None and cured.rig != patient.case.rig
     return replace(
         result,
         illnesses=tuple(_illness_score(given, patient, findings, healthy, away, costs) for given in patient.illnesses),
         cost=cost,
-        after=cost if after is None else after,
+        after=UNREADABLE if cured is None else costs.of(cured) if changed else cost,
+        own_cost=own_cost,
+        own_after=UNREADABLE if cured is None else own.of(cured) if changed else own_cost,
         distance=away,
     )
 
@@ -189,9 +198,8 @@ def _edited(case: Case, edits: Sequence[Edit]) -> Case | None:
         return None
 
 
-def _after_all(case: Case, findings: Sequence[Finding], costs: Costs) -> float | None:
-    """Cost after the first cure of each finding was applied, again and again; None where no rig was changed."""
-    sick = case
+def _after_all(case: Case, findings: Sequence[Finding]) -> Case | None:
+    """The case after the first cure of each finding was applied, again and again; None where `inspect` fails."""
     for _ in range(_ROUNDS):
         changed = case
         for finding in serious(findings):
@@ -203,8 +211,8 @@ def _after_all(case: Case, findings: Sequence[Finding], costs: Costs) -> float |
         try:
             findings = inspect_log(case.log, case.rig).findings
         except Exception:  # noqa: BLE001  # as above
-            return UNREADABLE
-    return None if case is sick else costs.of(case)
+            return None
+    return case
 
 
 def _words(finding: Finding) -> str:

@@ -57,24 +57,40 @@ def report(scores: Sequence[Score]) -> str:
 
 
 def _totals(healthy: Sequence[Score], sick: Sequence[Score], single: Sequence[Row]) -> str:
-    costly = [r for r in single if _costs(r.score)]
-    curable = [r for r in costly if r.ill.curable]
-    after = [s.after for s in sick if all(i.curable for i in s.illnesses) and s.after is not None]
-    well = sum(cost < COSTLY for cost in after)
+    costly, own = ([r for r in single if costs(r.score, own=own)] for own in (False, True))
+    curable = [s for s in sick if all(i.curable for i in s.illnesses)]
+    after = [s.after for s in curable if s.after is not None]
+    own_after = [s.own_after for s in curable if s.own_after is not None]
     several = [(s, i) for s in sick if len(s.illnesses) > 1 for i in s.illnesses]
     lines = [
         "| measure | share (95 % interval) |",
         "|---|---|",
         f"| healthy logs with a false alarm | {share(sum(bool(s.false_alarms) for s in healthy), len(healthy))} |",
-        f"| single illnesses that cost 5 % or more, found | {share(sum(r.ill.found for r in costly), len(costly))} |",
+        f"| single illnesses that cost 5 % or more, found | {_found(costly)} |",
+        f"| the same in their own conventions, by many windows | {_found(own)} |",
         f"| single illnesses of any cost, found | {share(sum(r.ill.found for r in single), len(single))} |",
-        f"| of costly and curable ones, right first cure | {share(_right(curable), len(curable))} |",
+        f"| of costly and curable ones, right first cure | {_right_of(costly)} |",
+        f"| the same in their own conventions, by many windows | {_right_of(own)} |",
         f"| of several at once, found | {share(sum(i.found for _, i in several), len(several))} |",
         f"| sick logs with a false alarm | {share(sum(bool(s.false_alarms) for s in sick), len(sick))} |",
-        f"| curable logs within 5 % of healthy after all cures | {share(well, len(after))} |",
+        f"| curable logs within 5 % of healthy after all cures | {_well(after)} |",
+        f"| the same in their own conventions, by many windows | {_well(own_after)} |",
         f"| failures of inspect | {share(sum(bool(s.error) for s in (*healthy, *sick)), len(healthy) + len(sick))} |",
     ]
     return "\n".join(lines)
+
+
+def _found(rows: Sequence[Row]) -> str:
+    return share(sum(row.ill.found for row in rows), len(rows))
+
+
+def _right_of(rows: Sequence[Row]) -> str:
+    curable = [row for row in rows if row.ill.curable]
+    return share(_right(curable), len(curable))
+
+
+def _well(after: Sequence[float]) -> str:
+    return share(sum(cost < COSTLY for cost in after), len(after))
 
 
 def _right(rows: Sequence[Row]) -> int:
@@ -121,8 +137,10 @@ def _percent(values: Sequence[float | None]) -> str:
     return shown(float(np.median(known)) if known else None)
 
 
-def _costs(score: Score) -> bool:
-    return score.cost is not None and score.cost >= COSTLY
+def costs(score: Score, *, own: bool = False) -> bool:
+    """Whether an illness costs 5 % or more: in the log's own conventions, by many windows, or as ever."""
+    cost = score.own_cost if own else score.cost
+    return cost is not None and cost >= COSTLY
 
 
 def _behaviours(healthy: Sequence[Score]) -> list[str]:
@@ -136,9 +154,9 @@ def _behaviours(healthy: Sequence[Score]) -> list[str]:
 
 def _missed(single: Sequence[Row]) -> list[tuple[Score, str]]:
     return [
-        (r.score, f"{r.ill.name} ({r.ill.strength:g}), cost {_percent([r.score.cost])}")
+        (r.score, f"{r.ill.name} ({r.ill.strength:g}), cost {shown(r.score.cost)}, own {shown(r.score.own_cost)}")
         for r in single
-        if not r.ill.found and _costs(r.score)
+        if not r.ill.found and (costs(r.score) or costs(r.score, own=True))
     ]
 
 

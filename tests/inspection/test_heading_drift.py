@@ -6,7 +6,7 @@ from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.heading_drift import check_heading_drift
+from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.logs.drive import drive_from_log
 
 CLEAN = drive_log(seed=0)
@@ -38,3 +38,12 @@ def test_a_heading_that_wanders_about_the_course_does_not_drift() -> None:
     time, _ = CLEAN.data["odom"]
     assert _found(np.radians(4.0) * np.sin(2 * np.pi * (time - time[0]) / 20)) == []
     assert _found(np.full(len(time), 0.05)) == []
+
+
+@pytest.mark.parametrize(("noise", "found"), [(0.005, False), (0.05, True)])
+def test_headings_that_scatter_are_noisy_and_those_of_a_compass_are_not(noise: float, found: bool) -> None:
+    time, _ = CLEAN.data["odom"]
+    drive = drive_from_log(_turned(noise * np.random.default_rng(1).standard_normal(len(time))), rig())
+    findings = check_heading_noise(drive, driven_path(drive))
+    assert [(f.severity, f.where) for f in findings] == [("warning", "orientation")] * found
+    assert all(f"by {np.degrees(noise):.1f} degrees" in f.evidence for f in findings)

@@ -111,6 +111,14 @@ def test_positions_that_run_away_change_their_velocity_in_an_instant() -> None:
     assert float(finding.evidence.split()[1]) == pytest.approx(48.0, abs=0.6)
 
 
+def test_a_jump_of_height_is_said_as_one() -> None:
+    time, _ = CLEAN.data["odom"]
+    log = CLEAN.change("odom", "z", lambda z: z + 2.0 * (time > time[len(time) // 2]))
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.where == "position")
+    assert (finding.severity, finding.what) == ("warning", "jumps")
+    assert "2.00 m of height" in finding.evidence
+
+
 def test_a_position_that_jumps_goes_on_as_before() -> None:
     _, complaints = _inspected(CLEAN.change("odom", "x", lambda x: np.where(np.arange(len(x)) < 2400, x, x + 15)))
     assert "changes its velocity in an instant" not in [f.what for f in complaints]

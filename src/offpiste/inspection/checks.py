@@ -13,11 +13,12 @@ from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.frozen import check_frozen
-from offpiste.inspection.heading_drift import check_heading_drift
+from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.late_poses import check_late_poses
 from offpiste.inspection.missing import check_missing, check_unread
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
+from offpiste.inspection.range_ends import check_range_ends
 from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.resolution import check_resolution
@@ -175,8 +176,15 @@ def _heading_drift(motion: Motion) -> list[Finding]:
     return check_heading_drift(motion.drive, motion.path) if motion.follows else []
 
 
-def _saturation(motion: Motion) -> list[Finding]:
-    return check_saturation(motion.drive, motion.path) if motion.follows else []
+def _heading_noise(motion: Motion) -> list[Finding]:
+    return check_heading_noise(motion.drive, motion.path)
+
+
+def _cut_off(motion: Motion) -> list[Finding]:
+    """By how far the vehicle turns, and by where presses end; a channel is named once."""
+    findings = check_saturation(motion.drive, motion.path) if motion.follows else []
+    ends = check_range_ends(motion.drive) if motion.topics.given else []
+    return findings + [f for f in ends if f.where not in {found.where for found in findings}]
 
 
 def _clocks(motion: Motion) -> list[Finding]:
@@ -208,12 +216,13 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _dropouts,
     _resolution,
     _heading_drift,
+    _heading_noise,
     _linear_velocity,
     _wheel_speed,
     _turn_rate,
     _clocks,
     _steering,
-    _saturation,
+    _cut_off,
     _steering_copies,
     _pedals,
     _controls,

@@ -22,6 +22,8 @@ _BLOCK: Final = 5.0
 """Length of a block [s]."""
 _CLEARER: Final = 0.03
 """A lag outside of the vehicle's own must explain this much more of the variance than the best one inside."""
+_LATE_CLEARER, _LATE_GAIN = 0.2, 0.1
+"""Correlation that must be added, and variance that must be explained, where the motion comes late."""
 SURE: Final = 3.0
 """Standard deviations at which a difference is sure."""
 _OUTLIER: Final = 4.0
@@ -221,7 +223,11 @@ def check_delay(
     best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
     gained = fit.r[best] ** 2 - max(fit.r[inside] * (sign or np.sign(fit.r[best])), 0.0) ** 2
     # A best lag at the end of those tried is no maximum: slow signals fit anywhere.
-    if abs(fit.r[best]) < clear or gained < _CLEARER or best in (0, len(fit.lags) - 1):
+    # Drifts and spinning wheels answer late by themselves, weakly; motion before its cause has no such excuse.
+    late = fit.lags[best] > own[1]
+    if abs(fit.r[best]) < (clear + _LATE_CLEARER if late else clear) or gained < (_LATE_GAIN if late else _CLEARER):
+        return []
+    if best in (0, len(fit.lags) - 1):
         return []
     lag, sigma = fit.delay(best)
     outside = max(own[0] - lag, lag - own[1])
@@ -230,6 +236,22 @@ def check_delay(
     evidence = f"the motion is {abs(lag):.2f} ± {sigma:.2f} s {'before' if lag < 0 else 'after'} it: "
     evidence += f"R2 {fit.r[best] ** 2:.2f} there and {fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
     what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
-    edit = Edit(f"channels.{name}.delay", round(rig.channels[name].delay - lag + usual, 2))
-    remedy = str(edit) + ("; if it is called a command, it is a copy of a measurement" if lag < 0 else "")
-    return [Finding("warning" if lag < 0 or lag > 1 else "note", name, what, evidence, remedy, gained, ((edit,),))]
+    cures = delay_cures(name, lag, own, rig, usual=usual)
+    remedy = str(cures[0][0]) + ("; if it is called a command, it is a copy of a measurement" if lag < 0 else "")
+    return [Finding("warning", name, what, evidence, remedy, gained, cures)]
+
+
+def delay_cures(
+    name: str, lag: float, own: tuple[float, float], rig: Rig, *, usual: float
+) -> tuple[tuple[Edit, ...], ...]:
+    """Delays of a channel after which the motion follows it as usual: none at all first, if the rig's is what is wrong.
+
+    Args:
+        lag: of the motion behind it now [s].
+        own, usual: as in `check_delay`.
+    """
+    stated = rig.channels[name].delay
+    cures = [Edit(f"channels.{name}.delay", round(stated - lag + usual, 2))]
+    if stated and own[0] <= lag - stated <= own[1]:
+        cures.insert(0, Edit(f"channels.{name}.delay", 0.0))
+    return tuple((cure,) for cure in cures)

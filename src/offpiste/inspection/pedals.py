@@ -67,8 +67,8 @@ def _others_work(drive: Drive, path: Path) -> bool:
 
 _EFFECTS = {"throttle": 1, "brake": -1}
 """Signs of the pedals' effects on the acceleration."""
-_OWN_DELAY = (-0.07, 0.8)
-"""Delays of the acceleration that are the vehicle's own [s]."""
+_OWN_DELAY = {"throttle": (-0.07, 0.8), "brake": (-0.07, 0.5)}
+"""Delays of the acceleration that are the vehicle's own [s]: engines spool up, and brakes bite."""
 _USUAL_DELAY = {"throttle": 0.1, "brake": 0.06}
 """Delays that healthy vehicles have in the middle [s]."""
 _PEDAL_EFFECT = 0.2
@@ -95,7 +95,8 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
     both = _both_flipped(drive) if {*fits} == {*_EFFECTS} else None
     for name, fit in fits.items():
         sign = _EFFECTS[name]
-        right, wrong = fit.best(*_OWN_DELAY, sign=sign), fit.best(*_OWN_DELAY, sign=-sign)
+        own = _OWN_DELAY[name]
+        right, wrong = fit.best(*own, sign=sign), fit.best(*own, sign=-sign)
         late = fit.best(sign=sign)
         if not _has_effect(fit):
             findings += [] if _acts_alone(name, drive, path) else [_without_effect(name, fit, drive, path)]
@@ -110,7 +111,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
             cures = (cure,) if both is None else (both, cure)
             findings.append(Finding("warning", name, "acts the wrong way", evidence, how, 1.0, cures))
         else:
-            findings += check_delay(name, fit, _OWN_DELAY, drive.rig, usual=_USUAL_DELAY[name], clear=_CLEAR, sign=sign)
+            findings += check_delay(name, fit, own, drive.rig, usual=_USUAL_DELAY[name], clear=_CLEAR, sign=sign)
             findings += _idle(name, drive, path) + _too_small(name, fit, right, drive)
     return findings
 
@@ -160,7 +161,7 @@ def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
     fit = fit_lags(pushed, base, lagged(drive.channels[name], path.time, drive.rig), LAGS, rows)
     if fit is None:
         return False
-    best = fit.best(*_OWN_DELAY, sign=_EFFECTS[name])
+    best = fit.best(*_OWN_DELAY[name], sign=_EFFECTS[name])
     r = _EFFECTS[name] * float(fit.r[best])
     return r > max(_PEDAL_EFFECT, SURE * fit.r_sigma(best))
 

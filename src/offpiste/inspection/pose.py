@@ -185,31 +185,36 @@ def _noise(drive: Drive, path: Path) -> list[Finding]:
 
 
 def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
-    """Steps that the velocity before and after does not explain, in any direction."""
-    step = np.diff(place.values[:, :2], axis=0)
+    """Steps that the velocity before and after does not explain, in any direction: along the ground, or in height."""
     dt = np.diff(place.time)
     if len(dt) < 50:
         return []
+    ways = [("", place.values[:, :2])] + [(" of height", place.values[:, 2:])] * (place.values.shape[1] == 3)
+    return [finding for words, values in ways if (finding := _jumping(words, values, place.time, path, origin))]
+
+
+def _jumping(
+    words: str, values: Float[np.ndarray, "n k"], time: Float[np.ndarray, " n"], path: Path, origin: float
+) -> Finding | None:
+    step, dt = np.diff(values, axis=0), np.diff(time)
     velocity = median_filter(step / dt[:, None], (21, 1), mode="nearest")
-    excess = np.hypot(*(step - velocity * dt[:, None]).T)
+    excess = np.linalg.norm(step - velocity * dt[:, None], axis=1)
     least = max(0.1, _JUMP_TIME * path.cruise, 3 * float(np.percentile(excess, 99)))
     jumps = np.flatnonzero((excess > least) & (dt < 1.0))
     if not len(jumps):
-        return []
+        return None
     worst = jumps[excess[jumps].argmax()]
-    share = min(5.0 * len(jumps) / (place.time[-1] - place.time[0]), 1.0)
+    share = min(5.0 * len(jumps) / (time[-1] - time[0]), 1.0)
     serious = excess[worst] > 2 * least or share > 0.1
-    when = ", ".join(f"{place.time[j] - origin:.2f} s" for j in jumps[:5]) + (", ..." if len(jumps) > 5 else "")
-    return [
-        Finding(
-            "warning" if serious else "note",
-            "position",
-            "jumps",
-            f"{len(jumps)} times, by up to {excess[worst]:.2f} m between two samples; at {when}",
-            "no rig line fixes it: cut the log there, or take a pose without corrections (odometry, not SLAM or GPS)",
-            share,
-        )
-    ]
+    when = ", ".join(f"{time[j] - origin:.2f} s" for j in jumps[:5]) + (", ..." if len(jumps) > 5 else "")
+    return Finding(
+        "warning" if serious else "note",
+        "position",
+        "jumps",
+        f"{len(jumps)} times, by up to {excess[worst]:.2f} m{words} between two samples; at {when}",
+        "no rig line fixes it: cut the log there, or take a pose without corrections (odometry, not SLAM or GPS)",
+        share,
+    )
 
 
 def _kicked(path: Path, origin: float) -> list[Finding]:

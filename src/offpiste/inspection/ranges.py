@@ -121,7 +121,7 @@ def _cure(
         return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
         return (Edit(f"channels.{name}.scale", rounded(source.scale * high / extreme)),)
-    if last < 0.1 * extreme and 0.3 * high < extreme <= 1.2 * high:
+    if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
     span = last - first

@@ -131,13 +131,14 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Samples that leave their neighbours for one or two samples and come back; values are finite.
 
     They stand out from the running median of seven by `_SPIKE` times what 95 % of the samples do, and by more than
-    half of what the middle 99 % of all values span: bumps and switched signals do not.
+    half of what the middle 99 % of that median span: bumps and switched signals do not.
     """
     none = np.zeros(len(values), dtype=bool)
     if len(values) < 50 or len(np.unique(values[:: max(len(values) // 1000, 1)])) <= 4:
         return none
-    away = np.abs(values - median_filter(values, 7, mode="mirror"))
-    low, high = np.percentile(values, (0.5, 99.5))
+    smooth = median_filter(values, 7, mode="mirror")
+    away = np.abs(values - smooth)
+    low, high = np.percentile(smooth, (0.5, 99.5))  # of all values, many spikes would be part of it
     spikes: Bool[np.ndarray, " n"] = (away > _SPIKE * np.percentile(away, 95)) & (away > 0.5 * (high - low))
     return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
 

@@ -6,7 +6,7 @@ from typing import Final
 from offpiste.inspection.course import leans_inward
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.lags import LAGS, SURE
+from offpiste.inspection.lags import LAGS, SURE, delay_cures
 from offpiste.inspection.steering_agreement import agreement
 from offpiste.inspection.steering_delays import changing_delay, uneven_delay, window_delays
 from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit
@@ -92,11 +92,9 @@ def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     when = "before" if dynamic < 0 else "after"
     evidence = f"the turning comes {abs(dynamic):.2f} ± {sigma:.2f} s {when} it"
     what = "is stamped after the motion that it causes" if dynamic < 0 else "comes long before the motion"
-    delay = round(rig.channels[name].delay - dynamic + _USUAL[name], 2)
-    edit = Edit(f"channels.{name}.delay", delay)
-    remedy = str(edit) + ("; if it is called a command, it is a copy of a measurement" if dynamic < 0 else "")
-    severe = dynamic < 0 or dynamic > 1
-    return [Finding("warning" if severe else "note", name, what, evidence, remedy, min(abs(dynamic), 1.0), ((edit,),))]
+    cures = delay_cures(name, dynamic, _DYNAMIC_OWN, rig, usual=_USUAL[name])
+    remedy = str(cures[0][0]) + ("; if it is called a command, it is a copy of a measurement" if dynamic < 0 else "")
+    return [Finding("warning", name, what, evidence, remedy, min(abs(dynamic), 1.0), cures)]
 
 
 def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:

@@ -19,8 +19,8 @@ _SHARES: Final = (0.55, 1.1)
 more, on ice and with much slip, too, and none more than 1.0 in the fit that shows less."""
 _USUAL_SHARE: Final = 0.83
 """The share that a remedy assumes: tyres slip."""
-_SHARES_WITHOUT_SLIP: Final = (0.7, 1.15)
-"""The same, extrapolated to no speed: of 220 healthy channels all lay within, where that was clear."""
+_SHARES_WITHOUT_SLIP: Final = (0.75, 1.15)
+"""The same, extrapolated to no speed: of 260 healthy channels all lay within, where that was clear."""
 _CLEAR_WITHOUT_SLIP: Final = 0.85
 """Correlation of that fit above which it is clear."""
 _USUAL_WITHOUT_SLIP: Final = 0.94
