@@ -182,7 +182,7 @@ MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
 )
 MOTION: Final = Compiler(("perception/motion_compensation.py",), loops_make_arrays=False, entries_make_arrays=False)
-PROJECTION: Final = Compiler(("perception/projection_loops.py",), loops_make_arrays=False, entries_make_arrays=False)
+PROJECTION: Final = Compiler(("perception/projection.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
 CLOUDS: Final = Compiler(("logs/usable_points.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_CLOUDS: Final = replace(CLOUDS, fastmath=FUSED)
@@ -192,9 +192,7 @@ _RESPONSES: Final = ("perception/filter_responses.py",)
 FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
 """Compilers of the backbone `filterbank`: products fused with the sums that they go into, and not."""
-FEATURE_SETS_KEPT: Final = Compiler(
-    ("dataset/feature_set_loops.py",), loops_make_arrays=False, entries_make_arrays=False
-)
+FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arrays=False, entries_make_arrays=False)
 KERNELS: Final = Compiler(
     ("dynamics/kernels", "mapping/terrain_map.py"),
     FUSED,

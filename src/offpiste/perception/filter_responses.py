@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from offpiste.compilation import FILTERS, FILTER_SUMS
+from offpiste.compilation import FILTER_SUMS, FILTERS
 
 TAPS: Final = 7
 """Taps of a line that are added at a time; longer lines are filled up with zeros."""
@@ -150,7 +150,7 @@ def put_half(brightness, edge, width, margin, half):  # type: ignore[no-untyped-
 
 
 @FILTERS.loop
-def add_taps(x0, x1, x2, x3, x4, x5, x6, these, others, line, other_line):  # type: ignore[no-untyped-def] # noqa: PLR0913
+def add_taps(x0, x1, x2, x3, x4, x5, x6, these, others, line, other_line):  # type: ignore[no-untyped-def]
     """Add the products of `TAPS` taps to the responses to two filters, tap after tap."""
     a0, a1, a2, a3, a4, a5, a6 = these[0], these[1], these[2], these[3], these[4], these[5], these[6]
     b0, b1, b2, b3, b4, b5, b6 = others[0], others[1], others[2], others[3], others[4], others[5], others[6]

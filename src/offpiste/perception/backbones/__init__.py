@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
+from offpiste.compilation import single_threaded_torch
 from offpiste.errors import PerceptionError
 from offpiste.perception.patch_grid import PatchGrid
 from offpiste.registry import Registry
@@ -82,7 +83,8 @@ class Backbone(ABC):
         rows, columns = self.grid(width, height).crop
         with torch.no_grad():
             features = self._features_of_pixels(pixels[:, rows, columns])
-            finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
+            with single_threaded_torch():  # threads that are woken for this spin for longer than it takes
+                finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
         if not finite:
             raise PerceptionError(
                 "features are not finite", where=self.name, how="its weights may be broken: fetch them again"

@@ -50,6 +50,7 @@ class Filterbank(Backbone):
     def __init__(self, *, device: torch.device | None = None) -> None:
         self._device = device or torch.device("cpu")
         self._fine = oriented_filters(SCALES[0]).to(self._device)
+        self._logarithms = torch.log(torch.arange(256) / 255 + _DARKEST).numpy()
         # The two coarser scales are seen in the image at half its size.
         self._coarse = [oriented_filters(scale / 2).to(self._device) for scale in SCALES[1:]]
 
@@ -76,9 +77,8 @@ class Filterbank(Backbone):
         """Bytes on the processor go through compiled loops: the same in a third of the time."""
         if pixels.dtype != torch.uint8 or self._device.type != "cpu":
             return super()._features_of_pixels(pixels)
-        logarithm = torch.log(torch.arange(256) / 255 + _DARKEST).numpy()
         fine, *coarse = (bank[:, 0].numpy() for bank in (self._fine, *self._coarse))
-        means = [patch_means(image, logarithm, fine, coarse, self.patch) for image in pixels.cpu().numpy()]
+        means = [patch_means(image, self._logarithms, fine, coarse, self.patch) for image in pixels.numpy()]
         with single_threaded_torch():  # for so few numbers threads are not worth waking
             colours, squares, responses = (torch.from_numpy(np.stack(part)) for part in zip(*means, strict=True))
             return _features_of_means(colours, squares, responses)
