@@ -1,4 +1,4 @@
-"""How much faster than real time the proving ground runs: medians over several runs, on a world with hills.
+"""How much faster than real time the proving ground runs: medians over several runs, on a world with hills (`--world`).
 
 `python benchmarks/simulate.py [--seconds 20] [--runs 5] [--whole 0] [--parts]`. The vehicle alone: rigid bodies, tyres,
 drive train and a sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds
@@ -120,8 +120,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--whole", type=float, default=0.0, help="seconds of drives with a world of their own")
     parser.add_argument("--parts", action="store_true", help="measure an image and a scan instead")
+    parser.add_argument("--world", default="mojave", help="of all but whole drives")
     options = parser.parse_args()
-    world = make_world(WorldSettings(preset="mojave", seed=3))
+    world = make_world(WorldSettings(preset=options.world, seed=3))
     if options.parts:
         parts(world, options.runs)
         return
