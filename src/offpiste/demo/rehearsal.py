@@ -6,20 +6,23 @@ Without it, processes that work side by side compile the same, and keep the comp
 import io
 import tempfile
 from contextlib import redirect_stderr
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from offpiste.closed_loop.drive_course import CourseDriveSettings, sensor_setup
 from offpiste.closed_loop.planner import load_planner
+from offpiste.dataset.extract import make_dataset
 from offpiste.parallel import Report, run_all
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.warm_up import warm_up
+from offpiste.shipped import PREFIX
 from offpiste.simulation.sensors.suite import sensor_suite
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 
-RECORD, PLAN = "record", "plan"
+RECORD, PLAN, EXTRACT = "record", "plan", "extract"
 SMALL: Final = DriveSettings(WorldSettings("uniform", size=100.0, resolution=1.0), 1.2, sensors="light")
 
 
@@ -40,10 +43,14 @@ def rehearse(run: str, processes: int) -> None:
 
 
 def rehearse_part(part: str, report: Report, *, run: str, folder: Path) -> str:
-    """Record, or plan."""
+    """Record, extract what was recorded, or plan."""
     with redirect_stderr(io.StringIO()):
         if part == RECORD:
             simulate(SMALL, folder / "drive.mcap")
+        elif part == EXTRACT:
+            simulate(replace(SMALL, seconds=8.0), folder / "extracted.mcap")
+            rig, pca = load_rig("proving_ground"), Path(f"{PREFIX}proving-ground")
+            make_dataset([folder / "extracted.mcap"], rig, folder / "data.zarr", pca=pca, processes=1, force=True)
         else:
             planner, rig, drive = load_planner(Path(run)), load_rig("proving_ground"), CourseDriveSettings(SMALL.world)
             setup = sensor_setup(planner, sensor_suite(drive.sensors), rig)

@@ -15,7 +15,7 @@ import torch
 
 from offpiste.cache import KEPT_DAYS, cache_folder, forget_unused
 from offpiste.conventions import ACTUATORS, CONTROL
-from offpiste.demo.rehearsal import PLAN, RECORD, rehearse_part
+from offpiste.demo.rehearsal import EXTRACT, PLAN, RECORD, rehearse_part
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.feature_encoder import Compressor
@@ -42,7 +42,8 @@ def warm_up_all() -> None:
             "mapping and planning": partial(rehearse_part, PLAN, _unreported, run=MODEL, folder=Path(folder)),
         }
         if find_spec("mujoco") is not None:
-            parts["simulation"] = partial(rehearse_part, RECORD, _unreported, run=MODEL, folder=Path(folder))
+            for name, part in (("simulation", RECORD), ("extraction", EXTRACT)):
+                parts[name] = partial(rehearse_part, part, _unreported, run=MODEL, folder=Path(folder))
         for number, (name, compile_part) in enumerate(parts.items(), start=1):
             show(f"[{number}/{len(parts)}] {name} ...")
             began = time.perf_counter()
