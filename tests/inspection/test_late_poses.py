@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
+from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.late_poses import Interval
+from offpiste.inspection.late_poses import Interval, _far_behind
+from offpiste.logs.drive import drive_from_log
 
 FIELDS = {
     "orientation": ("qx", "qy", "qz", "qw"),
@@ -35,6 +37,19 @@ def test_what_is_late_is_what_most_else_differs_from(channel: str, by: float) ->
     together = ("position", "orientation") if channel == "position" else (channel,)
     assert set(cured) == {f"channels.{name}.delay" for name in together}
     assert all(value == pytest.approx(by, abs=0.06) for value in cured.values())
+
+
+@pytest.mark.parametrize("late", [-0.8, 0.6, 1.0])
+def test_a_heading_that_is_late_by_much_is_known_by_its_turning(late: float) -> None:
+    """Its angle to the course is then any."""
+    far = _far_behind(driven_path(drive_from_log(_late("orientation", late), rig())))
+    assert far is not None
+    assert far[0] == pytest.approx(late, abs=0.05)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2])
+def test_no_other_heading_is_late_by_much(late: float) -> None:
+    assert _far_behind(driven_path(drive_from_log(_late("orientation", late), rig()))) is None
 
 
 def test_stamps_that_agree_raise_nothing() -> None:

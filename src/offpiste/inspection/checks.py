@@ -91,6 +91,11 @@ class Motion:
         return steering_fits(self.drive, self.path, measured=self.measured)
 
     @cached_property
+    def cut_off(self) -> list[Finding]:
+        """Channels beyond whose largest value the vehicle turns further: what they are scaled by cannot be known."""
+        return check_saturation(self.drive, self.path) if self.follows else []
+
+    @cached_property
     def pedals(self) -> dict[str, LagFit]:
         """Fits of the pedals, which several checks read."""
         return pedal_fits(self.drive, self.path)
@@ -182,9 +187,8 @@ def _heading_noise(motion: Motion) -> list[Finding]:
 
 def _cut_off(motion: Motion) -> list[Finding]:
     """By how far the vehicle turns, and by where presses end; a channel is named once."""
-    findings = check_saturation(motion.drive, motion.path) if motion.follows else []
     ends = check_range_ends(motion.drive) if motion.topics.given else []
-    return findings + [f for f in ends if f.where not in {found.where for found in findings}]
+    return motion.cut_off + [f for f in ends if f.where not in {found.where for found in motion.cut_off}]
 
 
 def _clocks(motion: Motion) -> list[Finding]:
@@ -193,8 +197,10 @@ def _clocks(motion: Motion) -> list[Finding]:
 
 
 def _steering(motion: Motion) -> list[Finding]:
-    fits = motion.steering
-    return check_steering(fits, motion.drive, motion.path, measured=motion.measured) if motion.follows else []
+    if not motion.follows:
+        return []
+    cut = {finding.where for finding in motion.cut_off}
+    return check_steering(motion.steering, motion.drive, motion.path, measured=motion.measured, cut=cut)
 
 
 def _steering_copies(motion: Motion) -> list[Finding]:

@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 
 from offpiste.geometry import planar_body_from_world
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.lags import LagFit, fit_lags
+from offpiste.inspection.lags import SURE, LagFit, fit_lags
 from offpiste.inspection.steering_fit import SteeringFit, moving_rows
-from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
+from offpiste.inspection.velocity import fit_delayed, fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
 from offpiste.logs.drive import Drive
 from offpiste.rig.edits import Edit
 
@@ -42,6 +42,9 @@ _CLEAR: Final = 0.5
 _SLIP: Final = (-0.025, 0.012, 0.06)
 """Time by which the heading is behind the course, over the speed, its spread [s^2/m], and the spread of the rest [s]:
 a rear axle slips in proportion to its lateral acceleration, at 1 rad for some 40 m/s^2."""
+_FAR: Final = 0.4
+"""Delay of the heading's turning behind the course's that no slip makes, where they follow each other [s]: of 40
+healthy drives none has more than 0.27, drifts included."""
 _SIDEWAYS: Final = 0.35
 """Lateral speed over forward speed beyond which a vehicle drifts."""
 
@@ -148,6 +151,10 @@ def _interval(behind: str, other: str, time: float, sigma: float, usual: tuple[f
 
 def _behind_the_course(heading: str, path: Path) -> Iterator[Interval]:
     """With the heading late by h, lateral velocity = x * rate + h * speed * rate, x forward of the rear axle."""
+    far = _far_behind(path)
+    if far is not None:
+        yield _interval(heading, "position", *far, _SENSOR)
+        return
     forward, lateral = planar_body_from_world(path.velocity, path.yaw).T
     with np.errstate(invalid="ignore"):
         rows = moving_rows(path) & (np.abs(lateral) < _SIDEWAYS * np.abs(forward))
@@ -156,3 +163,18 @@ def _behind_the_course(heading: str, path: Path) -> Iterator[Interval]:
         share, spread, rest = _SLIP
         slip, scatter = share * path.cruise, float(np.hypot(spread * path.cruise, rest))
         yield _interval(heading, "position", float(fit.gain[0]), fit.gain_sigma(0), (slip, scatter))
+
+
+def _far_behind(path: Path) -> tuple[float, float] | None:
+    """Delay of the heading's turning behind the course's, and its uncertainty [s]; None where it is not surely large.
+
+    A heading that is late by much points anywhere: its angle to the course says no longer by how much.
+    """
+    change = np.gradient(path.velocity, STEP, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turning = (path.velocity[:, 0] * change[:, 1] - path.velocity[:, 1] * change[:, 0]) / path.speed**2
+    turning = np.where(moving_rows(path), turning, np.nan)
+    fit = fit_delayed("", path.yaw_rate[:, None], turning[:, None])
+    if fit is None or fit.misfit > _FOLLOWS or abs(fit.delay) < _FAR + SURE * fit.delay_sigma:
+        return None
+    return fit.delay, max(fit.delay_sigma, _SLIP[2])

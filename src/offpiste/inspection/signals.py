@@ -131,15 +131,20 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Samples that leave their neighbours for one or two samples and come back; values are finite.
 
     They stand out from the running median of seven by `_SPIKE` times what 95 % of the samples do, and by more than
-    half of what the middle 99 % of that median span: bumps and switched signals do not.
+    half of what the middle 99 % of all values span, or of the others: bumps and switched signals do not.
     """
     none = np.zeros(len(values), dtype=bool)
     if len(values) < 50 or len(np.unique(values[:: max(len(values) // 1000, 1)])) <= 4:
         return none
-    smooth = median_filter(values, 7, mode="mirror")
-    away = np.abs(values - smooth)
-    low, high = np.percentile(smooth, (0.5, 99.5))  # of all values, many spikes would be part of it
-    spikes: Bool[np.ndarray, " n"] = (away > _SPIKE * np.percentile(away, 95)) & (away > 0.5 * (high - low))
+    away = np.abs(values - median_filter(values, 7, mode="mirror"))
+    apart = away > _SPIKE * np.percentile(away, 95)
+    spikes: Bool[np.ndarray, " n"] = none
+    # Many spikes would be part of what all values span: then what the others span counts.
+    for usual in (values, values[~apart]):
+        low, high = np.percentile(usual, (0.5, 99.5)) if len(usual) else (-np.inf, np.inf)
+        spikes = apart & (away > 0.5 * (high - low))
+        if spikes.any():
+            break
     return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
 
 
@@ -216,8 +221,9 @@ def _spiked(signal: Signal) -> list[Finding]:
 
 
 def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
-    """Least and largest values of most samples of components, with half of the span as room; none for none."""
-    known = [column[np.isfinite(column)] for column in others.T if np.isfinite(column).any()]
+    """Least and largest values of components without their spikes, with half of the span as room; none for none."""
+    finite = [column[np.isfinite(column)] for column in others.T if np.isfinite(column).any()]
+    known = [median_filter(column, 7, mode="mirror") for column in finite]
     ends = [np.percentile(column, (0.1, 99.9)).tolist() for column in known]
     least = min((low - (high - low) / 2 for low, high in ends), default=np.inf)
     return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)

@@ -1,6 +1,6 @@
 """Response to the steering: sign, delay and scale (`steering_fit.py`), and what is wrong with them."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final
 
 from offpiste.inspection.course import leans_inward
@@ -27,12 +27,15 @@ _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.02}
 """Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
 
 
-def check_steering(fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *, measured: bool) -> list[Finding]:
+def check_steering(
+    fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *, measured: bool, cut: Collection[str] = ()
+) -> list[Finding]:
     """Findings on `steer` and `steer_angle`.
 
     Args:
         fits: of `steering_fits`.
         measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
+        cut: channels that are cut off, which show no scale.
     """
     findings: list[Finding] = []
     for name, fit in fits.items():
@@ -43,9 +46,9 @@ def check_steering(fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *,
         delays = window_delays(drive.channels[name], path, drive.rig)
         findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
         findings += _centre(name, fit, drive.rig)
-    acting = {name: fit for name, fit in fits.items() if fit.has_effect}
+    acting = {name: fit for name, fit in fits.items() if fit.has_effect and name not in cut}
     if measured:
-        return findings + check_scale(acting, agreement(drive, path), drive.rig)
+        return findings + check_scale(acting, None if cut else agreement(drive, path), drive.rig)
     return findings + [scale_note(name, fit, drive.rig) for name, fit in acting.items()]
 
 

@@ -66,7 +66,7 @@ def fit_frames(drive: Drive, path: Path) -> dict[str, FrameFit]:
     recorded = _on_path(path, drive.channels["linear_velocity"])
     body = planar_body_from_world(path.velocity, path.yaw)
     pairs = {"world": (recorded[:, :2], path.velocity), "body": (_levelled(drive, path, recorded), body)}
-    fits = {frame: _fit(frame, *pair) for frame, pair in pairs.items()}
+    fits = {frame: fit_delayed(frame, *pair) for frame, pair in pairs.items()}
     return {frame: fit for frame, fit in fits.items() if fit is not None}
 
 
@@ -112,7 +112,7 @@ def fit_turn_rate(drive: Drive, path: Path) -> FrameFit | None:
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return None
-    return _fit("", _on_path(path, _turn_rate(drive)), path.yaw_rate[:, None])
+    return fit_delayed("", _on_path(path, _turn_rate(drive)), path.yaw_rate[:, None])
 
 
 def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
@@ -120,7 +120,7 @@ def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
     if "wheel_speed" not in drive.channels or path.driving < 3:
         return None
     recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
-    return _fit("", *(values[:, None] - np.nanmean(values) for values in (recorded, path.forward)))
+    return fit_delayed("", *(values[:, None] - np.nanmean(values) for values in (recorded, path.forward)))
 
 
 def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
@@ -196,7 +196,7 @@ def _levelled(drive: Drive, path: Path, recorded: Float[np.ndarray, "n k"]) -> F
     return planar_body_from_world(world[:, :2], path.yaw)
 
 
-def _fit(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
+def fit_delayed(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
     """Fit `recorded(t) = gain * true(t - delay)`; None where too little is known or moves."""
     count, parts = true.shape
     shifted = np.full((len(_LAGS), parts, count), np.nan)

@@ -53,6 +53,23 @@ def test_the_first_cure_is_applied_and_the_log_is_healthy_again(monkeypatch):
     assert result.after == pytest.approx(0, abs=0.02)
 
 
+def test_a_scale_without_a_unit_costs_nothing_in_its_own_convention(monkeypatch):
+    patient = ill_patient("throttle: scale")
+    assert patient.conventional.values("throttle").max() == pytest.approx(patient.case.values("throttle").max())
+    inspected_by(monkeypatch, lambda rig: [])
+    result = score(patient, patient.case.log, storage="memory")
+    assert abs(result.cost) > 0.2  # by another convention, the error is another
+    assert result.own_cost == result.own_after == pytest.approx(0, abs=0.05)
+
+
+def test_what_is_no_convention_costs_as_much_in_it(monkeypatch):
+    patient = ill_patient("steer: sign")
+    assert patient.conventional is patient.healthy
+    inspected_by(monkeypatch, lambda rig: [])
+    result = score(patient, patient.case.log, storage="memory")
+    assert min(result.cost, result.own_cost) > 0.5
+
+
 def test_a_wrong_cure_no_cure_and_a_finding_elsewhere_are_told_apart(monkeypatch):
     patient = ill_patient()
     for cures, wanted in (([(Edit("channels.steer.delay", 0.5),)], "wrong"), ([], "none")):
