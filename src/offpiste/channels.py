@@ -165,6 +165,11 @@ def control_of(channel: str) -> Control | None:
     return next((control for control in all_controls() if control.name == channel), None)
 
 
+def absent_value(name: str) -> float:
+    """What stands for a control where a log lacks it."""
+    return next(control.absent for control in all_controls() if control.name == name)
+
+
 def channel_of_rate(channel: str) -> str:
     """The channel whose derivative stands for this one where a log lacks it; "" for none."""
     columns = {actuator.name: actuator for actuator in all_actuators()}

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.conventions import ACTUATORS
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
 from offpiste.dynamics.inputs import unknown_normals
@@ -52,8 +52,14 @@ def record(
 def recorded_channels(vehicle: Vehicle) -> np.ndarray:
     """Which of the actuators, then of the controls, the log has."""
     return np.array(
-        [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
+        [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in layout.COMMANDS)]
     )
+
+
+def knows_channels(vehicle: Vehicle) -> bool:
+    """Whether the kernels know all columns of a vehicle's datasets."""
+    columns = vehicle.control_columns
+    return vehicle.actuator_columns == ACTUATORS and columns == layout.COMMANDS[: len(columns)]
 
 
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
@@ -106,7 +112,7 @@ def networks(dynamics: Dynamics, compensator: Weights) -> Networks:
     seen = [
         *layout.STEPPED[3:6],
         *(name for name in ACTUATORS if name in vehicle.actuators),
-        *(row for row, name in zip(layout.CONTROLS, CONTROL, strict=True) if name in vehicle.control),
+        *(row for row, name in zip(layout.CONTROLS, layout.COMMANDS, strict=True) if name in vehicle.control),
         *layout.BODY_NORMAL,
         *layout.UNKNOWN,
         *layout.FORCE,
@@ -135,7 +141,7 @@ def residual_networks(
     residuals, hidden = [], first_hidden
     for one, of in zip((one for one in layout.LAGGING if one.lag.residual), matrices, strict=True):
         result = actuators.networks.get(one.label)
-        command = layout.CONTROLS[CONTROL.index(one.actuator.follows)]
+        command = layout.CONTROLS[layout.COMMANDS.index(one.actuator.follows)]
         residuals.append(
             network(
                 result,

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from offpiste.compilation import KERNELS
-from offpiste.conventions import ACTUATORS, CONTROL, STATE
+from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.kernels.elementary import Lane, copy, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
-from offpiste.dynamics.kernels.layout import CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED, UNKNOWN
+from offpiste.dynamics.kernels.layout import ABSENT, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED, UNKNOWN
 from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, make_buffers
 
 MOVED = len(STEPPED) * LANES
-STATES, ACTUATED, COMMANDED = len(STATE), len(ACTUATORS), len(CONTROL)
+STATES, ACTUATED, COMMANDED = len(STATE), len(ACTUATORS), len(CONTROLS)
 NEXT = ROW["next_px"] * LANES
 CONTROL_ROW = ROW[CONTROLS[0]]
 NORMAL_ROW = ROW[NORMAL[0]]
@@ -52,6 +52,18 @@ class Record(NamedTuple):
 def make_buffer_sets(networks: Networks, one: Lane) -> BufferSets:
     """`make_buffers` of each network."""
     return make_buffers(networks[0], one), make_buffers(networks[1], one), make_buffers(networks[2], one)
+
+
+@KERNELS.loop
+def fill_absent(w: np.ndarray, recorded: np.ndarray) -> None:
+    """What stands for absent controls into a workspace; nothing overwrites it.
+
+    Args:
+        recorded: are the actuators, then the controls there?
+    """
+    for k in range(COMMANDED):
+        if not recorded[ACTUATED + k]:
+            w[(CONTROL_ROW + k) * LANES : (CONTROL_ROW + k + 1) * LANES] = f4(ABSENT[k])
 
 
 @KERNELS.loop
@@ -113,6 +125,7 @@ def forward(
     batch, steps, _ = record.controls.shape
     slots = tape.shape[1]
     w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
+    fill_absent(w, record.recorded)
     buffer_sets = make_buffer_sets(networks, f4(1))
     for block in range(first, last):
         for i in range(LANES):
@@ -165,6 +178,7 @@ def backward(
     batch, steps, _ = record.controls.shape
     codes = record.codes.shape[2]
     w = np.zeros((CODES + codes) * LANES, f4)
+    fill_absent(w, record.recorded)
     w_bar = np.zeros_like(w)
     after = np.zeros(tape.shape[2], f4)
     units = (len(after) - MOVED) // (2 * LANES)
