@@ -165,6 +165,12 @@ def control_of(channel: str) -> Control | None:
     return next((control for control in all_controls() if control.name == channel), None)
 
 
+def without_optional(names: Collection[str]) -> tuple[str, ...]:
+    """Names of controls, in their order, without the optional ones: those that a model must share with a dataset."""
+    optional = {control.name for control in OPTIONAL_CONTROLS}
+    return tuple(name for name in names if name not in optional)
+
+
 def absent_value(name: str) -> float:
     """What stands for a control where a log lacks it."""
     return next(control.absent for control in all_controls() if control.name == name)

@@ -12,6 +12,7 @@ from offpiste.dynamics import Dynamics, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.errors import DatasetError, OffpisteError, did_you_mean
 from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
+from offpiste.training.control_columns import in_columns_of
 from offpiste.training.terrain_sources import encoded, on_map
 
 Lookup = Literal["recorded", "map"]
@@ -81,7 +82,8 @@ def roll_out(
         lookup: None for models that do not read the terrain.
         map_source: the map that "map" reads, where it is not the windows' own.
     """
-    batch = windows.gather(index)
+    columns = [control.name for control in windows.dataset.rig.controls]
+    batch = in_columns_of(dynamics.vehicle, windows.gather(index), columns)
     if lookup != "map":
         return batch, predict(dynamics, batch)
     batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
