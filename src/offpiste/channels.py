@@ -85,7 +85,7 @@ CONTROLS: Final = (
 OPTIONAL_CONTROLS: Final = (
     Control(
         "gear", low=-1.0, rate=math.inf, absent=1.0, discrete=True,
-        pattern=r"(?<![a-z])gear(?!_?(box|ratio|ing))|prndl?(?![a-z])|(?<![a-z])(shifter|transmission)(?![a-z])",
+        pattern=r"(?<![a-z])gear(?!_?(box|ratio|ing))|prndl?(?![a-z])|(?<![a-z])(shifter|transmission|reverse)(?![a-z])",
     ),
 )  # fmt: skip
 """Gear: 1 forward, 0 neutral, -1 reverse, as engaged."""
