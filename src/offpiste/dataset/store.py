@@ -84,6 +84,10 @@ class Dataset:
         """Findings of `inspect` on its drives, each once and in words."""
         return findings_by_drive([(drive.name, drive.findings) for drive in self.drives])
 
+    def starting_above(self, min_speed: float | None) -> "Dataset":
+        """The same rows, whose windows start above another speed [m/s]; None: as the dataset says."""
+        return self if min_speed is None else replace(self, min_speed=min_speed)
+
     def relabelled(self, split: Split) -> "Dataset":
         """The same rows under another split (folds)."""
         drives = tuple(replace(d, part=split.label(d.name, d.rows.state[:, :2] + d.rows.origin)) for d in self.drives)

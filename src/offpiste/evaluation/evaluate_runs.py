@@ -1,13 +1,14 @@
 """Evaluate trained runs on a dataset and write the report: the logic of `offpiste evaluate`."""
 
 import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
-from offpiste.errors import RunError
+from offpiste.errors import OffpisteError, RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import MIN_UNITS
@@ -35,18 +36,24 @@ def evaluate_runs(
     starts: Sequence[Start] = ("causal", "smoothed"),
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
+    min_speed: float | None = None,
 ) -> Evaluation:
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
+
+    Args:
+        min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
 
     Raises:
         RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
         DatasetError: no dataset there, or no window in its test part.
-        OffpisteError: `out` is a file.
+        OffpisteError: `out` is a file, or a setting is impossible.
     """
     if not folders:
         raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
     check_folder(out)
-    dataset = open_dataset(dataset_path)
+    if min_speed is not None and not 0 <= min_speed < math.inf:
+        raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
+    dataset = open_dataset(dataset_path).starting_above(min_speed)
     runs: list[Run] = []
     models: list[EvaluatedModel] = []
     for folder in folders:
