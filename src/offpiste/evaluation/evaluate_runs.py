@@ -5,6 +5,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
@@ -25,6 +27,9 @@ from offpiste.training.run import Run, load_run
 from offpiste.training.train import fold_folders
 
 logger = logging.getLogger(__name__)
+
+SLOWER = 0.2
+"""Speed by which the slowest window with a map may be above what was asked for [m/s]."""
 
 
 def evaluate_runs(
@@ -67,6 +72,7 @@ def evaluate_runs(
             fold = number if folds else None
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
     _refuse_unseen(runs, dataset)
+    _warn_of_slow(dataset, min_speed)
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
@@ -112,6 +118,18 @@ def _other_report(out: Path, metrics: Metrics) -> str | None:
     models = [", ".join(dict.fromkeys(row.model for row in one.results)) for one in (there, metrics)]
     same = (there.dataset, models[0]) == (metrics.dataset, models[1])
     return None if same else f"{models[0]} on {there.dataset}"
+
+
+def _warn_of_slow(dataset: Dataset, min_speed: float | None) -> None:
+    """Say so where slow windows are asked for and the dataset has no map at their starts."""
+    kept = [(drive.rows.state_causal[drive.snapshots.row]) for drive in dataset.drives if drive.snapshots is not None]
+    state = np.concatenate(kept) if kept else np.zeros((0, 6))
+    slowest = float(np.hypot(state[:, 3], state[:, 4]).min(initial=np.inf))
+    if min_speed is not None and np.isfinite(slowest) and slowest > min_speed + SLOWER:
+        logger.warning(
+            f"windows are evaluated where the map was kept, above {slowest:.2g} m/s; "
+            f"extract with --snapshot-speed {min_speed:g} for slower ones"
+        )
 
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:

@@ -11,15 +11,14 @@ from offpiste.dynamics.kernels.elementary import f4
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import (
     ACTUATED,
-    CODES,
     COMMANDED,
     CONTROL_ROW,
     MOVED,
     STATES,
     Networks,
     advance_block,
-    fill_absent,
     make_buffer_sets,
+    make_workspace,
 )
 from offpiste.planning.kernel_terrain import CostCells, GroundCells, make_samples, sample_terrain
 
@@ -89,8 +88,7 @@ def roll_out(
         states: to fill with the first numbers of the model state after each step [K, T, 6 ... P], or empty.
     """
     samples, steps, _ = controls.shape
-    w = np.zeros((CODES + 4 * len(ground.missing)) * LANES, f4)
-    fill_absent(w, recorded)
+    w = make_workspace(4 * len(ground.missing), recorded)
     buffer_sets = make_buffer_sets(networks, f4(1))
     model_states = np.zeros((2, len(start) * LANES), f4)
     commands = np.zeros((2, 3 * LANES), f4)

@@ -58,8 +58,7 @@ def train(
         group: the processes that train together; only the first one writes and logs.
 
     Raises:
-        RunError: a setting is out of range, or the folder holds a run already and `resume` is false, or one with
-            other settings.
+        RunError: a setting is out of range, or the folder holds another run, or this one and `resume` is false.
         DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
         OffpisteError: the folder is a file.

@@ -54,16 +54,19 @@ def make_buffer_sets(networks: Networks, one: Lane) -> BufferSets:
     return make_buffers(networks[0], one), make_buffers(networks[1], one), make_buffers(networks[2], one)
 
 
-@KERNELS.loop
-def fill_absent(w: np.ndarray, recorded: np.ndarray) -> None:
-    """What stands for absent controls into a workspace; nothing overwrites it.
+@KERNELS.maker
+def make_workspace(codes: int, recorded: np.ndarray) -> np.ndarray:
+    """An empty workspace, with what stands for absent controls, which nothing overwrites.
 
     Args:
+        codes: numbers that the wheels' codes have together.
         recorded: are the actuators, then the controls there?
     """
+    w = np.zeros((CODES + codes) * LANES, f4)
     for k in range(COMMANDED):
         if not recorded[ACTUATED + k]:
             w[(CONTROL_ROW + k) * LANES : (CONTROL_ROW + k + 1) * LANES] = f4(ABSENT[k])
+    return w
 
 
 @KERNELS.loop
@@ -124,8 +127,7 @@ def forward(
     """
     batch, steps, _ = record.controls.shape
     slots = tape.shape[1]
-    w = np.zeros((CODES + record.codes.shape[2]) * LANES, f4)
-    fill_absent(w, record.recorded)
+    w = make_workspace(record.codes.shape[2], record.recorded)
     buffer_sets = make_buffer_sets(networks, f4(1))
     for block in range(first, last):
         for i in range(LANES):
@@ -177,8 +179,7 @@ def backward(
     """
     batch, steps, _ = record.controls.shape
     codes = record.codes.shape[2]
-    w = np.zeros((CODES + codes) * LANES, f4)
-    fill_absent(w, record.recorded)
+    w = make_workspace(codes, record.recorded)
     w_bar = np.zeros_like(w)
     after = np.zeros(tape.shape[2], f4)
     units = (len(after) - MOVED) // (2 * LANES)
