@@ -5,6 +5,8 @@ import pytest
 from offpiste.channels import (
     ACTUATORS,
     CONTROLS,
+    KERNEL_CONTROLS,
+    MORE_CONTROLS,
     actuator_columns,
     all_actuators,
     all_controls,
@@ -33,9 +35,18 @@ def test_names_are_unique_and_refer_to_each_other() -> None:
 def test_every_dataset_has_the_tables_columns() -> None:
     assert control_columns(()) == CONTROLS
     assert actuator_columns(["brake"]) == ACTUATORS
+    assert control_columns(["gear", "brake"]) == KERNEL_CONTROLS
     vehicle = Vehicle(900.0, 2.0, 0.4, ("steer",), ())
     assert vehicle.control_columns == ("throttle", "brake", "steer")
     assert vehicle.actuator_columns == ("brake", "steer", "steer_rate", "engine_rpm")
+
+
+def test_optional_controls_are_columns_of_rigs_that_give_them_only() -> None:
+    assert [control.name for control in KERNEL_CONTROLS] == ["throttle", "brake", "steer", "gear"]
+    assert not any(control.declared for control in all_controls() if control not in CONTROLS)
+    geared = Vehicle(900.0, 2.0, 0.4, ("steer", "gear"), ())
+    assert geared.control_columns == ("throttle", "brake", "steer", "gear")
+    assert not {control.name for control in KERNEL_CONTROLS} & {name for name, _ in MORE_CONTROLS.items()}
 
 
 def test_a_second_order_lag_has_its_rate_beside_it() -> None:

@@ -12,7 +12,7 @@ from offpiste.simulation.driver.driver import Driver
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 
-Command = Float[np.ndarray, " 3"]
+Command = Float[np.ndarray, " U"]
 
 _PULLS_AWAY: Final = 0.35
 """Least throttle of a vehicle at a standstill: below it the clutch does not grip."""
@@ -49,7 +49,10 @@ class Weaving:
         self._stretch = self.random.exponential(self.reverse_every) if self.reverse_every else math.inf
 
     def command(self, sample: VehicleSample) -> Command:
-        """Throttle, brake and steering for the next `DT`."""
+        """Throttle, brake, steering and gear for the next `DT`."""
+        return np.append(self._pedals_and_wheel(sample), self.gear)
+
+    def _pedals_and_wheel(self, sample: VehicleSample) -> Command:
         speed = _forward_speed(sample)
         self._change_direction(speed)
         self._change_bend(sample)
@@ -58,7 +61,7 @@ class Weaving:
         steer = math.atan(self.vehicle.wheelbase * self._curvature) / self.vehicle.max_steer
         # As quickly as a person turns the wheel.
         self._steer += float(np.clip(steer - self._steer, -2.5 * DT, 2.5 * DT))
-        if (self.gear < 0) != self._reverses:
+        if (self.gear < 0) != self._reverses or sample.gear != self.gear:
             return np.array((0.0, 0.6 if abs(speed) > 0.1 else 0.3, self._steer))
         lack = (wanted - speed) * self.gear
         throttle = min(max(0.15 + 0.3 * lack, 0.0), 1.0) if lack > -0.3 else 0.0

@@ -29,15 +29,6 @@ _SIZES: Final = ((1.0, 0.5), (0.1, 0.15), (0.2, 0.1), (0.5, 0.1), (1.3, 0.1), (1
 """Sizes relative to a side-by-side, and their shares: cars of 1:10 and 1:5, a quad, the side-by-side, a truck."""
 
 
-class Geared(VehicleSimulation):
-    """A vehicle with a reverse gear."""
-
-    def engage(self, gear: int) -> None:
-        """Drive forwards (1) or backwards (-1); shifted at a standstill."""
-        self._record = self._parameters.as_record()
-        self._record.final_ratio *= gear
-
-
 def varied_vehicle(random: np.random.Generator) -> VehicleParameters:
     """A vehicle of about the side-by-side's size: another geometry, balance, engine, brakes and steering."""
     standard = load_vehicle()
@@ -110,18 +101,13 @@ def _samples(
     world: World, vehicle: VehicleParameters, start: Start, controller: Controller, *, seconds: float
 ) -> list[VehicleSample]:
     """Samples every `DT` until the time is over, the vehicle rolls over or the driver gives up."""
-    simulation = Geared(world, vehicle, x=start.x, y=start.y, yaw=start.yaw, speed=start.speed)
+    simulation = VehicleSimulation(world, vehicle, x=start.x, y=start.y, yaw=start.yaw, speed=start.speed)
     samples: list[VehicleSample] = []
-    gear = 1
     while len(samples) * DT < seconds:
         sample = simulation.sample()
         command = controller.command(sample)
-        wanted = getattr(controller, "gear", 1)
-        if wanted != gear:
-            gear = wanted
-            simulation.engage(gear)
         # A sample's own command is the one before: what is held from its moment on is the next.
-        samples.append(replace(sample, command=command))
+        samples.append(replace(sample, command=command[:3]))
         if controller.stuck or set(sample.events) & set(FINAL_EVENTS):
             # What a vehicle does on its roof is no driving.
             return samples[: -round(3.0 / DT)] or samples

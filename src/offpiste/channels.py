@@ -1,10 +1,11 @@
 """Controls and actuators of a vehicle: each is listed once here, with all that other stages need to know of it.
 
 Rigs, datasets, log checks, models, kernels and planners read these tables. `CONTROLS` and `ACTUATORS` are in every
-dataset, NaN where a log lacks them, and generated kernels know them. What others register is in the datasets of rigs
-that give it. docs/extending.md adds one of each.
+dataset, NaN where a log lacks them. `OPTIONAL_CONTROLS`, and what others register, are in the datasets of rigs that
+give them. Generated kernels know all but what others register. docs/extending.md adds one of each.
 """
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
@@ -23,6 +24,9 @@ class Control:
         rate: fastest change that a planner may ask for [1/s].
         pattern: regular expression of the names of fields that hold it, to draft a rig; "" for none.
         declared: whether a rig must say so where its logs lack it.
+        absent: what stands for it where a log lacks it.
+        discrete: whether it is one of a few whole numbers: it holds between samples, and what is beyond `low` and
+            `high` counts as these.
     """
 
     name: str
@@ -32,6 +36,8 @@ class Control:
     rate: float = 4.0
     pattern: str = ""
     declared: bool = False
+    absent: float = 0.0
+    discrete: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,17 @@ CONTROLS: Final = (
 )
 """Throttle and brake from 0 to 1, steering from -1 to 1 and + left, as commanded."""
 
+OPTIONAL_CONTROLS: Final = (
+    Control(
+        "gear", low=-1.0, rate=math.inf, absent=1.0, discrete=True,
+        pattern=r"(?<![a-z])gear(?!_?(box|ratio|ing))|prndl?(?![a-z])|(?<![a-z])(shifter|transmission|reverse)(?![a-z])",
+    ),
+)  # fmt: skip
+"""Gear: 1 forward, 0 neutral, -1 reverse, as engaged."""
+
+KERNEL_CONTROLS: Final = (*CONTROLS, *OPTIONAL_CONTROLS)
+"""Controls that generated kernels know."""
+
 ACTUATORS: Final = (
     Actuator(
         "brake", "brake_pressure", low=0.0, high=1.0, follows="brake", lag="apply-release", drives="brake",
@@ -117,7 +134,7 @@ def register_actuator(actuator: Actuator) -> Actuator:
 
 def all_controls() -> tuple[Control, ...]:
     """Every control that a rig can give."""
-    return (*CONTROLS, *(control for _, control in MORE_CONTROLS.items()))
+    return (*KERNEL_CONTROLS, *(control for _, control in MORE_CONTROLS.items()))
 
 
 def all_actuators() -> tuple[Actuator, ...]:
@@ -126,7 +143,7 @@ def all_actuators() -> tuple[Actuator, ...]:
 
 
 def control_columns(given: Collection[str]) -> tuple[Control, ...]:
-    """The columns of `control` where these controls are given: `CONTROLS`, then registered ones among them.
+    """The columns of `control` where these controls are given: `CONTROLS`, then optional and registered ones.
 
     Args:
         given: names of controls.
@@ -141,6 +158,22 @@ def actuator_columns(given: Collection[str]) -> tuple[Actuator, ...]:
         given: names of actuators.
     """
     return tuple(actuator for actuator in all_actuators() if actuator in ACTUATORS or actuator.name in given)
+
+
+def control_of(channel: str) -> Control | None:
+    """The control that a channel of a rig holds; None for other channels."""
+    return next((control for control in all_controls() if control.name == channel), None)
+
+
+def without_optional(names: Collection[str]) -> tuple[str, ...]:
+    """Names of controls, in their order, without the optional ones: those that a model must share with a dataset."""
+    optional = {control.name for control in OPTIONAL_CONTROLS}
+    return tuple(name for name in names if name not in optional)
+
+
+def absent_value(name: str) -> float:
+    """What stands for a control where a log lacks it."""
+    return next(control.absent for control in all_controls() if control.name == name)
 
 
 def channel_of_rate(channel: str) -> str:

@@ -10,6 +10,7 @@ import torch
 
 from factories import circle_rows, small_rig
 from offpiste.dataset import store
+from offpiste.dataset.extract import Job, _starts
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.map_snapshots import (
     CHUNK,
@@ -170,6 +171,17 @@ def test_snapshots_keep_their_distance_and_their_number():
     assert [row for row in range(1000) if few.at(row)] == list(range(100, 900, 80))
     assert not few.at(-3)
     assert not few.at(5000)
+
+
+def test_snapshots_of_slow_windows_are_kept_where_they_are_asked_for():
+    rows = circle_rows(2400, speed=1.0)
+    job = Job(Path("log"), "log", small_rig(), Path("out"), SPLIT)
+    usual, slow, none = (
+        sum(int(part.sum()) for part in _starts(rows, job, SnapshotSettings(min_speed=speed)))
+        for speed in (None, 0.0, 2.0)
+    )
+    assert usual == none == 0
+    assert slow > 100
 
 
 def made(path: Path) -> store.Dataset:

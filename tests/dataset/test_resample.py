@@ -93,6 +93,20 @@ def test_a_command_holds_where_the_rig_says_so():
     assert np.isin(rows.control[rows.valid, 2], values.astype(np.float32)).all()
 
 
+def test_a_gear_is_a_column_of_its_own_and_never_averaged():
+    log = straight_log()
+    time = log.data["steering"][0]
+    log.data["box"] = time, {"number": np.where(np.sin(time) > 0, 3.0, np.where(np.sin(time) > -0.3, 0.0, -1.0))}
+    gear = '[channels.gear]\ntopic = "box"\nfields = ["number"]\n'
+    rows = extract_rows(drive_from_log(log, parse_rig(RIG + gear, where="test")))
+    assert rows.control.shape[1] == rows.control_causal.shape[1] == 4
+    at = np.floor((rows.time[rows.valid] - time[0]) / DT + 1e-6) * DT + time[0]
+    wanted = np.where(np.sin(at) > 0, 1, np.where(np.sin(at) > -0.3, 0, -1))
+    for control in (rows.control, rows.control_causal):
+        assert set(np.unique(control[rows.valid, 3])) == {-1, 0, 1}
+        assert (control[rows.valid, 3] == wanted).mean() > 0.99
+
+
 def test_rows_in_a_gap_are_invalid_and_never_filled():
     rows = extracted(gap=3.0)
     inside = (rows.time > 10.05) & (rows.time < 12.95)

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from factories import small_rig
 from offpiste.dataset.store_validation import MADE_BY, refuse_unlike
 from offpiste.errors import DatasetError
 
@@ -28,3 +30,14 @@ def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> 
         refuse_unlike(tmp_path, found | moved, found | moved | {"split_drives": [["one", "test"]]})
     with pytest.raises(DatasetError, match="another rig; choose"):
         refuse_unlike(tmp_path, found, found | {"rig": {}})
+
+
+def test_keys_of_rigs_that_are_younger_than_a_dataset_do_not_make_it_another(tmp_path: Path) -> None:
+    now = msgspec.to_builtins(small_rig())
+    channels = {name: {k: v for k, v in source.items() if k != "values"} for name, source in now["channels"].items()}
+    before = now | {"channels": channels}
+    found = dict.fromkeys(MADE_BY, 1)
+    assert before != now
+    refuse_unlike(tmp_path, found | {"rig": before}, found | {"rig": now})
+    with pytest.raises(DatasetError, match="another rig"):
+        refuse_unlike(tmp_path, found | {"rig": before}, found | {"rig": now | {"name": "other"}})

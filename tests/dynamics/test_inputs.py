@@ -19,19 +19,26 @@ NOTHING = torch.full((1, 4), torch.nan)
 
 def test_recorded_actuators_are_read():
     train = drive_train(VEHICLE, STATE, ACTUATORS, CONTROL)
-    assert [x.item() for x in train] == pytest.approx([0.7, 0.6, 0.2, 3.0])
+    assert [x.item() for x in train] == pytest.approx([0.7, 0.6, 0.2, 3.0, 1.0])
 
 
 def test_commands_stand_in_for_absent_actuators():
     train = drive_train(COMMANDED, STATE, NOTHING, CONTROL)
     # Engine: |vx| / 10 m/s, also in reverse.
-    assert [x.item() for x in train] == pytest.approx([0.7, 0.5, 0.4 * -0.5, 0.5])
+    assert [x.item() for x in train] == pytest.approx([0.7, 0.5, 0.4 * -0.5, 0.5, 1.0])
 
 
 def test_absent_pedals_count_as_released():
     vehicle = replace(COMMANDED, control=("steer",))
     train = drive_train(vehicle, STATE, NOTHING, torch.tensor([[math.nan, math.nan, 1.0]]))
-    assert [x.item() for x in train] == pytest.approx([0.0, 0.0, 0.4, 0.5])
+    assert [x.item() for x in train] == pytest.approx([0.0, 0.0, 0.4, 0.5, 1.0])
+
+
+def test_a_gear_is_read_where_the_log_has_one():
+    geared = replace(VEHICLE, control=(*VEHICLE.control, "gear"))
+    control = torch.cat((CONTROL, torch.tensor([[-1.0]])), dim=-1)
+    assert drive_train(geared, STATE, ACTUATORS, control).gear.item() == -1
+    assert select_present(geared, ACTUATORS, control)[0, -1].item() == -1
 
 
 def test_no_steering_at_all_is_an_error():

@@ -680,7 +680,7 @@ def training() -> Results:
         label = " ".join(map(str, astuple(case)))
         found |= parts(f"errors {label}", errors, keep=60)
     metrics = msgspec.to_builtins(evaluation.metrics)
-    kept = {key: metrics[key] for key in metrics if key not in ("made", "dataset", "split")}
+    kept = {key: metrics[key] for key in metrics if key not in ("made", "dataset", "split", "bands")}
     found["evaluation"] = np.array(list(all_numbers(kept)), float)
     return found
 

@@ -52,6 +52,27 @@ def test_values_are_unwrapped_scaled_shifted_signed_and_converted_in_this_order(
     np.testing.assert_allclose(convert("steer_angle", source, raw)[:, 0], np.deg2rad([-100.0, 10.0]))
 
 
+def geared(recorded, **source):
+    log = MemoryLog(box=(np.arange(len(recorded), dtype=float), {"x": np.asarray(recorded, float)}))
+    return read_channel(log, small_rig(), "gear", ChannelSource(fields=("x",), topic="box", **source))[0].values[:, 0]
+
+
+def test_of_a_gears_number_the_sign_counts():
+    assert geared([-1, 0, 1, 6, -2]).tolist() == [-1, 0, 1, 1, -1]
+    assert geared([1, 0, -1], sign=-1).tolist() == [-1, 0, 1]
+
+
+def test_recorded_values_stand_for_others():
+    assert geared([0, 1, 2, 3, np.nan], values={"0": 0.0, "1": -1.0, "2": 0.0, "3": 1.0}).tolist() == [0, -1, 0, 1]
+    assert geared([0, 1], values={"false": 1.0, "true": -1.0}).tolist() == [1, -1]
+    assert geared([82, 68], values={"R": -1.0, "D": 1.0}).tolist() == [-1, 1]
+
+
+def test_a_recorded_value_that_stands_for_nothing_is_refused():
+    with pytest.raises(RigError, match=r"gear.values lacks 4, which topic 'box' has 2 times.*\"3\" = 1"):
+        geared([3, 4, 4], values={"3": 1.0})
+
+
 def test_a_delay_moves_stamps_back():
     found, _ = read([1.0, 2.0], [0.0, 1.0], delay=0.25)
     assert found.time.tolist() == [0.75, 1.75]

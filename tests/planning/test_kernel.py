@@ -18,6 +18,7 @@ from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
+from offpiste.planning.gear import complete
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
@@ -26,6 +27,7 @@ from offpiste.state import ModelState
 from planning_maps import layers, situation
 
 STEPS = 60
+GEARED = replace(VEHICLE, control=(*VEHICLE.control, "gear"))
 
 
 def ground(seed=0):
@@ -83,7 +85,8 @@ def both(dynamics, at, controls, weights):
     encoder = getattr(dynamics, "encoder", None)
     model_state = start(dynamics, at)
     source = situation_terrain(dynamics, at, len(controls), encoder)
-    trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source)
+    completed = complete(dynamics.vehicle, controls, at.gear)
+    trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), completed, source)
     eager = driving_costs(dynamics, model_state, at, weights, encoder)(controls), trajectory.state
     fused = fused_rollout(dynamics, model_state, controls, at, weights, encode_map(at.ground, encoder))
     return eager, fused, driving_terms(trajectory, controls, at, weights)
@@ -119,6 +122,33 @@ def test_on_even_ground_every_sample_agrees(kind, state, plane):
     eager, fused, _ = both(model(kind), at, controls, CostWeights(lateral_limit=2.0))
     torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
     torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["parametric", "b"])
+@pytest.mark.parametrize("gear", [1.0, 0.0, -1.0])
+def test_a_held_gear_completes_the_controls_of_models_that_know_one(kind, gear):
+    at = replace(situation(layers(plane=(0.1, -0.2)), state=(0.0, 0, 0, 3 * gear, 0, 0)), gear=gear)
+    dynamics, controls = model(kind, GEARED), commands(40, seed=2)[:, :40]
+    eager, fused, _ = both(dynamics, at, controls, CostWeights(lateral_limit=2.0))
+    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
+    geared = torch.cat((controls, torch.full_like(controls[..., :1], gear)), dim=-1)
+    forward = replace(at, gear=1.0)
+    codes = encode_map(at.ground, None)
+    again = fused_rollout(dynamics, start(dynamics, at), geared, forward, CostWeights(lateral_limit=2.0), codes)
+    assert torch.equal(again[0], fused[0])
+    other = fused_rollout(dynamics, start(dynamics, at), controls, replace(at, gear=gear - 1), CostWeights(), codes)
+    assert other[1][:, -1, 3].mean() < fused[1][:, -1, 3].mean() - 0.1
+
+
+def test_a_model_without_a_gear_does_not_mind_one():
+    at, dynamics, controls = situation(), model("b"), commands(8)
+    codes = encode_map(at.ground, None)
+    one, other = (
+        fused_rollout(dynamics, start(dynamics, at), controls, replace(at, gear=gear), CostWeights(), codes)[1]
+        for gear in (1.0, -1.0)
+    )
+    assert torch.equal(one, other)
 
 
 @pytest.mark.parametrize("kind", ["b", "dc"])

@@ -97,6 +97,18 @@ def test_a_steering_rate_follows_from_a_steering_angle():
     assert "steer_rate" not in {*rig.channels, *rig.absent}
 
 
+def test_a_gear_is_optional_and_a_column_of_its_own():
+    assert [control.name for control in small_rig().controls] == ["throttle", "brake", "steer"]
+    gear = '[channels.gear]\ntopic = "box"\nfields = ["x"]\nvalues = { "D" = 1, "true" = 0, "2" = -1 }\n'
+    rig = small_rig(gear)
+    assert [control.name for control in rig.controls] == ["throttle", "brake", "steer", "gear"]
+    assert rig.channels["gear"].meanings() == {68.0: 1, 1.0: 0, 2.0: -1}
+    with pytest.raises(RigError, match=r"values has a key 'reverse' that is no recorded number"):
+        small_rig(gear.replace('"D"', '"reverse"'))
+    with pytest.raises(RigError, match=r"channels.linear_velocity.values needs a single field"):
+        small_rig(gear.replace("gear", "linear_velocity").replace('["x"]', '["x", "y"]') + 'frame = "body"\n')
+
+
 def test_units_are_converted_to_si():
     assert unit_factor("steer_angle", "deg") == pytest.approx(np.pi / 180)
     assert unit_factor("linear_velocity", "km/h") == pytest.approx(1 / 3.6)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -70,6 +71,7 @@ def test_topics_and_types(clean: Path) -> None:
     assert found == {
         "/odometry": ("nav_msgs/msg/Odometry", rows),
         "/command": ("sensor_msgs/msg/Joy", rows),
+        "/gear": ("std_msgs/msg/Int8", rows),
         "/steering": ("sensor_msgs/msg/JointState", rows),
         "/brake": ("sensor_msgs/msg/FluidPressure", rows),
         "/engine": ("sensor_msgs/msg/JointState", rows),
@@ -152,6 +154,25 @@ def test_truth_comes_back(clean: Path) -> None:
     for i, name in enumerate(GROUND_PROPERTIES):
         np.testing.assert_array_equal(truth.map.layers[name], world.properties[:, :, i])
     assert set(GROUND_KINDS) <= set(truth.map.layers)
+
+
+def test_rigs_with_and_without_the_gear_are_alike_but_for_it() -> None:
+    plain, geared = load_rig("proving_ground"), load_rig("proving_ground_gear")
+    channels = {name: source for name, source in geared.channels.items() if name != "gear"}
+    assert msgspec.structs.replace(geared, name=plain.name, channels=channels) == plain
+    assert geared.present_controls == ("throttle", "brake", "steer", "gear")
+
+
+def test_the_gear_comes_back(tmp_path: Path) -> None:
+    gears = (1.0, 0.0, -1.0)
+    with McapWriter(tmp_path / "geared.mcap") as writer:
+        for i, sample in enumerate(samples()[:90]):
+            geared = replace(sample, gear=gears[i // 30], command=np.append(sample.command, -1.0))
+            for topic, message in vehicle_messages(geared, stamp_ns(sample.time), wheel_radius=RADIUS).items():
+                writer.write(topic, message, stamp_ns(sample.time))
+    drive = read_drive(tmp_path / "geared.mcap", load_rig("proving_ground_gear"))
+    np.testing.assert_array_equal(drive.channels["gear"].values[:, 0], np.repeat(gears, 30))
+    np.testing.assert_array_equal(drive.channels["gear"].time, drive.channels["steer"].time)
 
 
 def test_real_logs_have_no_truth(tmp_path: Path) -> None:

@@ -10,16 +10,18 @@ import torch
 from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
+from offpiste.conventions import CONTROL
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Hybrid
+from offpiste.dynamics import Hybrid, Parametric
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
+from offpiste.rig.channels import ChannelSource
 from offpiste.training import optimise, prediction
 from offpiste.training.checkpoint import load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.fitness import refuse_seen
-from offpiste.training.prediction import predict, predict_windows
+from offpiste.training.prediction import Lookup, predict, predict_windows, roll_out
 from offpiste.training.run import load_run
 from offpiste.training.train import fold_folders, train, train_folds
 
@@ -169,6 +171,31 @@ def test_a_run_refuses_windows_of_another_rig(dataset: Dataset, run: Path) -> No
     other = replace(dataset, rig=msgspec.structs.replace(dataset.rig, channels=channels))
     with pytest.raises(RunError, match="was trained with control throttle, brake, steer; the dataset has throttle"):
         load_run(run).predict(Windows(other, "test")[:2])
+
+
+@pytest.mark.parametrize("lookup", ["recorded", "map"])
+def test_a_gear_that_a_run_does_not_know_is_left_out(dataset: Dataset, run: Path, lookup: Lookup) -> None:
+    gear = ChannelSource(fields=("gear",))
+    rig = msgspec.structs.replace(dataset.rig, channels={**dataset.rig.channels, "gear": gear})
+
+    def geared(drive: StoredDrive) -> StoredDrive:
+        columns = {
+            name: np.column_stack((values, np.full(len(values), -1.0, np.float32)))
+            for name, values in (("control", drive.rows.control), ("control_causal", drive.rows.control_causal))
+        }
+        return replace(drive, rows=replace(drive.rows, **columns))
+
+    other = replace(dataset, rig=rig, drives=tuple(map(geared, dataset.drives)))
+    loaded = load_run(run)
+    one, two = (loaded.predict(Windows(each, "test")[:3], lookup) for each in (dataset, other))
+    torch.testing.assert_close(one.state, two.state, rtol=0, atol=0)
+    vehicle = replace(loaded.dynamics.vehicle, control=(*CONTROL, "gear"))
+    knows = Parametric(vehicle)
+    batch, _ = roll_out(knows, Windows(dataset, "test")[:3], np.arange(3), lookup)
+    assert (batch.control[..., 3] == 1).all()
+    assert (batch.history.control[..., 3] == 1).all()
+    batch, _ = roll_out(knows, Windows(other, "test")[:3], np.arange(3), lookup)
+    assert (batch.control[..., 3] == -1).all()
 
 
 def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_last_checkpoint(

@@ -30,6 +30,8 @@ class Evaluate:
     """Where models look the terrain up: at recorded wheels, or at predicted ones on the map, as a planner does."""
     feature_set: FeatureSet = "hindsight"
     """Feature sets read at recorded places: by the distance they were seen from [m], or the last there were."""
+    min_speed: float | None = None
+    """Windows start above it [m/s], 0: from standstills as well; by default as the dataset says, usually 1.5."""
     device: str = "cpu"
     """Device of the models."""
 
@@ -44,6 +46,7 @@ class Evaluate:
             self.out,
             lookups=lookups if self.lookup == "both" else (self.lookup,),
             feature_sets=FEATURE_SETS if self.feature_set == "all" else (self.feature_set,),
+            min_speed=self.min_speed,
             device=self.device,
         )
         return 0

@@ -38,6 +38,8 @@ class Extract:
     """Windows are left out if a smaller share of their ground was ever seen; 0 keeps all."""
     snapshot_seconds: float = 0.5
     """Shortest time between snapshots of the map, which are kept for windows that validate and test [s]."""
+    snapshot_speed: float | None = None
+    """Windows that start above it have snapshots [m/s], 0: standstills as well; by default those above 1.5 m/s."""
     latency: float = PERCEPTION_LATENCY
     """Snapshots hold what was measured this long before their windows start, or earlier [s]; `drive` has the same."""
     shard: str = ""
@@ -69,7 +71,7 @@ class Extract:
             pca=self.pca,
             device=self.device,
             min_hindsight=self.min_hindsight,
-            snapshots=SnapshotSettings(self.snapshot_seconds, latency=self.latency),
+            snapshots=SnapshotSettings(self.snapshot_seconds, latency=self.latency, min_speed=self.snapshot_speed),
             replay=MapperSettings(self.keyframe_metres),
             shard=parse_shard(self.shard) if self.shard else (1, 1),
             processes=self.processes,

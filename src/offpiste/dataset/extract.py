@@ -84,7 +84,7 @@ def _extract_here(job: Job, report: Report) -> str:
         with temporary_folder(job.out, job.name) as folder:
             settings, size = job.snapshots or SnapshotSettings(), replay.map.voxels.size
             writer = SnapshotWriter(folder / "snapshots", size, extractor.channels, settings.latency)
-            schedule = SnapshotSchedule(_starts(rows, job, settings.parts), settings)
+            schedule = SnapshotSchedule(_starts(rows, job, settings), settings)
             keeper = SnapshotKeeper(writer, schedule, settings)
             rows = with_visual_features(rows, sensors, job.rig, extractor, replay, snapshots=keeper, report=report)
             writer.close()
@@ -121,13 +121,14 @@ def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str
     return (f"warning: the PCA may have seen {seen:.0f} s that validate or test here; give fit-pca the same --split",)
 
 
-def _starts(rows: Rows, job: Job, parts: Sequence[str]) -> list[Bool[np.ndarray, " N"]]:
-    """Rows at which windows start, for each of some parts."""
+def _starts(rows: Rows, job: Job, settings: SnapshotSettings) -> list[Bool[np.ndarray, " N"]]:
+    """Rows at which windows start, for each part that gets snapshots."""
+    usual = min_evaluation_speed(job.rig.vehicle.wheelbase)
+    speed = usual if settings.min_speed is None else settings.min_speed
     part = job.split.label(job.name, rows.state[:, :2] + rows.origin)
     result = []
-    for number in (PARTS.index(name) for name in parts):
+    for number in (PARTS.index(name) for name in settings.parts):
         starts = np.zeros(len(part), bool)
-        speed = min_evaluation_speed(job.rig.vehicle.wheelbase)
         starts[evaluation_starts(rows, part == number, min_speed=speed)] = True
         result.append(starts)
     return result

@@ -39,6 +39,7 @@ class SnapshotSettings:
         margin: the map is kept within this and half the way of five seconds at the window's first speed, around the
             place half that way straight ahead [m].
         latency: the map holds what was measured this long before the window's start, or earlier [s].
+        min_speed: windows that start above it get one [m/s], 0: standstills as well; None: as the dataset's windows.
 
     Raises:
         DatasetError: the latency is not a time from 0 to 1 s.
@@ -49,6 +50,7 @@ class SnapshotSettings:
     most: int = 2000
     margin: float = 18.0
     latency: float = PERCEPTION_LATENCY
+    min_speed: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1:

@@ -1,6 +1,6 @@
 """Which rows train, validate and test: contiguous stretches with a gap, decided once, never by random windows."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -108,6 +108,13 @@ def parse_split(text: str) -> Split:
     except ValueError:
         pass
     raise DatasetError(f"not a split: '{text}'", how=usage)
+
+
+def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
+    """A split as stored: its text, and for a split by drives their parts rather than the file that named them."""
+    if drives:
+        return Split(text, "drives", drives=tuple((name, part) for name, part in drives))
+    return parse_split(text)
 
 
 def _long_enough(split: Split) -> Split:

@@ -23,7 +23,7 @@ from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_fi
 from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
 from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
-from offpiste.dataset.splits import Split, parse_split
+from offpiste.dataset.splits import Split, stored_split
 from offpiste.dataset.store_validation import read_settings, refuse_invalid, refuse_misshapen, refuse_unlike
 from offpiste.dataset.stored_arrays import mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
@@ -83,6 +83,10 @@ class Dataset:
     def findings(self) -> tuple[str, ...]:
         """Findings of `inspect` on its drives, each once and in words."""
         return findings_by_drive([(drive.name, drive.findings) for drive in self.drives])
+
+    def starting_above(self, min_speed: float | None) -> "Dataset":
+        """The same rows, whose windows start above another speed [m/s]; None: as the dataset says."""
+        return self if min_speed is None else replace(self, min_speed=min_speed)
 
     def relabelled(self, split: Split) -> "Dataset":
         """The same rows under another split (folds)."""
@@ -222,13 +226,6 @@ def open_dataset(path: str | Path) -> Dataset:
         refuse_misshapen(path, drive.name, drive.rows, drive.part, about)
         refuse_invalid(path, drive.name, drive.rows, about.rig, needs_cells=bool(about.features))
     return Dataset(path, about.rig, split, drives, about.features, about.min_hindsight, about.pca, about.min_speed)
-
-
-def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
-    """A split as stored: its text, and for a split by drives their parts rather than the file that named them."""
-    if drives:
-        return Split(text, "drives", drives=tuple((name, part) for name, part in drives))
-    return parse_split(text)
 
 
 def _read_drive(path: Path, name: str) -> StoredDrive:

@@ -60,7 +60,7 @@ def refuse_unlike(path: Path, stored: dict[str, Any], wanted: dict[str, Any]) ->
         DatasetError: names the first attribute that differs, with both values where they are short.
     """
     for key in MADE_BY:
-        there, here = stored.get(key), wanted[key]
+        there, here = (_rig_of(a) if key == "rig" else a.get(key) for a in (stored, wanted))
         if key == "split" and all(str(text).startswith("drives:") for text in (there, here)):
             continue  # the parts count, not the file that names them
         if there != here:
@@ -70,6 +70,14 @@ def refuse_unlike(path: Path, stored: dict[str, Any], wanted: dict[str, Any]) ->
                 where=path,
                 how="choose another --out, or delete it",
             )
+
+
+def _rig_of(attributes: dict[str, Any]) -> Any:
+    """The rig among a dataset's attributes, with defaults for keys that are younger than the dataset."""
+    try:
+        return msgspec.convert(attributes.get("rig"), type=Rig)
+    except msgspec.ValidationError:
+        return attributes.get("rig")
 
 
 def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: bool) -> None:

@@ -59,10 +59,11 @@ def evaluation_starts(
     Args:
         mine: rows that belong to the part.
         min_hindsight: least share of the ground that was seen in hindsight (`enough_hindsight`).
-        min_speed: of the causal estimate at t [m/s].
+        min_speed: of the causal estimate at t [m/s]; 0 takes standstills as well.
         horizon: predicted steps.
     """
     result = window_starts(rows.valid & mine, horizon=horizon)
-    result = result[np.hypot(rows.state_causal[result, 3], rows.state_causal[result, 4]) > min_speed]
+    if min_speed > 0:
+        result = result[np.hypot(rows.state_causal[result, 3], rows.state_causal[result, 4]) > min_speed]
     enough = enough_hindsight(rows.cells, min_hindsight, horizon=horizon)
     return result if enough is None else result[enough[result]]

@@ -121,6 +121,7 @@ def forces(
     steer: Scalar,
     engine: Scalar,
     throttle: Scalar,
+    gear: Scalar,
     normal_z: Scalar,
     c: Constants,
     f: Elementary,
@@ -134,6 +135,7 @@ def forces(
         steer: delta, road-wheel angle, + left [rad].
         engine: x_rpm [1000 rev/min], or its reduced form (`offpiste.dynamics.inputs`).
         throttle: u_th [0..1].
+        gear: u_g: 1 forward, 0 neutral, -1 reverse.
         normal_z: eta_z, vertical part of the mean surface normal.
     """
     rear_slip, front_slip = slip_angles(vx, vy, yaw_rate, steer, c, f)
@@ -144,7 +146,7 @@ def forces(
     braking = (c.brake_1 * brake + c.brake_2 * brake * brake) * f.tanh(vx / STANDSTILL)
     rolling = c.resistance * f.tanh(c.resistance_slope * vx)
     return Force(
-        forward=(drive - braking - rolling) * normal_z,
+        forward=(gear * drive - braking - rolling) * normal_z,
         lateral_front=-c.front_peak * f.sin(c.front_shape * f.tanh(c.front_stiffness * front_slip)) * normal_z,
         lateral_rear=-c.rear_peak * f.sin(c.rear_shape * f.tanh(c.rear_stiffness * rear_slip)) * normal_z,
         yaw=c.yaw_gain * vx * steer - c.yaw_damping * yaw_rate,

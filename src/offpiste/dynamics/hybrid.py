@@ -236,9 +236,8 @@ def parametric_forces(
     """The force vector F (eq. 1) on batches."""
     train = drive_train(vehicle, state, actuators, control)
     _, _, _, vx, vy, yaw_rate = state.unbind(-1)
-    force = forces(
-        vx, vy, yaw_rate, train.brake, train.steer, train.engine, train.throttle, normal[..., 2], constants, TORCH
-    )
+    read = train.brake, train.steer, train.engine, train.throttle, train.gear
+    force = forces(vx, vy, yaw_rate, *read, normal[..., 2], constants, TORCH)
     return torch.stack(force, dim=-1)
 
 

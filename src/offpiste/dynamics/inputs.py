@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.channels import absent_value
 from offpiste.dynamics.actuators import TORCH
 from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.vehicle import Vehicle
@@ -18,16 +19,17 @@ REDUCED_ENGINE_SPEED = 10.0
 
 
 Commands = Callable[[str], Scalar]
-"""The command of a control's name; zero where the log has none."""
+"""The command of a control's name; `Control.absent` where the log has none."""
 
 
 class DriveTrain(NamedTuple):
-    """Inputs of the force vector, each [B]: throttle, brake, steer [rad], engine."""
+    """Inputs of the force vector, each [B]: throttle, brake, steer [rad], engine, gear."""
 
     throttle: Scalar
     brake: Scalar
     steer: Scalar
     engine: Scalar
+    gear: Scalar
 
 
 def reduced_throttle(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
@@ -50,16 +52,22 @@ def reduced_engine(commands: Commands, vx: Scalar, max_steer: Scalar, f: Element
     return f.maximum(vx, -vx) / REDUCED_ENGINE_SPEED
 
 
-REDUCED: Final = DriveTrain(reduced_throttle, reduced_brake, reduced_steer, reduced_engine)
+def reduced_gear(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
+    """The gear as engaged; forward where the log has none."""
+    return commands("gear")
+
+
+REDUCED: Final = DriveTrain(reduced_throttle, reduced_brake, reduced_steer, reduced_engine, reduced_gear)
 """What stands for each input where no actuator measures it."""
 
 
 def drive_train(
     vehicle: Vehicle, state: Float[Tensor, "*B 6"], actuators: Float[Tensor, "*B A"], control: Float[Tensor, "*B U"]
 ) -> DriveTrain:
-    """Throttle, brake, steering and engine as the bicycle reads them: measured, or else their reduced form.
+    """Throttle, brake, steering, engine and gear as the bicycle reads them: measured, or else their reduced form.
 
-    Without a throttle command, or any brake signal, that input is zero. The slot of an absent channel is never read.
+    Without a throttle command, or any brake signal, that input is zero; without a gear it is forward. The slot of an
+    absent channel is never read.
 
     Raises:
         DatasetError: there is neither a steering angle nor a steering command.
@@ -69,10 +77,9 @@ def drive_train(
     measured = dict(zip(vehicle.actuator_columns, actuators.unbind(-1), strict=True))
     given = dict(zip(vehicle.control_columns, control.unbind(-1), strict=True))
     measures = vehicle.measured_inputs
-    nothing = torch.zeros_like(state[..., 0])
 
     def commands(name: str) -> Tensor:
-        return given[name] if name in vehicle.control else nothing
+        return given[name] if name in vehicle.control else torch.full_like(state[..., 0], absent_value(name))
 
     return DriveTrain(
         *(

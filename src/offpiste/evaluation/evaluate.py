@@ -27,6 +27,7 @@ from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import LossUnits, Metrics, WindowNumbers, provenance
 from offpiste.evaluation.result_rows import Case, Cases, RunErrors, Start, headlines, result_rows, seeded
+from offpiste.evaluation.speed_bands import band_rows
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup
@@ -116,7 +117,8 @@ def evaluate_models(
         for case, model, windows in _every_reading(models, dataset, part, starts, readings, device)
     ]
     cases = _by_case(predictions)
-    errors = {case: runs.mean for case, runs in seeded(cases).items()}
+    together = seeded(cases)
+    errors = {case: runs.mean for case, runs in together.items()}
     first = next(iter(errors.values()))
     windows = EvaluatedWindows(dataset, first.drive, first.row)
     splits = splits_of(models, dataset)
@@ -130,6 +132,7 @@ def evaluate_models(
         headlines=headlines(cases, sampling),
         results=result_rows(cases, part, sampling),
         warnings=(*dataset.findings, *warnings),
+        bands=band_rows(together, windows, sampling),
     )
     return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)
 

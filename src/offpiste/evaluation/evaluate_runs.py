@@ -1,14 +1,17 @@
 """Evaluate trained runs on a dataset and write the report: the logic of `offpiste evaluate`."""
 
 import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
-from offpiste.errors import RunError
+from offpiste.errors import OffpisteError, RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import MIN_UNITS
@@ -26,6 +29,9 @@ from offpiste.training.train import fold_folders
 
 logger = logging.getLogger(__name__)
 
+SLOWER = 0.2
+"""Speed by which the slowest window with a map may be above what was asked for [m/s]."""
+
 
 def evaluate_runs(
     folders: Sequence[Path],
@@ -36,18 +42,24 @@ def evaluate_runs(
     starts: Sequence[Start] = ("causal", "smoothed"),
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
+    min_speed: float | None = None,
 ) -> Evaluation:
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
+
+    Args:
+        min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
 
     Raises:
         RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
         DatasetError: no dataset there, or no window in its test part.
-        OffpisteError: `out` is a file.
+        OffpisteError: `out` is a file, or a setting is impossible.
     """
     if not folders:
         raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
     check_folder(out)
-    dataset = open_dataset(dataset_path)
+    if min_speed is not None and not 0 <= min_speed < math.inf:
+        raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
+    dataset = open_dataset(dataset_path).starting_above(min_speed)
     runs: list[Run] = []
     models: list[EvaluatedModel] = []
     for folder in folders:
@@ -61,6 +73,7 @@ def evaluate_runs(
             fold = number if folds else None
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
     _refuse_unseen(runs, dataset)
+    _warn_of_slow(dataset, min_speed)
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
@@ -110,6 +123,18 @@ def _other_report(out: Path, metrics: Metrics) -> str | None:
     models = [", ".join(dict.fromkeys(row.model for row in one.results)) for one in (there, metrics)]
     same = (there.dataset, models[0]) == (metrics.dataset, models[1])
     return None if same else f"{models[0]} on {there.dataset}"
+
+
+def _warn_of_slow(dataset: Dataset, min_speed: float | None) -> None:
+    """Say so where slow windows are asked for and the dataset has no map at their starts."""
+    kept = [(drive.rows.state_causal[drive.snapshots.row]) for drive in dataset.drives if drive.snapshots is not None]
+    state = np.concatenate(kept) if kept else np.zeros((0, 6))
+    slowest = float(np.hypot(state[:, 3], state[:, 4]).min(initial=np.inf))
+    if min_speed is not None and np.isfinite(slowest) and slowest > min_speed + SLOWER:
+        logger.warning(
+            f"windows are evaluated where the map was kept, above {slowest:.2g} m/s; "
+            f"extract with --snapshot-speed {min_speed:g} for slower ones"
+        )
 
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:

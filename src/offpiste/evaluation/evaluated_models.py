@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from offpiste.channels import without_optional
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
@@ -103,7 +104,7 @@ def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> 
 
 
 def _channels(vehicle: Vehicle) -> tuple[tuple[str, ...], ...]:
-    return vehicle.control, vehicle.actuators
+    return without_optional(vehicle.control), vehicle.actuators
 
 
 def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:

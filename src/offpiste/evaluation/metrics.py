@@ -81,6 +81,25 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     minus: dict[str, Minus]
 
 
+class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
+    """Distance errors of one model, start, terrain lookup and horizon, on windows that start in a band of speeds.
+
+    Attributes:
+        band: in words (`offpiste.evaluation.speed_bands`): speeds at the start, or "reverse".
+        n: number of windows in it.
+    """
+
+    model: str
+    variant: str
+    start: Literal["causal", "smoothed"]
+    feature_set: str | None
+    lookup: Literal["recorded", "map"] | None
+    band: str
+    horizon_s: float
+    n: int
+    distance_error_m: Statistics
+
+
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
     """A model's distance error at 5 s, and how it compares with `other`'s: -0.3 is 30 % below."""
 
@@ -131,7 +150,11 @@ class Provenance(msgspec.Struct, frozen=True):
 
 
 class Metrics(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything in metrics.json."""
+    """Everything in metrics.json.
+
+    Attributes:
+        bands: the same windows by the speed at which they start; empty in files that are older.
+    """
 
     schema: int = SCHEMA
     dataset: str
@@ -143,6 +166,7 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     headlines: list[Headline]
     results: list[ResultRow]
     warnings: tuple[str, ...] = ()
+    bands: list[BandRow] = []
 
 
 def label(model: str, variant: str) -> str:

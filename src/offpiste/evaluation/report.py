@@ -13,6 +13,7 @@ from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, write_me
 from offpiste.evaluation.report_figures import REPORT_FIGURES
 from offpiste.evaluation.report_headlines import headline_texts, result_cards
 from offpiste.evaluation.report_tables import (
+    band_table,
     component_table,
     difference_table,
     distribution_table,
@@ -68,12 +69,14 @@ def report_page(metrics: Metrics, pictures: Pictures) -> Page:
 def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
     """Tables and figures; those of headings that only figures have come last."""
     rows, runs = pooled_rows(metrics.results), run_rows(metrics.results)
+    several = len({row.band for row in metrics.bands}) > 1
     tables: dict[str, list[TextTable]] = {
         "Mean distance error by horizon": [horizon_table(rows)],
         "Growth of the error": [],
         "All components after 5 s": [component_table(rows)],
         "Paired differences after 5 s": [difference_table(rows)],
         "Each run after 5 s": [run_table(runs)] if runs else [],
+        "Error by the speed at the start": [band_table(metrics.bands)] if several else [],
         "Distribution": [distribution_table(rows)],
         "Typical windows": [],
         "Worst windows": [],

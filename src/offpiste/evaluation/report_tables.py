@@ -7,7 +7,7 @@ import numpy as np
 from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS
 from offpiste.evaluation.intervals import PairedDifference
-from offpiste.evaluation.metrics import Minus, ResultRow, pooled_rows
+from offpiste.evaluation.metrics import BandRow, Minus, ResultRow, pooled_rows
 from offpiste.evaluation.result_rows import REFERENCE, by_reading
 from offpiste.report.text_table import Cell, TextTable, interval, number
 
@@ -119,6 +119,20 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
     return " ".join(filter(None, (f"Intervals are over {text}.", missing, rows[0].levels.caveat)))
 
 
+def band_table(rows: Sequence[BandRow]) -> TextTable:
+    """Mean distance error after 5 s by the speed at the start: a line per model, start and lookup."""
+    last = [row for row in rows if row.horizon_s == HORIZONS[-1]]
+    windows = {row.band: row.n for row in last}
+    cells = {(row.reading_label, row.start, row.band): _mean(row, "distance_error_m", 2) for row in last}
+    lines: list[tuple[str | Cell, ...]] = [
+        (name, start, *(cells.get((name, start, band), "") for band in windows))
+        for name, start in dict.fromkeys((name, start) for name, start, _ in cells)
+    ]
+    names = ("model", "start", *(f"{band} [m]" for band in windows))
+    about = "Windows: " + ", ".join(f"{n} {band}" for band, n in windows.items()) + "; with 95 % intervals."
+    return TextTable("Distance error after 5 s by the speed at the start", names, lines, about, left=2)
+
+
 def run_table(rows: Sequence[ResultRow]) -> TextTable:
     """Errors of single runs after 5 s.
 
@@ -150,7 +164,7 @@ def _at_last_horizon(rows: Sequence[ResultRow]) -> list[ResultRow]:
     return [group[-1] for group in by_reading(rows)]
 
 
-def _mean(row: ResultRow, name: str, digits: int) -> Cell:
+def _mean(row: ResultRow | BandRow, name: str, digits: int) -> Cell:
     error = getattr(row, name)
     return Cell(number(error.mean, digits), interval(error.ci95, digits))
 

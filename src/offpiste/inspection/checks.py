@@ -13,6 +13,7 @@ from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.frozen import check_frozen
+from offpiste.inspection.gear import check_gear
 from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.late_poses import check_late_poses
@@ -216,6 +217,10 @@ def _controls(motion: Motion) -> list[Finding]:
     return check_controls(*fits, motion.drive, motion.path, given=motion.topics.given)
 
 
+def _gear(motion: Motion) -> list[Finding]:
+    return check_gear(motion.drive, motion.path, motion.topics.recorded)
+
+
 MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _late_poses,
     _frozen,
@@ -232,6 +237,7 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _steering_copies,
     _pedals,
     _controls,
+    _gear,
 )
 """Checks of channels against the motion; they run where the pose can be trusted."""
 

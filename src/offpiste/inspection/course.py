@@ -209,8 +209,9 @@ def _moving(path: Path) -> Bool[np.ndarray, " n"]:
 
 
 def _course(path: Path) -> Float[np.ndarray, " n"]:
-    """Direction of travel [rad]."""
-    return np.asarray(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
+    """Direction of travel, the opposite where the gear is reverse [rad]."""
+    course = np.asarray(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
+    return course if path.reverse is None else course + np.pi * path.reverse
 
 
 def _straight(path: Path, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
+from offpiste.inspection.draft_gear import gear_values
 from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.signals import find_wrap
 from offpiste.logs.log import Log
@@ -166,6 +167,9 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
         lines.append('unit = "rev/min"')
     elif channel == "yaw" and not guess.unit:
         lines += _degrees(values)
+    elif channel == "gear":
+        lines += gear_values(guess, values)
+        comment += "; `values` may have to say what is recorded" if lines else "; of its numbers the sign counts"
     return Entry(guess, tuple(lines), comment)
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.logs.drive import Drive, common_span
@@ -32,6 +32,7 @@ class Path:
         yaw, yaw_rate: heading and its rate [rad, rad/s].
         acceleration: d(forward)/dt [m/s^2].
         slope: dz/ds of the path, s along the motion, in reverse as well; 0 where positions are planar.
+        reverse: where the log's gear is reverse; None where it has none.
         window: span of pose samples behind each velocity [s].
     """
 
@@ -45,6 +46,7 @@ class Path:
     acceleration: Float[np.ndarray, " n"]
     slope: Float[np.ndarray, " n"]
     window: float = _WINDOW
+    reverse: Bool[np.ndarray, " n"] | None = None
 
     @property
     def distance(self) -> float:
@@ -105,4 +107,11 @@ def driven_path(drive: Drive) -> Path:
         acceleration,
         slope,
         window,
+        _reverse(drive, time),
     )
+
+
+def _reverse(drive: Drive, time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"] | None:
+    if "gear" not in drive.channels:
+        return None
+    return np.asarray(drive.channels["gear"].hold(time, max_gap=np.inf)[:, 0] < 0)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from offpiste.channels import CONTROLS, all_controls
+from offpiste.channels import KERNEL_CONTROLS, all_controls
 from offpiste.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, Path
@@ -53,7 +53,7 @@ def check_controls(
 def _others_work(drive: Drive, path: Path) -> bool:
     """Whether a control beyond throttle, brake and steering (`offpiste.channels`) drives or turns the vehicle."""
     one, moving = np.ones((len(path.time), 1)), np.isfinite(path.speed)
-    for control in (control for control in all_controls() if control not in CONTROLS):
+    for control in (control for control in all_controls() if control not in KERNEL_CONTROLS):
         channel = drive.channels.get(control.name)
         if channel is None or np.ptp(channel.values) == 0:
             continue

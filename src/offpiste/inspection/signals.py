@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
+from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.ranges import PERIODS, limits
 from offpiste.inspection.recorded_log import Recorded
@@ -94,6 +95,9 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
         raw = signal.raw[np.abs(np.nan_to_num(signal.raw, nan=np.inf)) <= signal.largest]
         if len(raw) < 10:
             continue
+        control = control_of(signal.key.removeprefix("channels."))
+        if control is not None and control.discrete:
+            continue  # it stays where it is, and leaps
         if np.ptp(raw) == 0:
             dead.append(signal)
             continue

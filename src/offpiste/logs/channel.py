@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from offpiste.channels import control_of
 from offpiste.errors import LogError, RigError
 from offpiste.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
@@ -168,17 +169,39 @@ def _first_run(bad: Bool[np.ndarray, " n"]) -> str:
 
 
 def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them."""
+    """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them.
+
+    Raises:
+        RigError: `source.values` lacks a number of the log.
+    """
     if name == "orientation":
         return raw if source.offset == 0 else _turned(raw, source.offset)
-    values = raw
+    values = _meanings(name, source, raw) if source.values else raw
     if source.unit == GEOGRAPHIC:
         return local_from_geographic(source.sign * (values * source.scale + source.offset))
     if source.wrap is not None:
         values = np.where(values > source.wrap.above, values - source.wrap.period, values)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
         values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit)
+        if (control := control_of(name)) is not None and control.discrete:
+            values = np.clip(np.round(values), control.low, control.high)
     return values if source.clip is None else np.clip(values, *source.clip)
+
+
+def _meanings(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "n 1"]:
+    """What the numbers stand for; those that are not finite stay."""
+    meanings = source.meanings()
+    unknown = np.isfinite(raw) & ~np.isin(raw, list(meanings))
+    if unknown.any():
+        known = ", ".join(f'"{key}" = {value:g}' for key, value in source.values.items())
+        raise RigError(
+            f"channels.{name}.values lacks {raw[unknown][0]:g}, which topic '{source.topic}' has {unknown.sum()} times",
+            how=f"add what it stands for to values = {{ {known} }}",
+        )
+    values = raw.copy()
+    for recorded, value in meanings.items():
+        values[raw == recorded] = value
+    return values
 
 
 def _turned(quaternion: Float[np.ndarray, "n 4"], angle: float) -> Float[np.ndarray, "n 4"]:

@@ -26,6 +26,7 @@ class Situation:
         offset: origin of the trajectories' frame in the world frame [m] (float64).
         state: state at the start.
         control: control of the step before the start.
+        gear: held during the plan, for models that know one (`planning.gear`).
     """
 
     ground: MapStack
@@ -34,6 +35,7 @@ class Situation:
     offset: Float[Tensor, " 2"]
     state: Float[Tensor, " 6"]
     control: Float[Tensor, " 3"]
+    gear: float = 1.0
 
 
 def driving_cost(

@@ -20,10 +20,17 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
-from offpiste.dynamics.kernels.model_arrays import compensator_weights, constants, learned_constants, networks
+from offpiste.dynamics.kernels.model_arrays import (
+    compensator_weights,
+    constants,
+    learned_constants,
+    networks,
+    recorded_channels,
+)
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
+from offpiste.planning.gear import complete
 from offpiste.planning.kernel_costs import kernel_costs
 from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
@@ -98,7 +105,7 @@ def fused_costs(
     """
     roll = _bind(dynamics, model_state, situation, weights, codes)
 
-    def cost_of(controls: Float[Tensor, "K T 3"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
         return roll(controls, torch.empty(0, 0, 6))
 
     return cost_of
@@ -107,7 +114,7 @@ def fused_costs(
 def fused_rollout(
     dynamics: Dynamics,
     model_state: ModelState,
-    controls: Float[Tensor, "K T 3"],
+    controls: Float[Tensor, "K T U"],
     situation: Situation,
     weights: CostWeights,
     codes: Codes,
@@ -120,7 +127,7 @@ def fused_rollout(
 def kernel_model_state(
     dynamics: Dynamics,
     model_state: ModelState,
-    controls: Float[Tensor, "T 3"],
+    controls: Float[Tensor, "T U"],
     situation: Situation,
     codes: Codes,
 ) -> ModelState:
@@ -149,10 +156,9 @@ def _bind(
 ) -> Callable[[Tensor, Tensor], Tensor]:
     _check(dynamics, model_state, codes)
     vehicle, costs = dynamics.vehicle, kernel_costs(situation.costs.table)
-    recorded = [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
     given = (
         situation.control.float().numpy(),
-        np.array(recorded),
+        recorded_channels(vehicle),
         constants(dynamics, learned_constants(dynamics)),
         networks(dynamics, compensator_weights(dynamics)),
         _ground_cells(situation, codes),
@@ -163,10 +169,11 @@ def _bind(
     start = model_state.pack()[0].contiguous().numpy()
 
     def roll(controls: Tensor, states: Tensor) -> Tensor:
-        width, wanted = len(CONTROL), (torch.float32, torch.device("cpu"))
-        if controls.ndim != 3 or controls.shape[2] != width or (controls.dtype, controls.device) != wanted:
+        widths, wanted = {len(CONTROL), len(vehicle.control_columns)}, (torch.float32, torch.device("cpu"))
+        if controls.ndim != 3 or controls.shape[2] not in widths or (controls.dtype, controls.device) != wanted:
             result = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
-            raise ValueError(f"controls are {result}; the kernel wants [K, T, {width}], float32 on the CPU")
+            raise ValueError(f"controls are {result}; the kernel wants [K, T, {min(widths)}], float32 on the CPU")
+        controls = complete(vehicle, controls, situation.gear)
         total = torch.empty(len(controls))
         blocks = -(-len(controls) // layout.LANES)
         arrays = start, controls.contiguous().numpy(), *given, total.numpy(), states.numpy()

@@ -8,16 +8,16 @@ import numpy as np
 
 from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import f4
+from offpiste.dynamics.kernels.lanes import ACTUATED, COMMANDED
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import (
-    ACTUATED,
-    CODES,
     CONTROL_ROW,
     MOVED,
     STATES,
     Networks,
     advance_block,
     make_buffer_sets,
+    make_workspace,
 )
 from offpiste.planning.kernel_terrain import CostCells, GroundCells, make_samples, sample_terrain
 
@@ -48,6 +48,11 @@ def load_controls(
         if recorded[ACTUATED + k]:
             for i in range(k * LANES, (k + 1) * LANES):
                 w[CONTROL_ROW * LANES + i] = command[i]
+    for k in range(3, COMMANDED):  # optional ones, which cost nothing
+        if recorded[ACTUATED + k]:
+            for i in range(LANES):
+                sample = np.uint64(min(block * LANES + i, len(controls) - 1))
+                w[(CONTROL_ROW + k) * LANES + i] = controls[sample, np.uint64(t), k]
 
 
 def roll_out(
@@ -70,9 +75,9 @@ def roll_out(
 
     Args:
         start: packed model state [P].
-        controls: [K, T, 3].
+        controls: throttle, brake, steer, then optional ones [K, T, U].
         control: in the step before the first [3].
-        recorded: are actuators (4) and controls (3) there?
+        recorded: are the actuators, then the controls (`layout.COMMANDS`) there?
         c: the constants (`layout.CONSTANTS`).
         networks: of the forces, the brake and the steering.
         ground, cost_cells: the maps.
@@ -82,7 +87,7 @@ def roll_out(
         states: to fill with the first numbers of the model state after each step [K, T, 6 ... P], or empty.
     """
     samples, steps, _ = controls.shape
-    w = np.zeros((CODES + 4 * len(ground.missing)) * LANES, f4)
+    w = make_workspace(4 * len(ground.missing), recorded)
     buffer_sets = make_buffer_sets(networks, f4(1))
     model_states = np.zeros((2, len(start) * LANES), f4)
     commands = np.zeros((2, 3 * LANES), f4)

@@ -6,10 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.conventions import CONTROL
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, HeldCodes, MapTerrain
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
+from offpiste.planning.gear import complete
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState, TerrainSource, Trajectory
 
@@ -22,7 +24,7 @@ def model_costs(
     Args:
         model_state: model state at the start, a batch of one.
         source: terrain for K rollouts.
-        cost: costs [K] of predicted trajectories and their controls [K, T, 3], e.g. `driving_cost`.
+        cost: costs [K] of predicted trajectories and their controls [K, T, U], e.g. `driving_cost`.
     """
 
     def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
@@ -50,9 +52,10 @@ def driving_costs(
         source = situation_terrain(dynamics, situation, len(controls), encode)
 
         def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
-            return driving_cost(trajectory, controls, situation, weights)
+            return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights)
 
-        return model_costs(dynamics, model_state, source, cost)(controls)
+        completed = complete(dynamics.vehicle, controls, situation.gear)
+        return model_costs(dynamics, model_state, source, cost)(completed)
 
     return cost_of
 

@@ -81,6 +81,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         delay: how much later than it happened a sample is stamped [s].
         valid: values outside of it (after conversion) are measurement faults and dropped.
         clip: values are limited to this interval.
+        values: what recorded values stand for, of channels of one field; keys are numbers, true, false, or the single
+            letter whose character code is recorded. The other entries apply to what they stand for.
         interpolation: between samples: a command holds, a measurement is interpolated.
     """
 
@@ -95,7 +97,29 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     wrap: Wrap | None = None
     valid: tuple[float, float] | None = None
     clip: tuple[float, float] | None = None
+    values: dict[str, float] = {}
     interpolation: Literal["linear", "hold"] = "linear"
+
+    def meanings(self) -> dict[float, float]:
+        """Recorded numbers and what they stand for (`values`).
+
+        Raises:
+            RigError: a key is neither a number, a boolean nor a single letter.
+        """
+        return {_recorded(key): value for key, value in self.values.items()}
+
+
+def _recorded(key: str) -> float:
+    """The number that a log has for a key of `ChannelSource.values`."""
+    if key in ("true", "false"):
+        return float(key == "true")
+    try:
+        return float(key)
+    except ValueError:
+        if len(key) == 1:
+            return float(ord(key))
+        how = 'write recorded numbers, "true", "false" or single letters, such as values = { "R" = -1, "D" = 1 }'
+        raise RigError(f"values has a key '{key}' that is no recorded number", how=how) from None
 
 
 def unit_factor(channel: str, unit: str) -> float:
@@ -145,6 +169,8 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
                 how=f"it takes {' or '.join(map(str, widths))}",
             )
         unit_factor(name, source.unit)
+        if source.meanings() and len(source.fields) != 1:
+            raise RigError(f"channels.{name}.values needs a single field", how="remove it")
         if name in ("linear_velocity", "angular_velocity") and not source.frame:
             raise RigError(
                 f"channels.{name}.frame is missing",

@@ -18,6 +18,7 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
+from offpiste.planning.gear import complete
 from offpiste.planning.kernel import Codes, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
 from offpiste.planning.rollouts import driving_costs
@@ -108,13 +109,22 @@ class Prediction:
 
 
 def model_state_of(
-    model: Dynamics, rows: TrackRows, area: Area, wheels: Float[Tensor, "4 2"], offset: Float[Tensor, " 2"]
+    model: Dynamics,
+    rows: TrackRows,
+    area: Area,
+    wheels: Float[Tensor, "4 2"],
+    offset: Float[Tensor, " 2"],
+    gear: float = 1.0,
 ) -> ModelState:
-    """Model state at the vehicle's latest row, in the frame at `offset`, warmed up on the rows before it."""
+    """Model state at the vehicle's latest row, in the frame at `offset`, warmed up on the rows before it.
+
+    Args:
+        gear: engaged during these rows.
+    """
     shift = np.concatenate((offset.numpy(), np.zeros(4)))
     state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
     actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
-    control = torch.as_tensor(rows.control, dtype=torch.float32)
+    control = complete(model.vehicle, torch.as_tensor(rows.control, dtype=torch.float32), gear)
     past = len(state) - 1
     under = area.terrain(offset, wheels, past).at(0, state[:past])
     terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
@@ -168,7 +178,7 @@ def _stepped(
 ) -> Iterator[ModelState]:
     """Model state after each step."""
     source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
-    for t, given in enumerate(controls):
+    for t, given in enumerate(complete(model.vehicle, controls, at.gear)):
         model_state = step(model_state, given[None], source.at(t, model_state.state))
         yield model_state
 

@@ -233,8 +233,8 @@ class Runtime:
             given = self._committed(latest.time, now + settings.latency, rows)
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
-            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset)
-            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last)
+            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, settings.gear)
+            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last, settings.gear)
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
             at = replace(at, state=model_state.state[0])
         with self.watch.of("plan"):

@@ -28,6 +28,7 @@ class RuntimeSettings:
         slow: speed limit while scans are late [m/s].
         stop: brake of a controlled stop [0..1].
         forget: plans that began to act longer ago than this are not continued [s].
+        gear: that the vehicle has engaged, for models that know one; the run time does not shift.
         standstill: the vehicle is at a standstill below this speed [m/s].
         arrived: distance from its end at which the course counts as driven [m].
         margin: the map is read this far beyond what a plan can reach [m].
@@ -60,6 +61,7 @@ class RuntimeSettings:
     slow: float = 3.0
     stop: float = 0.5
     forget: float = 1.0
+    gear: float = 1.0
     standstill: float = 0.3
     arrived: float = 2.0
     margin: float = 8.0

@@ -113,12 +113,13 @@ def in_body(sample: VehicleSample, vector_world: Float[np.ndarray, " 3"]) -> Flo
 
 
 def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) -> dict[str, Any]:
-    """The vehicle's messages by topic, as rig `proving_ground` reads them."""
+    """The vehicle's messages by topic, as rigs `proving_ground` and `proving_ground_gear` read them."""
     body = header(stamp, BODY)
-    throttle_brake_steer = np.asarray(sample.command, np.float32)
+    throttle_brake_steer = np.asarray(sample.command[:3], np.float32)
     return {
         "/odometry": odometry_message(sample, stamp),
         "/command": make("sensor_msgs/Joy", header=body, axes=throttle_brake_steer, buttons=np.zeros(0, np.int32)),
+        "/gear": make("std_msgs/Int8", data=round(sample.gear)),
         "/steering": _joints(body, ["steering"], [sample.steer_angle], [sample.steer_rate]),
         "/brake": make(
             "sensor_msgs/FluidPressure",

@@ -100,7 +100,7 @@ class VehicleSample:
         orientation: world_from_body, xyzw.
         velocity: velocity of the pose point in the world frame [m/s].
         angular_velocity: in the body frame [rad/s].
-        command: throttle [0..1], brake [0..1], steer [-1..1], held since this moment.
+        command: throttle [0..1], brake [0..1], steer [-1..1], and a gear if one is commanded; held since this moment.
         brake_pressure: [0..1 of full pressure].
         steer_angle: road wheels, + left [rad].
         steer_rate: [rad/s].
@@ -108,6 +108,7 @@ class VehicleSample:
         wheel_speed: rolling speed of each wheel (its rotation times its radius) [m/s].
         suspension: compression of each spring from full droop [m].
         events: events since the last sample: "rollover", "collision with a tree", "left the world".
+        gear: engaged: 1 forward, 0 neutral, -1 reverse.
     """
 
     time: float
@@ -115,7 +116,7 @@ class VehicleSample:
     orientation: Float[np.ndarray, " 4"]
     velocity: Float[np.ndarray, " 3"]
     angular_velocity: Float[np.ndarray, " 3"]
-    command: Float[np.ndarray, " 3"]
+    command: Float[np.ndarray, " U"]
     brake_pressure: float
     steer_angle: float
     steer_rate: float
@@ -124,3 +125,4 @@ class VehicleSample:
     suspension: Float[np.ndarray, " 4"]
     truth: WheelTruth
     events: tuple[str, ...] = ()
+    gear: float = 1.0

@@ -40,8 +40,11 @@ class Controller(Protocol):
         """Whether it has given up."""
         ...
 
-    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
-        """Throttle [0..1], brake [0..1], steer [-1..1, + left] for the next `conventions.DT`."""
+    def command(self, sample: VehicleSample) -> Float[np.ndarray, " U"]:
+        """Throttle [0..1], brake [0..1], steer [-1..1, + left] for the next `conventions.DT`.
+
+        A fourth number is the gear (1, 0, -1), which is shifted at a standstill; without it the gear stays.
+        """
         ...
 
 
@@ -59,11 +62,11 @@ class Start:
 class Replay:
     """Commands of another drive, open loop."""
 
-    commands: Float[np.ndarray, "N 3"]
+    commands: Float[np.ndarray, "N U"]
     stuck: bool = False
     _row: int = 0
 
-    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
+    def command(self, sample: VehicleSample) -> Float[np.ndarray, " U"]:
         """The next recorded command; gives up after the last."""
         command = self.commands[self._row]
         self._row = min(self._row + 1, len(self.commands) - 1)

@@ -44,6 +44,7 @@ class TrainConfig:
         constants_learning_rate: learning rate of Adam for the constants of physics.
         gradient_clip: largest norm of a gradient.
         start: states that predictions start from, in training as in use.
+        min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
         weights: weights of the loss's components.
         seed: seed of the initial weights and the order of the windows.
         device: where to train: "cpu", "cuda", ...
@@ -62,6 +63,7 @@ class TrainConfig:
     constants_learning_rate: float = 2e-2
     gradient_clip: float = 1.0
     start: Literal["causal", "smoothed"] = "causal"
+    min_speed: float | None = None
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
     device: str = "cpu"
@@ -82,6 +84,8 @@ def refuse_impossible(config: TrainConfig) -> None:
     for name in ("learning_rate", "constants_learning_rate", "gradient_clip"):
         if not 0 < getattr(config, name) < math.inf:
             _refuse(name, getattr(config, name), "a number above 0")
+    if config.min_speed is not None and not 0 <= config.min_speed < math.inf:
+        _refuse("min_speed", config.min_speed, "a speed of 0 or more [m/s]")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
         raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")

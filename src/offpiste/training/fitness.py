@@ -6,6 +6,7 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from offpiste.channels import without_optional
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import Dynamics, Vehicle
@@ -101,7 +102,7 @@ def refuse_unfit(run: TrainedRun, dataset: Dataset) -> None:
             how="evaluate it on a dataset with the same",
         )
     for kind in ("control", "actuators"):
-        if getattr(needed, kind) != getattr(given, kind):
+        if without_optional(getattr(needed, kind)) != without_optional(getattr(given, kind)):
             raise RunError(
                 f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
                 f"{', '.join(getattr(given, kind)) or 'none'}",

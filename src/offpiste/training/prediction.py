@@ -1,14 +1,17 @@
 """Predictions of windows: a batch over its recorded terrain, as training rolls out, or any windows of a dataset."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final, Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
+from torch import Tensor
 
+from offpiste.channels import absent_value
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics, rollout
+from offpiste.dynamics import Dynamics, Vehicle, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.errors import DatasetError, OffpisteError, did_you_mean
@@ -100,8 +103,28 @@ def roll_batch_out(
         index: of the windows in the batch.
         lookup, map_source: as of `roll_out`.
     """
+    batch = in_columns_of(dynamics.vehicle, batch, [control.name for control in windows.dataset.rig.controls])
     if lookup != "map":
         return predict(dynamics, batch)
     batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
     start = dynamics.start(batch.history, batch.state, batch.actuators)
     return predict_on(dynamics, start, batch.control, source)
+
+
+def in_columns_of(vehicle: Vehicle, batch: Batch, columns: Sequence[str]) -> Batch:
+    """A batch whose controls have the columns that models of a vehicle read; `Control.absent` where it lacks one.
+
+    Args:
+        columns: that the batch has.
+    """
+    wanted = vehicle.control_columns
+    if wanted == tuple(columns):
+        return batch
+
+    def chosen(values: Float[Tensor, "B T V"]) -> Float[Tensor, "B T U"]:
+        there = dict(zip(columns, values.unbind(-1), strict=True))
+        absent = {name: torch.full_like(values[..., 0], absent_value(name)) for name in wanted if name not in there}
+        return torch.stack([(there | absent)[name] for name in wanted], dim=-1)
+
+    past = replace(batch.history, control=chosen(batch.history.control))
+    return replace(batch, history=past, control=chosen(batch.control))

@@ -68,6 +68,7 @@ def train(
     refuse_impossible(config)
     check_folder(folder)
     check_device(config.device)
+    dataset = dataset.starting_above(config.min_speed)
     vehicle = vehicle_of(dataset, config)
     dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
     windows = Windows(dataset, "train", start=config.start, device=config.device)
@@ -210,6 +211,8 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
         if not resume:
             raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
         result = load_json(path)
+        if isinstance(result.get("train"), dict):  # of runs that are older than a setting
+            result["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **result["train"]}
         for key in ("train", "dataset", "split"):
             if result.get(key) != described[key]:
                 before, now = result.get(key), described[key]

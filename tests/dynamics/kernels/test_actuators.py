@@ -25,6 +25,7 @@ CHANNELS = {
     "no throttle": (("brake", "steer"), ACTUATORS),
     "no brake": (("throttle", "steer"), ("steer", "steer_rate", "engine_rpm")),
     "steer without command": (("throttle", "brake"), ACTUATORS),
+    "gear": ((*CONTROL, "gear"), ACTUATORS),
 }
 
 
@@ -51,12 +52,15 @@ def inputs(model: Actuators, batch: int, steps: int) -> dict[str, Tensor]:
     controls = torch.rand(batch, 1, 3, generator=draw) + 0.3 * torch.randn(batch, steps, 3, generator=draw)
     controls = controls.clamp(0, 1) - torch.tensor([0.0, 0.0, 0.5])
     controls[::2, :, 1] = 0
+    if "gear" in model.vehicle.control_columns:
+        gears = torch.randint(-1, 2, (batch, steps, 1), generator=torch.Generator().manual_seed(batch))
+        controls = torch.cat((controls, gears.to(controls.dtype)), dim=-1)
     speed = 4 * torch.randn(batch, steps, generator=draw)
     speed[::5] = 0
     for i, name in enumerate(ACTUATORS):
         if name not in model.vehicle.actuators:
             start[:, i] = torch.nan
-    for i, name in enumerate(CONTROL):
+    for i, name in enumerate(model.vehicle.control_columns):
         if name not in model.vehicle.control:
             controls[:, :, i] = torch.nan
     hidden, cell = torch.randn(2, batch, model.hidden, generator=draw) * 0.5

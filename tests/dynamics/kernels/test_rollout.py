@@ -32,6 +32,9 @@ CHANNELS = {
     "no brake": (("throttle", "steer"), ("steer", "steer_rate", "engine_rpm")),
     "steer without command": (("throttle", "brake"), ACTUATORS),
     "only steering": (("steer",), ()),
+    "gear": ((*CONTROL, "gear"), ACTUATORS),
+    "gear without actuators": ((*CONTROL, "gear"), ()),
+    "gear without throttle": (("brake", "steer", "gear"), ("brake",)),
 }
 
 
@@ -71,6 +74,9 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
     control = torch.rand(batch, 1, 3, generator=draw) + 0.3 * torch.randn(batch, steps, 3, generator=draw)
     control = control.clamp(0, 1) - torch.tensor([0.0, 0.0, 0.5])
     control[::2, :, 1] = 0  # not braking is as common as it is a corner of the lag
+    if "gear" in model.vehicle.control_columns:
+        gears = torch.randint(-1, 2, (batch, steps, 1), generator=torch.Generator().manual_seed(batch))
+        control = torch.cat((control, gears.to(control.dtype)), dim=-1)
     actuators[::4, 0] = 0
     units = 0 if not isinstance(model, Hybrid) else model.compensator.hidden
     units += model.actuators.hidden
@@ -83,7 +89,7 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
     for i, name in enumerate(ACTUATORS):
         if name not in model.vehicle.actuators:
             actuators[:, i] = torch.nan
-    for i, name in enumerate(CONTROL):
+    for i, name in enumerate(model.vehicle.control_columns):
         if name not in model.vehicle.control:
             control[:, :, i] = torch.nan
     hidden, cell = torch.randn(2, batch, units, generator=draw) * 0.5
@@ -141,6 +147,19 @@ def compare(model: Hybrid | Parametric, batch: int, steps: int) -> None:
 @pytest.mark.parametrize("channels", CHANNELS)
 def test_kernels_agree_with_the_eager_model(channels: str, kind: type[Hybrid | Parametric]) -> None:
     compare(example(*CHANNELS[channels], codes=0, kind=kind), batch=33, steps=8)
+
+
+def test_gears_matter_and_forward_is_none() -> None:
+    geared = example(*CHANNELS["gear"], codes=0, kind=Parametric).float()
+    plain = Parametric(replace(geared.vehicle, control=CONTROL))
+    plain.load_state_dict(geared.state_dict())
+    plain.actuators.requires_grad_(False)
+    model_state, control, terrain = windows(geared, 40, 8)
+    control[..., 3] = 1
+    forward = rollout_recorded(geared, model_state, control, terrain)
+    assert torch.equal(forward.state, rollout_recorded(plain, model_state, control[..., :3], terrain).state)
+    control[..., 3] = -1
+    assert (rollout_recorded(geared, model_state, control, terrain).state[:, -1, 3] < forward.state[:, -1, 3]).all()
 
 
 @pytest.mark.parametrize(("channels", "batch"), [("all", 1), ("no actuators", 70), ("no throttle", 64)])

@@ -215,3 +215,9 @@ def test_damaged_parquet(tmp_path: Path) -> None:
         path.write_bytes(part)
         with pytest.raises(LogError, match=r"a\.parquet: not a readable Parquet file: .*; export it again"):
             TableLog(path)
+
+
+def test_letters_are_character_codes(tmp_path):
+    log = table(tmp_path, "t,gear,note\n0,P,first\n1,R,x\n2,,x\n3,D,x\n4,D,last\n")
+    assert log.topics[""].fields == ("t", "gear")
+    assert log.read("", ["gear"]).values[:, 0].tolist() == pytest.approx([80, 82, np.nan, 68, 68], nan_ok=True)

@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.channels import channel_of_rate
+from offpiste.channels import channel_of_rate, control_of
 from offpiste.errors import DatasetError, LogError
 from offpiste.geometry import local_polynomial
 from offpiste.logs.channel import Channel
@@ -46,7 +46,8 @@ class RowGrid:
         if channel is None:
             return np.full(len(self.time), np.nan)
         source = self.drive.rig.channels.get(name)
-        hold = source is not None and source.interpolation == "hold"
+        control = control_of(name)
+        hold = (source is not None and source.interpolation == "hold") or (control is not None and control.discrete)
         gap = self.drive.rig.clock.max_gap
         return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
 

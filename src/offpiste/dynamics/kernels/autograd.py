@@ -13,34 +13,34 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from offpiste.compilation import spread_kernel
-from offpiste.conventions import ACTUATORS, CONTROL, STATE
+from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.lanes import unpack
 from offpiste.dynamics.kernels.model_arrays import (
     Given,
     compensator_weights,
     constants,
+    knows_channels,
     learned_constants,
     networks,
     record,
     terms_of_codes,
 )
-from offpiste.dynamics.kernels.rollout import backward, forward, unpack
+from offpiste.dynamics.kernels.rollout import backward, forward
 from offpiste.state import ModelState, Terrain, Trajectory
 
 
 def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
     """Whether `rollout_recorded` can roll this model out, here and in this type.
 
-    It can step models with `kernel_parts` on the CPU in float32, of vehicles with no other channels than `conventions`
-    lists; where gradients are wanted, only while the actuators' models are frozen.
+    It can step models with `kernel_parts` on the CPU in float32, of vehicles with no other channels than
+    `offpiste.channels` lists; where gradients are wanted, only while the actuators' models are frozen.
     """
     if dynamics.kernel_parts() is None or dynamics.actuators is None:
         return False
-    if (dynamics.vehicle.actuator_columns, dynamics.vehicle.control_columns) != (ACTUATORS, CONTROL):
-        return False
-    if device.type != "cpu" or dtype != torch.float32:
+    if not knows_channels(dynamics.vehicle) or device.type != "cpu" or dtype != torch.float32:
         return False
     if not all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters()):
         return False
@@ -125,7 +125,7 @@ def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrai
     batch, steps = controls.shape[:2]
     codes, units = dynamics.codes, dynamics.recurrent_size
     expected = {
-        "controls": (controls, (batch, steps, len(CONTROL))),
+        "controls": (controls, (batch, steps, len(dynamics.vehicle.control_columns))),
         "normals": (terrain.normal, (batch, steps, 4, 3)),
         "latent": (latent, (batch, steps, 4, codes)),
         "state": (model_state.state, (batch, len(STATE))),

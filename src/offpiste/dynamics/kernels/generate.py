@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import sympy as sp
 
-from offpiste.conventions import CONTROL, DT, STATE
+from offpiste.conventions import DT, STATE
 from offpiste.dynamics.bicycle import Constants, Elementary, Force, Scalar, forces, rates
 from offpiste.dynamics.inputs import REDUCED, DriveTrain
 from offpiste.dynamics.kernels import layout
@@ -140,13 +140,13 @@ from offpiste.compilation import KERNELS
 
 
 def drive_train(v: Values, f: Elementary) -> DriveTrain:
-    """`inputs.drive_train` with switches; slots of absent channels are 0."""
+    """`inputs.drive_train` with switches; slots of absent actuators are 0."""
 
     def pick(switch: str, measured: Scalar, reduced: Scalar) -> Scalar:
         return v[switch] * measured + (1 - v[switch]) * reduced
 
     def command(name: str) -> Scalar:
-        return v[layout.CONTROLS[CONTROL.index(name)]]
+        return v[layout.CONTROLS[layout.COMMANDS.index(name)]]
 
     found = []
     for name, reduced_form in zip(DriveTrain._fields, REDUCED, strict=True):
@@ -167,9 +167,8 @@ def sense(v: Values, f: Elementary) -> Values:
     """The normal in the body frame and the parametric forces: what the networks see besides what is recorded."""
     train, normal = drive_train(v, f), body_normal(v, f)
     constants = Constants(*(v[name] for name in Constants._fields))
-    force = forces(
-        v["vx"], v["vy"], v["yaw_rate"], train.brake, train.steer, train.engine, train.throttle, normal[2], constants, f
-    )
+    read = train.brake, train.steer, train.engine, train.throttle, train.gear
+    force = forces(v["vx"], v["vy"], v["yaw_rate"], *read, normal[2], constants, f)
     return dict(zip(layout.BODY_NORMAL + layout.FORCE, (*normal, *force), strict=True))
 
 
@@ -191,7 +190,7 @@ def actuate(v: Values, f: Elementary) -> Values:
 def _lag_rates(v: Values, f: Elementary) -> Values:
     change: Values = {}
     for one in layout.LAGGING:
-        command = v[layout.CONTROLS[CONTROL.index(one.actuator.follows)]]
+        command = v[layout.CONTROLS[layout.COMMANDS.index(one.actuator.follows)]]
         own = {name: v[f"{one.label}_{name}"] for name in one.lag.constants}
         changes = list(one.lag.change(tuple(v[name] for name in one.columns), command, v["vx"], own, f))
         if one.lag.residual:

@@ -8,7 +8,8 @@ array.
 
 from typing import Final
 
-from offpiste.conventions import ACTUATORS, CONTROL, STATE
+from offpiste.channels import KERNEL_CONTROLS
+from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuator_lags import lagging
 from offpiste.dynamics.bicycle import Constants, Force
 from offpiste.dynamics.inputs import DriveTrain
@@ -22,8 +23,14 @@ HIDDEN: Final = 4
 STEPPED: Final = (*STATE, *ACTUATORS)
 """States and actuators, which the physics steps, in `ModelState.pack`'s order."""
 
-CONTROLS: Final = tuple(f"{name}_command" if name in ACTUATORS else name for name in CONTROL)
-"""`conventions.CONTROL`, named apart from the actuators."""
+COMMANDS: Final = tuple(control.name for control in KERNEL_CONTROLS)
+"""Controls that kernels know; the columns of a vehicle's are the first of them."""
+
+ABSENT: Final = tuple(control.absent for control in KERNEL_CONTROLS)
+"""What stands for each where a log lacks it."""
+
+CONTROLS: Final = tuple(f"{name}_command" if name in ACTUATORS else name for name in COMMANDS)
+"""`COMMANDS`, named apart from the actuators."""
 
 NORMAL: Final = ("world_normal_x", "world_normal_y", "world_normal_z")
 """Mean of the wheels' surface normals in the world frame."""

@@ -36,6 +36,7 @@ from offpiste.dynamics.kernels.rollout import (
     keep,
     load_controls,
     make_buffer_sets,
+    make_workspace,
 )
 from offpiste.mapping import terrain_map
 from offpiste.mapping.terrain_sampler import CellStack, HeldCodes, MapTerrain
@@ -277,7 +278,7 @@ def forward_on_maps(
         codes: numbers that the networks read of all wheels.
     """
     batch, steps, _ = controls.shape
-    w = np.zeros((CODES + codes) * LANES, f4)
+    w = make_workspace(codes, recorded)
     tape = np.zeros((2, start.shape[1] * LANES), f4)
     buffer_sets, samples = make_buffer_sets(networks, f4(1)), _make_samples(layers)
     activations = make_activations(layers, f4(1))

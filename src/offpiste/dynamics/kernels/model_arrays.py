@@ -10,12 +10,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from offpiste.compilation import spread_kernel
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.conventions import ACTUATORS
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.lanes import GIVEN, pack
 from offpiste.dynamics.kernels.network import Network, Weights, network, weights, weights_apart
-from offpiste.dynamics.kernels.rollout import GIVEN, Networks, Record, pack
+from offpiste.dynamics.kernels.rollout import Networks, Record
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.state import Terrain
 
@@ -72,8 +73,14 @@ def terms_of_codes(dynamics: Dynamics, codes: Float[Tensor, "B T C"]) -> Float[T
 def recorded_channels(vehicle: Vehicle) -> np.ndarray:
     """Which of the actuators, then of the controls, the log has."""
     return np.array(
-        [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in CONTROL)]
+        [*(name in vehicle.actuators for name in ACTUATORS), *(name in vehicle.control for name in layout.COMMANDS)]
     )
+
+
+def knows_channels(vehicle: Vehicle) -> bool:
+    """Whether the kernels know all columns of a vehicle's datasets."""
+    columns = vehicle.control_columns
+    return vehicle.actuator_columns == ACTUATORS and columns == layout.COMMANDS[: len(columns)]
 
 
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
@@ -127,7 +134,7 @@ def networks(dynamics: Dynamics, compensator: Weights, *, apart: bool = False) -
     seen = [
         *layout.STEPPED[3:6],
         *(name for name in ACTUATORS if name in vehicle.actuators),
-        *(row for row, name in zip(layout.CONTROLS, CONTROL, strict=True) if name in vehicle.control),
+        *(row for row, name in zip(layout.CONTROLS, layout.COMMANDS, strict=True) if name in vehicle.control),
         *layout.BODY_NORMAL,
         *layout.UNKNOWN,
         *layout.FORCE,
@@ -159,7 +166,7 @@ def residual_networks(
     residuals, hidden = [], first_hidden
     for one, of in zip((one for one in layout.LAGGING if one.lag.residual), matrices, strict=True):
         result = actuators.networks.get(one.label)
-        command = layout.CONTROLS[CONTROL.index(one.actuator.follows)]
+        command = layout.CONTROLS[layout.COMMANDS.index(one.actuator.follows)]
         residuals.append(
             network(
                 result,

@@ -26,8 +26,8 @@ class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
     The separator of a CSV (comma, semicolon, tab, bar) is guessed. Empty cells are NaN; a cell that is no number in a
-    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps. A
-    row of units below the header is read as such.
+    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps, and a
+    column of single letters (gears) holds their character codes. A row of units below the header is read as such.
 
     Args:
         path: `.csv` or `.parquet`.
@@ -99,7 +99,13 @@ class TableLog(Log):
         if not self._is_csv:
             return True  # others were not read
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
-        return 2 * sum(_number(cell) is not None for cell in cells) >= len(cells)
+        return 2 * sum(_number(cell) is not None for cell in cells) >= len(cells) or self._has_letters(name)
+
+    def _has_letters(self, name: str) -> bool:
+        """Whether every cell of a CSV is a single letter, and some repeat."""
+        cells = self._table[name].drop_null()
+        letters = pc.unique(pc.utf8_trim_whitespace(cells)).to_pylist() if len(cells) else []
+        return 0 < len(letters) < len(cells) and all(len(cell) == 1 and cell.isalpha() for cell in letters)
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
@@ -143,17 +149,18 @@ class TableLog(Log):
         except pa.ArrowInvalid:
             pass
         values = np.full(len(column), np.nan)
+        number = ord if self._has_letters(name) else _number
         for row, cell in enumerate(column.to_pylist()):
             if cell is None:
                 continue
-            if (number := _number(cell)) is None:
+            if (value := number(cell)) is None:
                 line = row + 1 + self._rows_of_units
                 raise LogError(
                     f"row {line} below the header, column '{name}': '{cell[:40]}' is not a number",
                     where=self.path,
                     how="fix or empty that cell",
                 )
-            values[row] = number
+            values[row] = value
         return values
 
 

@@ -62,7 +62,7 @@ def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: i
 
     Args:
         speeds: [5], overwritten [rad/s].
-        ratio: of the belt.
+        ratio: of the belt, below zero in reverse; 0 in neutral.
         throttle: 0..1.
         brake: pressure, 0..1.
         tyre_torque: [4], of the ground on the wheels [N m].
@@ -80,7 +80,8 @@ def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: i
         matrix[i + 1, 5] = p.wheel_inertia / dt * speeds[i + 1] + tyre_torque[i]
     slip = speeds[0] - total * 0.25 * (speeds[1] + speeds[2] + speeds[3] + speeds[4])
     side = -0.25 * total
-    _couple(matrix, clutch_rate(speeds[0], slip, p), 1.0, side, side, side, side)
+    engaged = clutch_rate(speeds[0], slip, p) if ratio != 0.0 else 0.0
+    _couple(matrix, engaged, 1.0, side, side, side, side)
     _couple(matrix, p.centre_rate, 0.0, 0.5, 0.5, -0.5, -0.5)
     _couple(matrix, p.front_rate, 0.0, 1.0, -1.0, 0.0, 0.0)
     _couple(matrix, p.rear_rate, 0.0, 0.0, 0.0, 1.0, -1.0)

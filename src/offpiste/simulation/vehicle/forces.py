@@ -49,7 +49,7 @@ def substep(  # type: ignore[no-untyped-def]
 
     Args:
         q: `VehicleParameters.as_record()`.
-        command: [3] throttle, (delayed) brake, steer.
+        command: [4] throttle, (delayed) brake, steer, engaged gear.
         around: `chassis.nearby_obstacles`.
         elevation, properties, x0, y0, resolution: of the world.
         qpos, qvel: [11], [10] of MuJoCo.
@@ -65,7 +65,7 @@ def substep(  # type: ignore[no-untyped-def]
     body = axes(qpos[3], qpos[4], qpos[5], qpos[6])
     actuators[PRESSURE] = braked_pressure(actuators[PRESSURE], command[1], dt, q)
     actuators[STEER], actuators[STEER_RATE] = steered(actuators[STEER], actuators[STEER_RATE], command[2], dt, q)
-    shaft = q.final_ratio * 0.25 * (speeds[1] + speeds[2] + speeds[3] + speeds[4])
+    shaft = command[3] * q.final_ratio * 0.25 * (speeds[1] + speeds[2] + speeds[3] + speeds[4])
     actuators[RATIO] = shifted_ratio(actuators[RATIO], shaft, command[0], dt, q)
 
     before = (speeds[1], speeds[2], speeds[3], speeds[4])
@@ -78,7 +78,7 @@ def substep(  # type: ignore[no-untyped-def]
             q, dt, i, angle, body, qpos, qvel, elevation, properties, x0, y0, resolution,
             speeds[i + 1], deflection, truth, body_forces,
         )  # fmt: skip
-    spin(speeds, actuators[RATIO], command[0], actuators[PRESSURE], tyre_torque, dt, q, buffers[:5])
+    spin(speeds, command[3] * actuators[RATIO], command[0], actuators[PRESSURE], tyre_torque, dt, q, buffers[:5])
     for i in range(4):
         angle = left_angle if i == 0 else right_angle if i == 1 else 0.0
         _react(q, i, angle, body, qvel, (speeds[i + 1] - before[i]) / dt, speeds[i + 1], body_forces)

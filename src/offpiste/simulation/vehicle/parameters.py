@@ -86,6 +86,7 @@ class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     ratio_high: Positive
     final_ratio: Positive
     shift_time: Positive
+    gear_time: Positive
     cruise_speed: Positive
     power_speed: Positive
     clutch_speed: Positive

@@ -16,6 +16,7 @@ from offpiste.errors import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.chassis import nearby_obstacles
 from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep
+from offpiste.simulation.vehicle.gear_box import GearBox
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.surface import height, main_kind
 from offpiste.simulation.world.world import World
@@ -86,6 +87,10 @@ BORDER = 3.0
 """Distance from the world's edge at which the vehicle leaves it [m]."""
 
 
+STANDSTILL = 0.3
+"""Below this speed gears can be shifted [m/s]."""
+
+
 class VehicleSimulation:
     """A vehicle put on the ground of a world and driven by commands.
 
@@ -111,6 +116,7 @@ class VehicleSimulation:
         self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
         self._touched, self._buffers = np.zeros(2), np.zeros((6, 6))
         self._command = np.zeros(3)
+        self._gears = GearBox(round(parameters.gear_time / DT))
         self._brakes: deque[float] = deque([0.0] * round(parameters.brake_delay / DT))
         self._steps = 0
         self._reported: set[str] = set()
@@ -132,16 +138,18 @@ class VehicleSimulation:
         """Time since the start [s]."""
         return self._steps * DT
 
-    def step(self, throttle: float, brake: float, steer: float) -> None:
+    def step(self, throttle: float, brake: float, steer: float, gear: float | None = None) -> None:
         """Advance by `DT` under one command, held.
 
         Args:
             throttle, brake: 0..1.
             steer: -1..1, + left.
+            gear: 1, 0 or -1, shifted at a standstill (`GearBox`); None keeps it.
         """
+        self._gears.shift(gear, moving=bool(np.hypot(*self._qvel[:2]) > STANDSTILL))
         self._command[:] = np.clip((throttle, brake, steer), (0, 0, -1), (1, 1, 1))
         self._brakes.append(float(self._command[1]))
-        held = np.array((self._command[0], self._brakes.popleft(), self._command[2]))
+        held = np.array((self._command[0], self._brakes.popleft(), self._command[2], self._gears.engaged))
         around = self._obstacles()
         for _ in range(SUBSTEPS):
             self._apply(held, around)
@@ -168,6 +176,7 @@ class VehicleSimulation:
             suspension=self._qpos[7:] + self._parameters.droop_travel,
             truth=self._wheel_truth(),
             events=events,
+            gear=self._gears.engaged,
         )
 
     def _view_state(self, data: mujoco.MjData) -> None:
@@ -211,7 +220,7 @@ class VehicleSimulation:
         self._speeds[0] = p.idle_speed
         around = np.zeros(4)
         for _ in range(SETTLING_STEPS * SUBSTEPS):
-            self._apply(np.zeros(3), around)
+            self._apply(np.array((0.0, 0.0, 0.0, self._gears.engaged)), around)
             mujoco.mj_step(self._model, self._data)
             self._qpos[:2] = x, y
             self._qvel[:2], self._qvel[5] = 0, 0

@@ -1,0 +1,102 @@
+"""Checks of the gear against the motion: one that says otherwise, and reversing that a rig without a gear hides."""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.inspection.driven_path import MOVING, STEP, Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import sampled
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.logs.drive import Drive
+from offpiste.rig.edits import Edit
+
+_LASTS: Final = 2.0
+"""Shortest stretch of reversing that is reported [s]: rolling back before driving off is shorter."""
+_PRESSED: Final = 0.08
+"""Throttle above which a vehicle drives, and does not roll."""
+_SHARE: Final = 0.1
+"""Share of the motion against the gear from which the gear is wrong; vehicles roll back now and then."""
+_LEAST_AGAINST: Final = 3.0
+"""The same in time [s]."""
+_MOST_GEARS: Final = 16
+"""A field with more values is no gear."""
+
+
+def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> list[Finding]:
+    """A note if the vehicle reverses and the rig has no gear; a warning if the gear is another than the motion's."""
+    if "gear" not in drive.channels:
+        return _hidden_reverse(drive, path)
+    moving = _moving(path)
+    gear = drive.channels["gear"].hold(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
+    with np.errstate(invalid="ignore"):
+        against = moving & (gear * path.forward < 0)
+    share = float(against.sum() / max(moving.sum(), 1))
+    if share < _SHARE or against.sum() * STEP < _LEAST_AGAINST:
+        return []
+    cure = _meanings(drive, path, moving, recorded)
+    evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
+    how = ", ".join(map(str, cure)) or "give `values` for what is recorded, or leave the channel out"
+    return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
+
+
+def _hidden_reverse(drive: Drive, path: Path) -> list[Finding]:
+    throttle = drive.channels.get("throttle")
+    if throttle is None or not _moving(path).any():
+        return []
+    with np.errstate(invalid="ignore"):
+        backwards = _moving(path) & (path.forward < 0)
+        driven = backwards & (sampled(throttle, path.time, drive.rig) > _PRESSED)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], backwards, [False]))))
+    stretches = [
+        (first, last)
+        for first, last in zip(edges[::2], edges[1::2], strict=True)
+        if driven[first:last].sum() * STEP >= _LASTS
+    ]
+    if not stretches:
+        return []
+    seconds = sum(last - first for first, last in stretches) * STEP
+    times = "once" if len(stretches) == 1 else f"{len(stretches)} times"
+    evidence = f"{times}, {seconds:.1f} s in all, from {path.time[stretches[0][0]] - path.time[0]:.1f} s on, "
+    evidence += "with the throttle pressed"
+    how = (
+        "add [channels.gear] where the log has one (docs/rig.md); without it, models expect throttle to drive forwards"
+    )
+    return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
+
+
+def _moving(path: Path) -> Bool[np.ndarray, " n"]:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(path.forward) > max(MOVING, 0.1 * path.cruise))
+
+
+def _meanings(
+    drive: Drive, path: Path, moving: Bool[np.ndarray, " n"], recorded: Mapping[str, Recorded]
+) -> tuple[Edit, ...]:
+    """The edit that gives each recorded value the gear in which the vehicle moves meanwhile; empty where none fits."""
+    source = drive.rig.channels["gear"]
+    r = recorded.get(source.topic)
+    if r is None or source.fields[0] not in r.fields or (source.scale, source.offset) != (1.0, 0.0):
+        return ()
+    raw = _raw(r, source.fields[0], path.time + source.delay)
+    there = np.unique(raw[np.isfinite(raw)])
+    if not 1 < len(there) <= _MOST_GEARS:
+        return ()
+    values = {f"{value:g}": source.sign * _way(path.forward[moving & (raw == value)]) for value in there}
+    return (Edit("channels.gear.values", values),) if len(set(values.values())) > 1 else ()
+
+
+def _raw(r: Recorded, field: str, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """A field as recorded, held from each sample on."""
+    index = np.searchsorted(r.time, at, side="right") - 1
+    return np.asarray(r.values[np.clip(index, 0, len(r.time) - 1), r.fields.index(field)])
+
+
+def _way(forward: Float[np.ndarray, " n"]) -> float:
+    """1 where it moves forwards most of the time, -1 backwards, 0 where neither, or where it hardly moves."""
+    if len(forward) * STEP < 1.0:
+        return 0.0
+    mean = float(np.mean(np.sign(forward)))
+    return float(np.sign(mean)) if abs(mean) > 0.5 else 0.0

@@ -1,0 +1,36 @@
+"""Gear along a plan: sampled controls are throttle, brake and steer; models that know a gear are given the held one.
+
+This is the one place that completes controls. A planner that samples changes of gear gives a fourth column instead.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.channels import OPTIONAL_CONTROLS
+from offpiste.conventions import CONTROL
+from offpiste.dynamics.vehicle import Vehicle
+from offpiste.errors import PlanningError
+
+COMPLETED = (*CONTROL, *(control.name for control in OPTIONAL_CONTROLS))
+
+
+def complete(
+    vehicle: Vehicle, controls: Float[Tensor, "*P 3"] | Float[Tensor, "*P U"], gear: float
+) -> Float[Tensor, "*P U"]:
+    """Controls in the columns of a vehicle (`Vehicle.control_columns`).
+
+    Args:
+        controls: throttle, brake, steer; or all columns, which stay.
+        gear: held throughout.
+
+    Raises:
+        PlanningError: the vehicle has other controls than these and a gear.
+    """
+    columns, given = vehicle.control_columns, controls.shape[-1]
+    if given == len(columns):
+        return controls
+    if given != len(CONTROL) or columns != COMPLETED:
+        what = f"controls of {given} columns for a model of {', '.join(columns)}"
+        raise PlanningError(what, how="plan throttle, brake and steer; a gear is held")
+    return torch.cat((controls, torch.full_like(controls[..., :1], gear)), dim=-1)

@@ -1,0 +1,92 @@
+"""Gears against the motion: read rightly nothing is said, read wrongly the right reading is proposed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from factories import MemoryLog as Plain
+from offpiste.inspection.course import check_course
+from offpiste.inspection.draft_channels import draft_channels
+from offpiste.inspection.driven_path import Path, driven_path
+from offpiste.inspection.gear import check_gear
+from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
+from offpiste.logs.drive import Drive, drive_from_log
+from offpiste.rig.channels import Clock
+from offpiste.rig.edits import edited
+
+FORWARD = drive_log(seconds=60)
+GEAR = ("[channels.throttle]", '[channels.gear]\ntopic = "box"\nfields = ["selected"]\n[channels.throttle]')
+
+
+def _reversing(log: MemoryLog, begin: float, end: float) -> MemoryLog:
+    """The log with its heading turned round for a stretch: there the vehicle reverses along its path."""
+    time, odom = log.data["odom"]
+    back = (time - time[0] > begin) & (time - time[0] < end)
+    yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) + np.pi * back
+    for field, values in (("qz", np.sin(yaw / 2)), ("qw", np.cos(yaw / 2))):
+        log = log.change("odom", field, lambda _, values=values: values)
+    return log
+
+
+def _with_gear(log: MemoryLog, begin: float, end: float, forward: float, reverse: float) -> MemoryLog:
+    time, _ = log.data["odom"]
+    back = (time - time[0] > begin) & (time - time[0] < end)
+    log.data["box"] = time, {"selected": np.where(back, reverse, forward)}
+    return log
+
+
+def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, Path, dict[str, Recorded]]:
+    drive = drive_from_log(log, rig(*more))
+    return drive, driven_path(drive), read_topics(RememberedLog(log), Clock())[0]
+
+
+def test_forward_drives_say_nothing() -> None:
+    assert check_gear(*_read(FORWARD)) == []
+
+
+def test_reversing_without_a_gear_is_noted() -> None:
+    drive, path, recorded = _read(_reversing(FORWARD, -1.0, 61.0))
+    pressed = replace(drive.channels["throttle"], values=np.full_like(drive.channels["throttle"].values, 0.4))
+    drive = replace(drive, channels={**drive.channels, "throttle": pressed})
+    (finding,) = check_gear(drive, path, recorded)
+    assert finding.severity == "note"
+    assert "is not read, and the vehicle reverses" in finding.what
+    released = replace(pressed, values=np.zeros_like(pressed.values))
+    assert check_gear(replace(drive, channels={**drive.channels, "throttle": released}), path, recorded) == []
+
+
+def test_a_gear_that_goes_with_the_motion_is_right_and_one_that_does_not_is_found() -> None:
+    log = _with_gear(_reversing(FORWARD, 20.0, 40.0), 20.0, 40.0, 3.0, 1.0)
+    drive, path, recorded = _read(log, GEAR)
+    (finding,) = check_gear(drive, path, recorded)
+    assert finding.severity == "warning"
+    ((edit,),) = finding.cures
+    assert edit.value == {"1": -1.0, "3": 1.0}
+    cured = drive_from_log(log, edited(rig(GEAR), [edit]))
+    assert check_gear(cured, driven_path(cured), recorded) == []
+
+
+def test_the_course_of_a_vehicle_in_reverse_is_not_a_turned_heading() -> None:
+    log = _with_gear(_reversing(FORWARD, 5.0, 60.0), 5.0, 60.0, 1.0, -1.0)
+    blind, path, _ = _read(log)
+    assert "turned against the course" in check_course(blind, path)[0].what
+    assert check_course(*_read(log, GEAR)[:2]) == []
+
+
+@pytest.mark.parametrize(
+    ("field", "recorded", "line"),
+    [
+        ("gear", (-1.0, 1.0, 2.0), ""),
+        ("prndl", (0.0, 1.0, 3.0), "values = { 0 = 0, 1 = -1, 2 = 0, 3 = 1 }"),
+        ("gear_letter", (82.0, 68.0), "values = { P = 0, R = -1, N = 0, D = 1 }"),
+        ("reverse", (0.0, 1.0), "values = { 0 = 1, 1 = -1 }"),
+    ],
+)
+def test_first_rigs_have_the_gear(field: str, recorded: tuple[float, ...], line: str) -> None:
+    time = np.arange(100) / 10
+    log = Plain(box=(time, {field: np.resize(recorded, 100), "gear_ratio": time}))
+    entry = draft_channels(log, "body")["gear"]
+    assert entry.guess.fields == (field,)
+    assert entry.lines == ((line,) if line else ())
