@@ -142,13 +142,10 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         return none
     away = np.abs(values - median_filter(values, 7, mode="mirror"))
     apart = away > _SPIKE * np.percentile(away, 95)
-    spikes: Bool[np.ndarray, " n"] = none
     # Many spikes would be part of what all values span: then what the others span counts.
-    for usual in (values, values[~apart]):
-        low, high = np.percentile(usual, (0.5, 99.5)) if len(usual) else (-np.inf, np.inf)
-        spikes = apart & (away > 0.5 * (high - low))
-        if spikes.any():
-            break
+    spans = [np.ptp(np.percentile(usual, (0.5, 99.5))) for usual in (values, values[~apart]) if len(usual)]
+    found = [apart & (away > 0.5 * span) for span in spans]
+    spikes: Bool[np.ndarray, " n"] = next((each for each in found if each.any()), none)
     return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
 
 
