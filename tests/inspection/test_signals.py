@@ -5,7 +5,8 @@ import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.signals import find_spikes, find_wrap
+from offpiste.inspection.signals import find_spikes
+from offpiste.inspection.wraps import find_wrap
 
 TIME = np.arange(0, 60, 0.02)
 SMOOTH = 150 + 100 * np.sin(TIME) + np.random.default_rng(0).standard_normal(len(TIME))

@@ -13,7 +13,7 @@ from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
 from offpiste.inspection.draft_gear import gear_values
 from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, whole_range
-from offpiste.inspection.signals import find_wrap
+from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ChannelSource, Wrap, unit_factor
 from offpiste.rig.edits import number

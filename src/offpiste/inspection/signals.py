@@ -8,8 +8,9 @@ from scipy.ndimage import median_filter
 
 from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.ranges import PERIODS, limits
+from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest
 from offpiste.rig.channels import ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
@@ -107,28 +108,6 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
         else:
             findings += _spiked(signal)
     return findings + _dead(dead, rig)
-
-
-def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
-    """Wrap of a 16-bit counter below zero; None where there is none.
-
-    Its values keep to two bands with most of the period empty between them, none exceeds the period, and less a period
-    the upper band continues the lower one. Either may hold most of the samples. Values are finite.
-    """
-    high = float(raw.max())
-    for period in PERIODS:
-        if not 0.9 * period < high <= period or raw.min() < -0.01 * period:
-            continue
-        ordered = np.sort(raw)
-        space = np.diff(ordered)
-        widest = int(space.argmax())
-        if space[widest] < 0.5 * period:
-            continue
-        lower, upper = ordered[: widest + 1], ordered[widest + 1 :] - period
-        spread = np.ptp(lower) > 0 and len(lower) > max(10, 0.002 * len(raw))
-        if spread and abs(upper[0]) <= max(2 * np.ptp(lower), 0.05 * period) and lower[0] - upper[-1] < 0.02 * period:
-            return Wrap(above=_round(ordered[widest] + space[widest] / 2), period=period)
-    return None
 
 
 def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -300,8 +279,3 @@ def _valid(values: Float[np.ndarray, "n k"], source: ChannelSource) -> Float[np.
 
 def _unwrapped(values: Float[np.ndarray, "n k"], wrap: Wrap) -> Float[np.ndarray, "n k"]:
     return np.where(values > wrap.above, values - wrap.period, values)
-
-
-def _round(value: float) -> float:
-    """Two digits: a threshold in the middle of nowhere needs no more."""
-    return float(f"{value:.2g}")
