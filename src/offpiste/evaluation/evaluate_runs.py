@@ -74,20 +74,7 @@ def evaluate_runs(
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
-    if (line := warning_line(dataset.findings)) is not None:
-        logger.warning(line)
-    others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
-    strangers = tuple(
-        f"{name} was trained on another vehicle than {dataset.rig.name}: {apart}"
-        for name, apart in others.items()
-        if apart is not None
-    )
-    for stranger in strangers:
-        logger.warning(stranger)
-    trained_here = all(model.split is None for model in models) and {run.split for run in runs} == {dataset.split.text}
-    unlike = split_warning(dataset) if trained_here else None
-    if unlike is not None:
-        logger.warning(unlike)
+    warnings = _doubts(runs, models, dataset)
     evaluation = evaluate_models(
         models,
         dataset,
@@ -96,7 +83,7 @@ def evaluate_runs(
         starts=starts,
         lookups=lookups,
         feature_sets=feature_sets,
-        warnings=strangers if unlike is None else (*strangers, unlike),
+        warnings=warnings,
         device=device,
         track=track,
     )
@@ -112,6 +99,24 @@ def evaluate_runs(
         )
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> tuple[str, ...]:
+    """Log what speaks against these models on this dataset; returns what the report does not know from the dataset."""
+    if (line := warning_line(dataset.findings)) is not None:
+        logger.warning(line)
+    others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
+    doubts = [
+        f"{name} was trained on another vehicle than {dataset.rig.name}: {apart}"
+        for name, apart in others.items()
+        if apart is not None
+    ]
+    trained_here = all(model.split is None for model in models) and {run.split for run in runs} == {dataset.split.text}
+    if trained_here and (unlike := split_warning(dataset)) is not None:
+        doubts.append(unlike)
+    for doubt in doubts:
+        logger.warning(doubt)
+    return tuple(doubts)
 
 
 def _other_report(out: Path, metrics: Metrics) -> str | None:

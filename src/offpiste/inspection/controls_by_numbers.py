@@ -23,7 +23,7 @@ from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import Rig
 
 _FOLLOWS: Final = {"steer": 0.75, "throttle": 0.45, "brake": 0.35}
-"""Least correlation with the turning or the acceleration for a control that is told by its numbers alone."""
+"""Least correlation with the turning or the acceleration for a control that its numbers alone show."""
 _CLEARER: Final = 0.1
 """By this much more than the next field."""
 _LEADS: Final = {"steer": (-0.05, 0.6), "throttle": (-0.05, 0.8), "brake": (-0.05, 0.8)}

@@ -32,7 +32,7 @@ from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.map_loss import MapLoss, map_loss
-from offpiste.training.optimise import REMEDY, Stage, also_tensorboard, metrics_writer, run_stage
+from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
 from offpiste.training.terrain_sources import encoded
@@ -76,9 +76,7 @@ def train(
     _refuse_poor(dynamics, windows, config, dataset)
     validation = Windows(dataset, "validation", start=config.start, device=config.device)
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
-    record = metrics_writer(folder / "metrics.jsonl") if group.writes else _unrecorded
-    if tensorboard and group.writes:
-        record = also_tensorboard(record, folder / "tensorboard")
+    record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
     if group.writes:
         _warn_beforehand(dataset, validation)
     kept: dict[str, KeptEpoch] = {}
@@ -140,6 +138,12 @@ def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
             f"the validation part has only {len(validation)} windows, by which epochs are chosen: "
             "extract more or longer drives, or choose another --split"
         )
+
+
+def _recording(folder: Path, *, tensorboard: bool) -> Record:
+    """What writes a line of metrics."""
+    record = metrics_writer(folder / "metrics.jsonl")
+    return also_tensorboard(record, folder / "tensorboard") if tensorboard else record
 
 
 def _unrecorded(line: dict[str, Any]) -> None:
