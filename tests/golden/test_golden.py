@@ -1,6 +1,7 @@
 """What the code gives equals what was recorded (`golden/record.py`): the same numbers, whatever things are called.
 
-Numbers may differ by 1e-6 of themselves and 1e-6 besides, or by what OFFPISTE_GOLDEN_TOLERANCE says instead.
+Numbers may differ by 1e-6 of themselves and 1e-6 besides, or by what OFFPISTE_GOLDEN_TOLERANCE says instead; by more in
+groups where rounding grows (`ELSEWHERE`), on other machines than the one that recorded them.
 Whole numbers and texts are the same. Hashes of messages are the same on the machine that recorded them; other hashes
 are only counted: their arrays are compared by a selection. `pytest -rP` tells how many hashes were equal.
 """
@@ -16,6 +17,9 @@ from golden.record import GROUPS, RECORDED, STRICT, machine, read, recorded_data
 
 FOLDER = Path(__file__).parent / "results"
 TOLERANCE = float(os.environ.get("OFFPISTE_GOLDEN_TOLERANCE", "1e-6"))
+ELSEWHERE = {"map_layers": 2e-3, "dataset": 5e-2, "training": 2e-3}
+"""Tolerance on other machines: a PCA and a training amplify what processors round differently. Between an AMD EPYC and
+an Intel Xeon (2026-11-24) the worst numbers differed by 0.0016 of 3, 0.022 of 0.16, which is one cell, and 0.014 of 67."""
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -32,14 +36,15 @@ def test_golden(group: str) -> None:
     print(f"{group}: {len(hashes) - len(unlike)} of {len(hashes)} hashes equal; the same machine: {same_machine}")
     if group in STRICT and same_machine:
         said += [f"{key}: other bytes" for key in unlike]
+    tolerance = TOLERANCE if same_machine else max(TOLERANCE, ELSEWHERE.get(group, 0.0))
     for key in sorted(wanted.keys() & found.keys()):
-        if not key.endswith(".sha256") and (difference := different(wanted[key], found[key])):
+        if not key.endswith(".sha256") and (difference := different(wanted[key], found[key], tolerance)):
             said.append(f"{key}: {difference}")
     more = "" if len(said) <= 40 else f"\n... and {len(said) - 40} more"
     assert not said, f"{len(said)} of {len(wanted)} differ\n" + "\n".join(said[:40]) + more
 
 
-def different(wanted: np.ndarray | str, found: np.ndarray | str) -> str:
+def different(wanted: np.ndarray | str, found: np.ndarray | str, tolerance: float = TOLERANCE) -> str:
     """By how much; empty if it is the same."""
     if isinstance(wanted, str) or isinstance(found, str):
         return "" if wanted == found else f"was {shortened(wanted, found)}, is {shortened(found, wanted)}"
@@ -56,7 +61,7 @@ def different(wanted: np.ndarray | str, found: np.ndarray | str) -> str:
     if not known.any():
         return ""
     error = np.abs(wanted[known] - found[known])
-    allowed = TOLERANCE * (1 + np.abs(wanted[known]))
+    allowed = tolerance * (1 + np.abs(wanted[known]))
     if (error <= allowed).all():
         return ""
     at = int((error - allowed).argmax())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, whole_range
+from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, seen_range, whole_range
 from offpiste.logs.channel import convert
 from offpiste.rig.channels import ChannelSource
 
@@ -41,6 +41,15 @@ def test_a_spike_is_no_range_and_a_rare_press_is_one() -> None:
     values[500] = 900.0
     values[600:606] = 80.0
     assert held_range(values) == (0.0, 80.0)
+
+
+def test_readings_beyond_the_rest_are_not_seen() -> None:
+    values = presses(11, 20, rest=11.0)
+    values[:4] = 0.0  # before the sensor wakes up
+    low, high = seen_range(values)
+    assert low == pytest.approx(11.0)
+    assert high == pytest.approx(20.0, abs=0.1)
+    assert seen_range(-values)[1] == pytest.approx(-11.0)
 
 
 def test_where_a_pedal_rests() -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
 from offpiste.inspection.draft_gear import gear_values
-from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, whole_range
+from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, seen_range, whole_range
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ChannelSource, Wrap, unit_factor
@@ -175,7 +175,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
 
 def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
     """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
-    low, high = held_range(values)
+    low, high = seen_range(values)
     span = whole_range(values)
     if span == (0.0, 100.0):
         return ['unit = "percent"', "clip = [0.0, 1.0]"], f" and its numbers up to {high:.4g}: taken as percent"

@@ -22,6 +22,14 @@ def held_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return float(held.min()), float(held.max())
 
 
+def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """What a pedal covers in this drive: from where it rests to the farthest that it is held; rare readings beyond
+    its rest are none of it.
+    """
+    (low, high), (least, most) = held_range(values), np.percentile(values, (0.5, 99.5))
+    return (low, float(most)) if rests_high(values) else (float(least), high)
+
+
 def full_scale(largest: float) -> float:
     """The number that loggers write for fully pressed, where the largest of a drive is this; 0 for none."""
     return next((full for full in _FULL if _PRESSED * full <= largest <= (1 + _SLACK) * full), 0.0)
@@ -48,7 +56,9 @@ def whole_range(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
 
 def rests_high(values: Float[np.ndarray, " n"]) -> bool | None:
     """Whether a pedal is released at the upper end of its values; None where it rests at neither end."""
-    low, high = held_range(values)
+    low, high = np.percentile(values, (0.5, 99.5))
+    if not high - low > _SLACK * np.ptp(held_range(values)):  # hardly ever pressed
+        low, high = held_range(values)
     at_low, at_high = (float(np.mean(np.abs(values - end) <= _SLACK * (high - low))) for end in (low, high))
     if max(at_low, at_high) < 0.1:
         return None
