@@ -84,9 +84,8 @@ def printed(pattern: str) -> Callable[[Taken], float]:
     return value
 
 
-def rows(seconds: float, dataset: Path | None) -> list[Row]:
-    """The lines, in their order: the second and third read what the first records."""
-    full = seconds / 2  # in a shorter drive, the start and the world to build weigh most
+def rows(seconds: float, full: float, dataset: Path | None) -> list[Row]:
+    """The lines, in their order: the third reads what the first records."""
     table = [
         Row("simulate `light`", ">= 10", simulated("light", seconds), lambda t: seconds / t.wall, "{:.2f} x real time"),
         Row("simulate `full`", ">= 1", simulated("full", full), lambda t: full / t.wall, "{:.2f} x real time"),
@@ -119,16 +118,22 @@ def take(command: list[str], checkout: Path, work: Path) -> Taken:
     return Taken(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20, text)
 
 
-def main(before: Path | None = None, dataset: Path | None = None, runs: int = 3, seconds: float = 120.0) -> None:
+def main(
+    before: Path | None = None,
+    dataset: Path | None = None,
+    runs: int = 3,
+    seconds: float = 120.0,
+    full_seconds: float = 60.0,
+) -> None:
     """Run, and print the table.
 
     Args:
         before: checkout of the commit to compare with.
         dataset: with visual features and actuators, for what trainings take.
         runs: of every command; medians are printed.
-        seconds: of the `light` drive; the `full` one has half of them.
+        seconds, full_seconds: of the `light` and the `full` drive; in short ones start-up and the world weigh most.
     """
-    table = rows(seconds, dataset.resolve() if dataset else None)
+    table = rows(seconds, full_seconds, dataset.resolve() if dataset else None)
     checkouts = {"before": before.resolve(), "after": ROOT} if before else {"after": ROOT}
     with tempfile.TemporaryDirectory(prefix="offpiste-pipeline-") as folder:
         works = {name: Path(folder) / name for name in checkouts}
