@@ -77,22 +77,22 @@ class Inspect:
             lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]
             print(*lines, sep="\n", file=sys.stderr)  # noqa: T201
         if not self.json:
-            show(f"next: {self._next(path, usable=inspection.usable, cured=bool(inspection.cure))}")
+            show(self._next(path, usable=inspection.usable, cured=bool(inspection.cure)))
         return 0 if inspection.usable else 1
 
     def _next(self, log: str, *, usable: bool, cured: bool) -> str:
-        """The command that comes next, as a line to paste, and what to do before it."""
+        """The command that comes next, as a line to paste, and before it what to do first."""
         rig = str(self.write_rig) if self.write_rig else self.rig
-        if rig is None:
-            return join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
-        if usable and self.rig and not (self.write_rig and cured):
-            return join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
-        again = join(["offpiste", "inspect", log, "--rig", rig])
-        if self.write_rig and usable:
-            return again if self.rig else f"{again}    # once [vehicle] in {rig} holds your vehicle's numbers"
-        if rig.endswith(".toml"):
-            return f"{again}    # once {rig} is corrected as said above"
-        return join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
+        again = join(["offpiste", "inspect", log, "--rig", rig or ""])
+        if self.write_rig and not self.rig:
+            return f"first: give {rig} the numbers of your vehicle ([vehicle])\nnext: {again}"
+        if rig and usable and not (self.write_rig and cured):
+            return "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
+        if self.write_rig:
+            return f"next: {again}"
+        if rig and rig.endswith(".toml"):
+            return f"first: correct {rig} as said above\nnext: {again}"
+        return "next: " + join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
 
     def _survey(self, logs: list[str]) -> int:
         """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""
