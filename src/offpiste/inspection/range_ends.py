@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.channels import CONTROLS
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, Severity
 from offpiste.logs.drive import Drive
 from offpiste.rig.edits import Edit, rounded
 
@@ -88,4 +88,6 @@ def _finding(name: str, limits: list[Limit], drive: Drive) -> Finding:
     at = " and ".join(f"{limit.value:.3g}" for limit in limits)
     evidence = f"{presses} times it ends at exactly {at}, coming from less, and never goes further: the range is 1"
     how = f"record its whole range; or {edit} if that is full {name}"
-    return Finding("warning", name, what, evidence, how, 0.5)
+    # Whoever automates a vehicle holds its brake at one value.
+    severity: Severity = "note" if name == "brake" else "warning"
+    return Finding(severity, name, what, evidence, how, 0.5)
