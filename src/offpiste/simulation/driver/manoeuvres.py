@@ -29,7 +29,7 @@ _DIGGING_TIME, _ROCKING_TIME = (0.8, 2.5), (1.5, 3.5)
 _CRAWLING, _REVERSING = (0.3, 1.5), (0.8, 3.0)
 """Lowest and highest speed [m/s]."""
 
-_CHANCES = (0.2, 0.25, 0.25, 0.3)
+_CHANCES = (0.2, 0.2, 0.3, 0.3)
 """Probabilities of a stop, crawling, reverse and a fast stretch."""
 
 _DIGGING = 0.3
@@ -42,7 +42,7 @@ _STANDSTILL = 0.1
 """Speed below which gears are changed [m/s]."""
 
 _SPACING, _MEMORY = 0.3, 200
-"""Spacing of the remembered path's points [m], and their number."""
+"""Spacing of the points of the rear axle's remembered path [m], and their number."""
 
 _REVERSE_LOOKAHEAD = 3.0
 """Distance of the point on the path that is steered to in reverse [m]."""
@@ -97,7 +97,7 @@ class ManoeuvringDriver:
             attempt = attempt + DT if self._driver.recovering else 0.0
             if attempt > _ATTEMPT and not self._driver.stuck:
                 yield from self._dig()
-                yield from self._back_up(self._between(_ROCKING_TIME), 4.0)
+                yield from self._back_up(self._between(_ROCKING_TIME), 4.0, beyond_path=True)
                 attempt = 0.0
 
     def _stand(self) -> Iterator[Pedals]:
@@ -124,7 +124,7 @@ class ManoeuvringDriver:
 
     def _reverse(self) -> Iterator[Pedals]:
         """Back along the path that was driven."""
-        yield from self._stop(self._between((0.3, 0.8)))
+        yield from self._stop(self._between((0.15, 0.4)))
         yield from self._back_up(self._between(_REVERSING_TIME), self._between(_REVERSING))
 
     def _dig(self) -> Iterator[Pedals]:
@@ -139,15 +139,17 @@ class ManoeuvringDriver:
             yield 0.0, strength, self._remembered(self._driver.command(self._sample, keep=0.0))[2]
         yield from self._pressing(0.0, max(strength, 0.4), 0.3)
 
-    def _back_up(self, seconds: float, wanted: float) -> Iterator[Pedals]:
-        """Reverse for a time, as far as the path is remembered, between two changes of gear."""
+    def _back_up(self, seconds: float, wanted: float, *, beyond_path: bool = False) -> Iterator[Pedals]:
+        """Reverse for a time, as far as the path is remembered or straight beyond it, between two changes of gear."""
+        if self._steering_back() is None and not beyond_path:
+            return
         yield from self._shift(-1)
         control, until = SpeedControl(), self._sample.time + seconds
         while self._sample.time < until:
             steer = self._steering_back()
-            if steer is None:
+            if steer is None and not beyond_path:
                 break
-            yield *control.pedals(wanted + self._speed), steer
+            yield *control.pedals(wanted + self._speed), self._turned_to(0.0) if steer is None else steer
         yield from self._shift(1)
 
     def _shift(self, gear: int) -> Iterator[Pedals]:
@@ -163,23 +165,33 @@ class ManoeuvringDriver:
             yield throttle, brake, self._steer
 
     def _steering_back(self) -> float | None:
-        """Steering along the remembered path, which gets shorter; None where it ends."""
-        path = self._path
-        while path and math.dist(path[-1], (self._x, self._y)) < _REVERSE_LOOKAHEAD:
+        """Steering along the remembered path, which gets shorter; None where it ends, or is not behind the vehicle."""
+        rear, path = self._rear_axle(), self._path
+        while path and math.dist(path[-1], rear) < _REVERSE_LOOKAHEAD:
             path.pop()
         if not path:
             return None
-        dx, dy = path[-1][0] - self._x, path[-1][1] - self._y
-        left = dy * math.cos(self._yaw) - dx * math.sin(self._yaw)
-        # The circle through the vehicle and that point, tangential to the vehicle.
-        angle = math.atan(self._vehicle.wheelbase * 2 * left / (dx * dx + dy * dy))
-        most = _STEERING_RATE * DT
-        return self._steer + min(max(min(max(angle / self._vehicle.max_steer, -1), 1) - self._steer, -most), most)
+        dx, dy = path[-1][0] - rear[0], path[-1][1] - rear[1]
+        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        behind, left = -(dx * c + dy * s), dy * c - dx * s
+        if behind < abs(left):
+            return None  # it slid off its path, and does not know what is behind it
+        # The circle through the rear axle and that point, tangential to the vehicle.
+        steer = math.atan(self._vehicle.wheelbase * 2 * left / (dx * dx + dy * dy)) / self._vehicle.max_steer
+        return self._turned_to(min(max(steer, -1.0), 1.0))
+
+    def _turned_to(self, steer: float) -> float:
+        """Steering one step later, on its way to another, as fast as the wheel is turned."""
+        return self._steer + min(max(steer - self._steer, -_STEERING_RATE * DT), _STEERING_RATE * DT)
+
+    def _rear_axle(self) -> tuple[float, float]:
+        half = 0.5 * self._vehicle.wheelbase
+        return self._x - half * math.cos(self._yaw), self._y - half * math.sin(self._yaw)
 
     def _remembered(self, command: Float[np.ndarray, " 3"]) -> Pedals:
         """The same command; the place is kept as a part of the path."""
-        here = (self._x, self._y)
-        if not self._path or math.dist(self._path[-1], here) > _SPACING:
+        here = self._rear_axle()
+        if self._speed > 0 and (not self._path or math.dist(self._path[-1], here) > _SPACING):
             self._path.append(here)
         throttle, brake, steer = command.tolist()
         return throttle, brake, steer

@@ -2,7 +2,7 @@
 
 from offpiste.conventions import DT
 
-_PROPORTIONAL, _INTEGRAL, _MOST = 0.3, 0.25, 0.7
+_PROPORTIONAL, _INTEGRAL, _MOST = 0.35, 0.4, 0.8
 """Throttle per lack of speed [s/m], its growth [1/m], and the most that it grows to."""
 
 _BRAKE, _TOLERANCE = 0.35, 0.15
