@@ -117,6 +117,10 @@ class Driver:
         """Whether the vehicle makes no progress, and it tries to get it going again."""
         return self._recovery.stuck
 
+    def forget_spin(self) -> None:
+        """Begin anew with the throttle at which wheels are expected to spin: after others have spun them."""
+        self._traction = TractionControl()
+
     def start(self) -> tuple[float, float, float, float]:
         """Start of a drive: x, y [m], yaw [rad] along a trail, speed [m/s]."""
         chance, speed = self._rng.random(), float(self._rng.uniform(2.0, 7.0))

@@ -132,6 +132,7 @@ class ManoeuvringDriver:
         until = self._sample.time + self._between(_DIGGING_TIME)
         while self._sample.time < until and self._speed < 3.0:
             yield 1.0, 0.0, self._remembered(self._driver.command(self._sample, keep=3.0))[2]
+        self._driver.forget_spin()
 
     def _stop(self, strength: float) -> Iterator[Pedals]:
         """Brake to a standstill on the route."""
