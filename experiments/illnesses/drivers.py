@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.conventions import DT
-from offpiste.simulation.driver.driver import Driver
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.simulate import Controller
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 
 Command = Float[np.ndarray, " U"]
@@ -98,14 +98,14 @@ class Weaving:
 
 @dataclass
 class Pausing:
-    """The proving ground's driver, who now and then stops for a while.
+    """Another driver, who now and then stops for a while.
 
     Attributes:
         every: mean time between two stops [s].
         pause: shortest and longest stop, braking included [s].
     """
 
-    driver: Driver
+    driver: Controller
     random: np.random.Generator
     every: float = 15.0
     pause: tuple[float, float] = (5.0, 20.0)

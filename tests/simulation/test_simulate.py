@@ -305,3 +305,15 @@ def test_the_command_line_records_what_can_be_extracted(tmp_path, capsys):
     assert run("extract", log, "--rig", "proving_ground", "--out", dataset, "--force") == 0
     drive = read_drive(log, RIG)
     assert len(drive.channels["position"].time) == 250
+
+
+def test_a_log_with_manoeuvres_reverses_and_is_found_healthy(tmp_path, capsys):
+    log, dataset = str(tmp_path / "drive.mcap"), str(tmp_path / "data.zarr")
+    # The driver of this seed reverses within the time.
+    assert run("simulate", "--manoeuvres", "--sensors", "none", "--seed", "2", "--world", "dunes", "--out", log) == 0
+    assert "--rig proving_ground_gear" in capsys.readouterr().out
+    gear = read_drive(log, load_rig("proving_ground_gear")).channels["gear"].values
+    assert (gear == -1).mean() > 0.02
+    assert run("inspect", log, "--rig", "proving_ground_gear") == 0
+    assert "nothing to fix" in capsys.readouterr().out
+    assert run("extract", log, "--rig", "proving_ground_gear", "--out", dataset, "--force") == 0

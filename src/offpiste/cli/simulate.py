@@ -29,6 +29,8 @@ class Simulate:
     """Seed of the driver and the noise, for another drive in the same world."""
     sensors: Literal["full", "light", "none"] = "light"
     """Four cameras and two LiDARs; one of each, slower; or none."""
+    manoeuvres: bool = False
+    """The driver also stops, crawls, reverses, rocks free and drives fast stretches (rig proving_ground_gear)."""
     mounting_turn: float = 0.0
     """Angle by which each sensor is turned about a random axis from its usual mounting; the log says so [degrees]."""
     twins: int = 0
@@ -59,7 +61,7 @@ class Simulate:
         if self.drives == 1:
             seed = self.seed if self.drive_seed is None else self.drive_seed
             simulate(self._settings(self.seed, seed), self.out, twins=self.twins)
-            show(f"next: offpiste inspect {self.out} --rig proving_ground")
+            show(f"next: offpiste inspect {self.out} --rig {self._rig}")
             return 0
         if self.drives < 1:
             raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
@@ -80,13 +82,19 @@ class Simulate:
         seeds = range(self.seed, self.seed + self.drives)
         recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
         simulate_all(recordings, self.processes or usable_cores(), self.cluster)
-        show(f"next: offpiste inspect {self.out}/*.mcap --rig proving_ground")
+        show(f"next: offpiste inspect {self.out}/*.mcap --rig {self._rig}")
+
+    @property
+    def _rig(self) -> str:
+        return "proving_ground_gear" if self.manoeuvres else "proving_ground"
 
     def _settings(self, world_seed: int, seed: int) -> "DriveSettings":
+        from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings
         from offpiste.simulation.sensors.imperfections import Imperfections
         from offpiste.simulation.simulate import DriveSettings
         from offpiste.simulation.world.world import WorldSettings
 
         world = WorldSettings(self.world, world_seed, self.grip_contrast, self.appearance_noise)
         imperfections = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
-        return DriveSettings(world, self.seconds, seed, self.sensors, self.mounting_turn, imperfections=imperfections)
+        driver = WITH_MANOEUVRES if self.manoeuvres else DriverSettings()
+        return DriveSettings(world, self.seconds, seed, self.sensors, self.mounting_turn, driver, imperfections)

@@ -15,6 +15,7 @@ from offpiste.errors import OffpisteError
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
 from offpiste.simulation.driver.driver import Driver, DriverSettings
+from offpiste.simulation.driver.manoeuvres import ManoeuvringDriver
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.sensors.imperfections import Imperfections
@@ -90,10 +91,16 @@ def drive(
 
 def start_and_driver(
     world: World, parameters: VehicleParameters, *, seed: int, settings: DriverSettings | None = None
-) -> tuple[Start, Driver]:
-    """A driver on a trail of a world."""
+) -> tuple[Start, Driver | ManoeuvringDriver]:
+    """A driver on a trail of a world; one that also does manoeuvres if the settings say so."""
+    settings = settings or DriverSettings()
     driver = Driver(world, parameters, np.random.default_rng([seed, 0xD21]), settings)
-    return Start(*driver.start()), driver
+    start = Start(*driver.start())
+    if not settings.manoeuvres:
+        return start, driver
+    rng = np.random.default_rng([seed, 0xD22])
+    manoeuvring = ManoeuvringDriver(driver, parameters, rng, rate=settings.manoeuvres, fastest=settings.top_speed)
+    return start, manoeuvring
 
 
 def on_other_ground(world: World, other: World) -> World:

@@ -38,6 +38,8 @@ class DriverSettings:
         max_bump: vertical acceleration that is accepted [m/s^2].
         standing_start: probability of starting at rest.
         timeout: how long a stuck vehicle tries to get going again [s].
+        manoeuvres: mean number of stops, slow, fast and reverse stretches in a minute of driving between them
+            (`manoeuvres.ManoeuvringDriver`); 0 for none, and no reverse gear.
     """
 
     median_speed: float = 6.2
@@ -51,7 +53,14 @@ class DriverSettings:
     max_bump: float = 6.0
     standing_start: float = 0.25
     timeout: float = 15.0
+    manoeuvres: float = 0.0
 
+
+WITH_MANOEUVRES = DriverSettings(top_speed=16.0, max_tilt_speed=1.1, manoeuvres=8.0)
+"""The whole range of speeds: standing, crawling, reverse, and as fast as trails allow."""
+
+_CALM = Intent(0.0, 0.0, 0.0, "", 0.0, 1.0, 0.0)
+"""Intent of a driver who keeps to a given speed."""
 
 _CURVATURES = np.linspace(-0.22, 0.22, 23)
 """Curvatures of the arcs to choose from [1/m]."""
@@ -103,30 +112,41 @@ class Driver:
         """Whether it has given up: nothing that it tried has moved the vehicle."""
         return self._recovery.timed_out
 
+    @property
+    def recovering(self) -> bool:
+        """Whether the vehicle makes no progress, and it tries to get it going again."""
+        return self._recovery.stuck
+
+    def forget_spin(self) -> None:
+        """Begin anew with the throttle at which wheels are expected to spin: after others have spun them."""
+        self._traction = TractionControl()
+
     def start(self) -> tuple[float, float, float, float]:
         """Start of a drive: x, y [m], yaw [rad] along a trail, speed [m/s]."""
         chance, speed = self._rng.random(), float(self._rng.uniform(2.0, 7.0))
         x, y, yaw, climb = self.route.start()
         return x, y, yaw, 0.0 if chance < self._settings.standing_start and climb < _LEVEL else speed
 
-    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
-        """Throttle, brake and steering for the next `conventions.DT`."""
+    def command(self, sample: VehicleSample, *, keep: float | None = None) -> Float[np.ndarray, " 3"]:
+        """Throttle, brake and steering for the next `conventions.DT`.
+
+        Args:
+            keep: speed to keep to, as far as the ground ahead allows, instead of the random intent [m/s]; the vehicle
+                never counts as stuck then.
+        """
+        x, y, yaw, speed = pose_and_speed(sample)
         i, j, k, w = sample.orientation.tolist()
-        yaw = math.atan2(2 * (i * j + k * w), 1 - 2 * (j * j + k * k))
-        x, y, _ = sample.position.tolist()
-        vx, vy, _ = sample.velocity.tolist()
-        speed = vx * math.cos(yaw) + vy * math.sin(yaw)
         spin = sum(sample.wheel_speed.tolist()) / 4 - speed
-        intent = self._intent.advance()
+        intent = self._intent.advance() if keep is None else _CALM
         if self._steps % _REPLAN_STEPS == 0:
             self._choose_arc(x, y, yaw, max(speed, 0.0), intent.cornering)
         self._steps += 1
         # A vehicle that stops uphill may not drive away again.
         stopping = intent.manoeuvre == "stop" and self._climb < _LEVEL
         was_stuck = self._recovery.stuck
-        self._recovery.advance(x, y, speed=speed, stop_intended=stopping)
+        self._recovery.advance(x, y, speed=speed, stop_intended=stopping or keep is not None)
         leans_left = -2 * (j * k + i * w)
-        if self._recovery.stuck:
+        if self._recovery.stuck and keep is None:
             if not was_stuck:
                 self.route.rejoin(np.array((x, y)), np.array((math.cos(yaw), math.sin(yaw))))
             # With one wheel in the air, only a fast one passes torque on through a limited-slip differential.
@@ -134,7 +154,7 @@ class Driver:
             throttle, allowed_spin, steer = self._recovery.recover(speed, leans_left)
             return np.array((self._traction.throttle(throttle, spin, allowed_spin + 12.0 * airborne), 0.0, steer))
         steer = self._steering(speed, float(sample.angular_velocity[2]), intent)
-        throttle, brake = (0.0, 0.3 + 0.5 * intent.strength) if stopping else self._pedals(speed, intent)
+        throttle, brake = (0.0, 0.3 + 0.5 * intent.strength) if stopping else self._pedals(speed, intent, keep)
         allowed_spin = 0.2 + 0.25 * max(speed, 0.0)
         if intent.manoeuvre == "throttle" and self._climb < _LEVEL:
             allowed_spin += 3.0 + 6.0 * intent.strength
@@ -203,7 +223,7 @@ class Driver:
             + 60.0 * np.maximum(hazards.border_overlap, 0)
         )
 
-    def _pedals(self, speed: float, intent: Intent) -> tuple[float, float]:
+    def _pedals(self, speed: float, intent: Intent, keep: float | None) -> tuple[float, float]:
         """Throttle and brake."""
         settings = self._settings
         limit = self._speed_limit
@@ -215,7 +235,7 @@ class Driver:
             return 0.0, 0.25 + 0.75 * intent.strength
         if intent.manoeuvre == "coast" and speed > least:
             return 0.0, 0.0
-        wanted = settings.median_speed * math.exp(settings.speed_spread * intent.speed)
+        wanted = settings.median_speed * math.exp(settings.speed_spread * intent.speed) if keep is None else keep
         wanted = max(wanted, least)
         lack = min(wanted, limit) - speed
         throttle = _clip(0.2 + 0.3 * lack + 2 * self._climb, 0.0, 1.0) if lack > -0.6 else 0.0
@@ -231,6 +251,15 @@ class Driver:
         # Beyond this, on any ground, more steering only rolls the vehicle over.
         most = math.atan(vehicle.wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)
         return _clip(_clip(angle, -most, most) / vehicle.max_steer, -1.0, 1.0)
+
+
+def pose_and_speed(sample: VehicleSample) -> tuple[float, float, float, float]:
+    """Pose x, y [m] and yaw [rad], and the horizontal speed forwards, below zero in reverse [m/s]."""
+    i, j, k, w = sample.orientation.tolist()
+    yaw = math.atan2(2 * (i * j + k * w), 1 - 2 * (j * j + k * k))
+    x, y, _ = sample.position.tolist()
+    vx, vy, _ = sample.velocity.tolist()
+    return x, y, yaw, vx * math.cos(yaw) + vy * math.sin(yaw)
 
 
 def _clip(value: float, low: float, high: float) -> float:

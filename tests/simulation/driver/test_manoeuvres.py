@@ -1,0 +1,188 @@
+"""Manoeuvres between stretches of trail: the whole range of speeds, within limits, from a seed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from offpiste.conventions import DT
+from offpiste.simulation.driver.driver import WITH_MANOEUVRES, Driver, DriverSettings, pose_and_speed
+from offpiste.simulation.driver.manoeuvres import ManoeuvringDriver
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.simulate import drive, start_and_driver
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
+
+VEHICLE = load_vehicle()
+DRIVES = (("mojave", 3), ("mojave", 4), ("dunes", 2), ("dunes", 3), ("coastal-scrub", 1), ("halter-ranch", 3))
+Drives = dict[tuple[str, int], list[VehicleSample]]
+
+
+def small(preset: str, seed: int) -> World:
+    return make_world(WorldSettings(preset, seed=seed, size=200.0, resolution=0.5))
+
+
+def driven(world: World, seed: int, settings: DriverSettings | None, seconds: float = 60.0) -> list[VehicleSample]:
+    start, driver = start_and_driver(world, VEHICLE, seed=seed, settings=settings)
+    return list(drive(world, VEHICLE, start, driver, steps=round(seconds / DT)))
+
+
+def speeds(samples: list[VehicleSample]) -> np.ndarray:
+    """Speed forwards [m/s]."""
+    return np.array([pose_and_speed(sample)[3] for sample in samples])
+
+
+@pytest.fixture(scope="module")
+def drives() -> Drives:
+    """Drives of 60 s with manoeuvres, or until they end."""
+    return {key: driven(small(*key), key[1], WITH_MANOEUVRES) for key in DRIVES}
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return small("mojave", 3)
+
+
+def test_no_manoeuvres_unless_asked_for(world):
+    _, driver = start_and_driver(world, VEHICLE, seed=3)
+    assert isinstance(driver, Driver)
+    samples = driven(world, 3, None, seconds=20)
+    assert {len(sample.command) for sample in samples} == {3}
+    assert {sample.gear for sample in samples} == {1.0}
+
+
+def test_until_the_first_manoeuvre_the_drive_is_the_same(world):
+    plain = driven(world, 3, None, seconds=10)
+    rare = driven(world, 3, DriverSettings(manoeuvres=1e-6), seconds=10)
+    np.testing.assert_array_equal([s.position for s in plain], [s.position for s in rare])
+    np.testing.assert_array_equal([s.command for s in plain], [s.command[:3] for s in rare])
+
+
+def test_speeds_cover_the_whole_range(drives):
+    assert sum(map(len, drives.values())) > 0.8 * len(DRIVES) * 3000
+    speed = np.concatenate([speeds(samples) for samples in drives.values()])
+    shares = {
+        "standing": np.abs(speed) <= 0.1,
+        "reverse": speed < -0.1,
+        "crawling": (speed > 0.1) & (speed <= 1.5),
+        "driving": (speed > 1.5) & (speed <= 8),
+        "fast": speed > 8,
+    }
+    limits = {
+        "standing": (0.03, 0.25),
+        "reverse": (0.03, 0.25),
+        "crawling": (0.05, 0.30),
+        "driving": (0.35, 0.75),
+        "fast": (0.05, 0.40),
+    }
+    found = {name: float(share.mean()) for name, share in shares.items()}
+    assert all(low < found[name] < high for name, (low, high) in limits.items()), found
+    assert speed.max() > 10
+    assert -6 < speed.min() < -2
+
+
+def test_most_drives_have_stops_and_reverse(drives):
+    stops = [(np.abs(speeds(samples)) < 0.1).sum() * DT > 1 for samples in drives.values()]
+    reverses = [(speeds(samples) < -0.5).sum() * DT > 2 for samples in drives.values()]
+    assert np.mean(stops) > 0.6
+    assert np.mean(reverses) > 0.3
+
+
+def test_commands_stay_within_their_limits(drives):
+    commands = np.array([sample.command for samples in drives.values() for sample in samples])
+    assert ((commands >= (0, 0, -1, -1)) & (commands <= (1, 1, 1, 1))).all()
+    assert set(commands[:, 3]) == {-1.0, 1.0}
+    assert ((commands[:, 0] > 0.3) & (commands[:, 1] > 0.3)).mean() < 0.01
+
+
+def test_gears_change_at_a_standstill_only(drives):
+    changes = 0
+    for samples in drives.values():
+        wanted, engaged = np.array([(s.command[3], s.gear) for s in samples]).T
+        moving = np.array([np.hypot(*s.velocity[:2]) for s in samples])
+        for gear, most in ((wanted, 0.1), (engaged, 0.3)):
+            at = np.flatnonzero(np.diff(gear))
+            changes += len(at)
+            assert moving[at + 1].max(initial=0.0) <= most
+    assert changes > 20
+
+
+def test_it_reverses_along_its_own_path(drives):
+    """What is driven backwards lies near what was driven forwards before; on banks the vehicle slides off."""
+    away = []
+    for samples in drives.values():
+        places, speed = np.array([s.position[:2] for s in samples]), speeds(samples)
+        for row in np.flatnonzero(speed < -0.5)[::10]:
+            before = places[:row][speed[:row] > 0.1]
+            away.append(np.hypot(*(before - places[row]).T).min(initial=99.0))
+    assert len(away) > 100
+    assert np.median(away) < 0.3
+    assert np.quantile(away, 0.75) < 0.8
+
+
+def test_the_same_seed_gives_the_same_drive(drives, world):
+    again = driven(world, 3, WITH_MANOEUVRES)
+    first = drives["mojave", 3]
+    np.testing.assert_array_equal([s.command for s in again], [s.command for s in first])
+    np.testing.assert_array_equal([s.position for s in again], [s.position for s in first])
+    other = driven(world, 5, WITH_MANOEUVRES, seconds=10)
+    assert not np.array_equal([s.command for s in other], [s.command for s in first[: len(other)]])
+
+
+def test_the_ground_shows_in_no_command(drives, world):
+    blind = [replace(s, truth=replace(s.truth, properties=np.zeros((4, 4)))) for s in drives["mojave", 3]]
+    _, driver = start_and_driver(world, VEHICLE, seed=3, settings=WITH_MANOEUVRES)
+    np.testing.assert_array_equal([driver.command(s) for s in blind], [s.command for s in drives["mojave", 3]])
+
+
+@pytest.fixture
+def pinned(world) -> Callable[[float], tuple[ManoeuvringDriver, list[VehicleSample]]]:
+    """A driver after some trail, whose vehicle is held in place from then on until it gives up; its gear box works."""
+
+    def run(seconds: float) -> tuple[ManoeuvringDriver, list[VehicleSample]]:
+        start, driver = start_and_driver(world, VEHICLE, seed=3, settings=DriverSettings(manoeuvres=1e-6))
+        samples = list(drive(world, VEHICLE, start, driver, steps=300))
+        still = replace(samples[-1], velocity=np.zeros(3), wheel_speed=np.zeros(4), angular_velocity=np.zeros(3))
+        held: list[VehicleSample] = []
+        while not driver.stuck and len(held) < seconds / DT:
+            gear = held[-1].command[3] if held else 1.0
+            now = replace(still, time=still.time + len(held) * DT, gear=float(gear))
+            held.append(replace(now, command=driver.command(now)))
+        return driver, held
+
+    return run
+
+
+def test_a_stuck_vehicle_digs_rocks_and_gives_up(pinned):
+    driver, held = pinned(120)
+    assert driver.stuck
+    throttle, _, _, gear = np.array([sample.command for sample in held]).T
+    assert (np.diff(gear) == -2).sum() >= 3  # into reverse, again and again
+    assert (np.diff(gear) == 2).sum() >= 3
+    assert throttle[gear < 0].max() > 0.9
+    # Without traction control, full throttle is there from one step to the next.
+    assert np.diff(throttle[gear > 0]).max() > 0.4
+
+
+def test_a_vehicle_with_its_nose_at_a_trunk_rocks_free(world):
+    """No throttle forwards helps, reverse does."""
+    start, _ = start_and_driver(world, VEHICLE, seed=3)
+    ahead = np.array((start.x, start.y)) + 2.3 * np.array((np.cos(start.yaw), np.sin(start.yaw)))
+    tree = replace(
+        world.trees,
+        foot=np.array([[*ahead, 0.0]], dtype=world.trees.foot.dtype),
+        trunk_radius=np.full_like(world.trees.trunk_radius[:1], 0.5),
+        crown_radius=world.trees.crown_radius[:1],
+        height=world.trees.height[:1],
+    )
+    planted, start = replace(world, trees=tree), replace(start, speed=0.0)
+
+    def farthest(settings: DriverSettings) -> float:
+        _, driver = start_and_driver(planted, VEHICLE, seed=3, settings=settings)
+        places = np.array([s.position[:2] for s in drive(planted, VEHICLE, start, driver, steps=2000)])
+        return float(np.hypot(*(places - places[0]).T).max())
+
+    assert farthest(DriverSettings()) < 3
+    assert farthest(DriverSettings(manoeuvres=1e-6)) > 8
