@@ -9,6 +9,7 @@ import pytest
 from factories import circle_rows, small_rig
 from offpiste.dataset import extract
 from offpiste.dataset.extract import Job, _starts, make_dataset
+from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import GAP, PARTS, parse_split
 from offpiste.errors import DatasetError
 
@@ -47,7 +48,7 @@ def test_drives_of_a_split_that_are_no_log_are_warned_of(tmp_path, monkeypatch, 
 def test_windows_of_the_parts_that_are_asked_for(parts: tuple[str, ...]) -> None:
     split = parse_split("blocks:0.5,0.25,0.25")
     job = Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), split)
-    found = _starts(circle_rows(ROWS, seed=0, speed=5), job, parts)
+    found = _starts(circle_rows(ROWS, seed=0, speed=5), job, SnapshotSettings(parts=parts))
     # Blocks end at 3000, 4500 and 6000; the first rows of all but the first block are the gap.
     edges = dict(zip(PARTS, ((0, 3000), (3000 + GAP, 4500), (4500 + GAP, ROWS)), strict=True))
     for starts, name in zip(found, parts, strict=True):

@@ -19,7 +19,7 @@ from offpiste.errors import RunError
 from offpiste.files import write_whole
 from offpiste.state import wrap_angle
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import Lookup, MapSource, in_parts, roll_batch_out, roll_out
+from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
 from offpiste.training.terrain_sources import on_map
 
 HORIZONS = (1, 2, 3, 4, 5)
@@ -215,7 +215,8 @@ def errors_of_models(
     for part in track(in_parts(index, windows, lookup, chunk), description):
         batch = windows.gather(part)
         for number, each in enumerate(predictors):
-            state = roll_batch_out(each.dynamics, windows, part, batch, lookup, map_source).state
+            own = batch_for(each.dynamics, windows, batch)
+            state = roll_batch_out(each.dynamics, windows, part, own, lookup, map_source).state
             values[number].append(_absolute_errors(state[:, steps], batch.target[:, steps]))
             losses[number].append(summed_loss(state, batch.target, scale, each.weights.to(windows.device)))
     drive, row = windows.drive[index], windows.row_in_drive(index)

@@ -85,8 +85,13 @@ def roll_out(
         lookup: None for models that do not read the terrain.
         map_source: the map that "map" reads, where it is not the windows' own.
     """
-    batch = windows.gather(index)
+    batch = batch_for(dynamics, windows, windows.gather(index))
     return batch, roll_batch_out(dynamics, windows, index, batch, lookup, map_source)
+
+
+def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:
+    """A batch of these windows in the columns that a model reads."""
+    return in_columns_of(dynamics.vehicle, batch, [control.name for control in windows.dataset.rig.controls])
 
 
 def roll_batch_out(
@@ -101,9 +106,9 @@ def roll_batch_out(
 
     Args:
         index: of the windows in the batch.
+        batch: in the model's columns (`batch_for`).
         lookup, map_source: as of `roll_out`.
     """
-    batch = in_columns_of(dynamics.vehicle, batch, [control.name for control in windows.dataset.rig.controls])
     if lookup != "map":
         return predict(dynamics, batch)
     batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
