@@ -182,3 +182,13 @@ def test_a_range_of_valid_values_never_drops_most_samples() -> None:
     cure = inspect_log(log, half).cure
     assert {edit.key.rpartition(".")[2] for edit in cure} == {"scale", "offset"}
     assert not [f for f in inspect_log(log, edited(half, cure)).findings if f.severity != "note"]
+
+
+def test_a_brake_that_is_never_released_is_the_wrong_way_round() -> None:
+    """Also where it is used too little to show an effect."""
+    rare = CLEAN.change("pedals", "brake", lambda x: 1.0 - 0.7 * (np.arange(len(x)) % 500 < 30))
+    finding = next(f for f in inspect_log(rare, rig()).findings if f.where == "brake")
+    assert (finding.severity, finding.what) == ("warning", "is pressed all the time")
+    cured = edited(rig(), finding.cures[0])
+    assert drive_from_log(rare, cured).channels["brake"].values.min() == pytest.approx(0.0, abs=1e-6)
+    assert not [f for f in inspect_log(rare, cured).findings if f.where == "brake" and f.severity != "note"]

@@ -77,6 +77,8 @@ _RELEASED = 0.08
 """A pedal below this is released."""
 _PRESSED = 0.3
 """A pedal above this is pressed."""
+_ALWAYS = 0.8
+"""Share of the time for which nobody presses a brake."""
 _CLEAR = 0.3
 """Correlation above which a delay is clear."""
 _STRONGEST = 60.0
@@ -99,7 +101,8 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
         right, wrong = fit.best(*own, sign=sign), fit.best(*own, sign=-sign)
         late = fit.best(sign=sign)
         if not _has_effect(fit):
-            findings += [] if _acts_alone(name, drive, path) else [_without_effect(name, fit, drive, path)]
+            alone = [] if _acts_alone(name, drive, path) else [_without_effect(name, fit, drive, path)]
+            findings += _never_released(name, drive, path) or alone
         elif abs(fit.r[wrong]) > max(
             _PEDAL_EFFECT, SURE * fit.r_sigma(wrong), 2 * max(sign * fit.r[right], 0.0), sign * fit.r[late]
         ):
@@ -134,6 +137,17 @@ def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding
             edit = Edit(f"channels.{name}.unit", unit)
     evidence = f"it never exceeds {largest:.3g}, and full {name} would mean {gain:.0f} ± {sigma:.0f} m/s2"
     return [Finding("warning", name, "is too small for what it does", evidence, str(edit), 1.0, ((edit,),))]
+
+
+def _never_released(name: str, drive: Drive, path: Path) -> list[Finding]:
+    """A finding on a brake that is pressed while the vehicle drives, and rests there: it is the wrong way round."""
+    channel = drive.channels[name]
+    pressed = float(np.nanmean(sampled(channel, path.time, drive.rig) > _PRESSED))
+    if name != "brake" or pressed < _ALWAYS or not rests_high(channel.values[:, 0]):
+        return []
+    evidence = f"it is above {_PRESSED} for {pressed:.0%} of the time, and the vehicle drives"
+    cure = _flip(name, channel, drive.rig)
+    return [Finding("warning", name, "is pressed all the time", evidence, ", ".join(map(str, cure)), 1.0, (cure,))]
 
 
 def _without_effect(name: str, fit: LagFit, drive: Drive, path: Path) -> Finding:
