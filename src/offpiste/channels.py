@@ -173,7 +173,9 @@ def without_optional(names: Collection[str]) -> tuple[str, ...]:
 
 def absent_value(name: str) -> float:
     """What stands for a control where a log lacks it."""
-    return next(control.absent for control in all_controls() if control.name == name)
+    control = control_of(name)
+    assert control is not None, name
+    return control.absent
 
 
 def channel_of_rate(channel: str) -> str:

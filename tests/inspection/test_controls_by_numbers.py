@@ -1,6 +1,7 @@
 """Controls that only the motion shows: axes of a joystick."""
 
 import numpy as np
+import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.controls_by_numbers import find_controls
@@ -42,6 +43,16 @@ def test_the_axes_of_a_joystick_are_found() -> None:
         "brake": ("axes[2]",),
     }
     assert all(0.3 < correlation <= 1 for _, correlation in found.values())
+
+
+@pytest.mark.parametrize("topic", ["/platform/joy", "/simulator/setpoint", "/purpose"])
+def test_names_that_only_contain_those_of_measurements_are_looked_at(topic: str) -> None:
+    log = joystick()
+    assert find_controls(MemoryLog({"odom": log.data["odom"], topic: log.data["joy"]}), posed()).keys() == {
+        "steer",
+        "throttle",
+        "brake",
+    }
 
 
 def test_noise_and_what_is_measured_is_no_control() -> None:

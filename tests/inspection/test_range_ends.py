@@ -1,4 +1,4 @@
-"""Controls that end short of their range: told apart from drivers who press no further, switches and full throttle."""
+"""Controls that end short of their range; and no illness: drivers who press no further, switches, full throttle."""
 
 import numpy as np
 import pytest

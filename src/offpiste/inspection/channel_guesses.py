@@ -28,6 +28,7 @@ _AXIS_WORDS: Final = tuple(
 """Words for the letters x, y and z of vectors."""
 
 _AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
+_AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
 _PLACES = "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos"
 _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
@@ -226,21 +227,17 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
 
 def named_axis(field: str) -> str:
     """The axis that a position's field is named by: "x" (or east), "y" (or north), "z" (or up); "" for none."""
-    found = _AXIS_NAME.findall(_with_letters(parse_label(field).name))
-    return str(found[-1]) if found else ""
+    return _last_letter(_with_letters(parse_label(field).name))
 
 
 def named_direction(field: str) -> bool:
     """Whether a position's field is named by a direction, east or north, and not by a letter."""
-    return named_axis(field) in ("x", "y") and named_axis(field) != _letter(field)
+    return named_axis(field) in ("x", "y") and named_axis(field) != _last_letter(parse_label(field).name)
 
 
-def _letter(field: str) -> str:
-    found = _AXIS_NAME.findall(parse_label(field).name)
+def _last_letter(name: str) -> str:
+    found = _AXIS_NAME.findall(name)
     return str(found[-1]) if found else ""
-
-
-_AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

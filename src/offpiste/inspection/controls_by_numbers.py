@@ -32,7 +32,9 @@ _NEARLY: Final = 0.95
 """Share of the best correlation that counts as the best: slow signals hardly tell when."""
 _MOST: Final = 24
 """Most fields that are tried."""
-_MEASURED: Final = re.compile(r"imu|odom|pose|gps|gnss|navsat|twist|accel|magn|tf|image|point|scan", re.IGNORECASE)
+_MEASURED: Final = re.compile(
+    r"odom|gps|gnss|navsat|twist|accel|magn|image|scan|(?<![a-z])(?:imu|pose|point|tf(?![a-z]))", re.IGNORECASE
+)
 """Topics and types of what is measured."""
 _MOTION: Final = re.compile(
     r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"

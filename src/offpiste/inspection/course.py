@@ -69,12 +69,10 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
             return [_turned(name, plain, drive.rig)]
         return _mirrored(name, drive)
     better = [other for other in others if other.together > max(_TOGETHER, plain.together + 0.1)]
-    cures = tuple(_with_offset(name, other, drive.rig) for other in better)
+    ways = [(_with_offset(name, other, drive.rig), other.together) for other in better]
     # Axes that are named as they are read are the last to be wrong.
-    order = sorted(
-        range(len(cures)), key=lambda i: (against_names(cures[i], drive.rig), len(cures[i]), -better[i].together)
-    )
-    better, cures = [better[i] for i in order], tuple(cures[i] for i in order)
+    ways.sort(key=lambda way: (against_names(way[0], drive.rig), len(way[0]), -way[1]))
+    cures = tuple(cure for cure, _ in ways)
     what = "the heading does not follow the course"
     if cures and any(edit.key == "channels.yaw.sign" for edit in cures[0]):
         what += ": it counts clockwise"
@@ -82,7 +80,7 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
     if not cures:
         how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
         return [Finding("warning", name, what, evidence, how, 1.0, sure=plain.together < _APART)]
-    evidence += f", and to {better[0].together:.2f} with the remedy"
+    evidence += f", and to {ways[0][1]:.2f} with the remedy"
     return [Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)]
 
 
@@ -136,11 +134,8 @@ def _mirrored(name: str, drive: Drive) -> list[Finding]:
     cure = (*pose, *signs)  # a steering that is right in a mirror is wrong without it
     evidence = f"position reads {fields[0]} before {fields[1]}, and the heading, clockwise then, follows the course"
     how = ", ".join(map(str, cure)) + "; left and right are exchanged until then"
-    return [
-        Finding(
-            "warning", name, "the world is seen in a mirror", evidence, how, 1.0, tuple(dict.fromkeys((cure, pose)))
-        )
-    ]
+    cures = (cure, pose) if signs else (pose,)
+    return [Finding("warning", name, "the world is seen in a mirror", evidence, how, 1.0, cures)]
 
 
 def _swapped(rig: Rig) -> list[str]:

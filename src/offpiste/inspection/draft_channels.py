@@ -14,8 +14,9 @@ from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
 from offpiste.inspection.draft_gear import gear_values
 from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, seen_range, whole_range
 from offpiste.inspection.wraps import find_wrap
+from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
-from offpiste.rig.channels import ChannelSource, Wrap, unit_factor
+from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit
 
@@ -24,8 +25,6 @@ _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_veloci
 _COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
 _WIDEST: Final = 1.05
 """Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
-
-
 _STEEPEST: Final = 1.4
 """Largest `max_steer` that is drafted [rad]."""
 
@@ -52,9 +51,7 @@ class Entry:
     max_angle: float = 0.0
 
 
-def draft_channels(
-    log: Log, frame: str, found: Mapping[str, tuple[Guess, float]] = MappingProxyType({})
-) -> dict[str, Entry]:
+def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
     Args:
@@ -149,7 +146,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     wrap = find_wrap(values)
     if wrap is not None:
         lines.append(f"wrap = {{ above = {number(wrap.above)}, period = {wrap.period} }}")
-        values = _unwrap(values, wrap)
+        values = unwrapped(values, wrap)
     low, high = np.percentile(values, (0.5, 99.5))
     largest = max(-low, high)
     stated = _unit_line(channel, guess)
@@ -182,12 +179,9 @@ def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple
     source = ChannelSource(guess.fields, guess.topic)
     edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
     lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
-    if span:
-        return [
-            *lines,
-            "clip = [0.0, 1.0]",
-        ], f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
     comment = f"; scaled from {low:.4g}..{high:.4g} to 0..1, the most that this log holds: is it fully pressed?"
+    if span:
+        comment = f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
     return [*lines, "clip = [0.0, 1.0]"], comment
 
 
@@ -283,10 +277,6 @@ def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
     else:
         factors = [1.0, unit_factor("steer_angle", "deg")]
     return next((factor for factor in factors if 0 < _largest(values) * factor <= _WIDEST), 0.0)
-
-
-def _unwrap(values: Float[np.ndarray, " n"], wrap: Wrap) -> Float[np.ndarray, " n"]:
-    return np.where(values > wrap.above, values - wrap.period, values)
 
 
 def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:

@@ -10,6 +10,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import steering_fits
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
+from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig, Vehicle
 
@@ -23,7 +24,8 @@ _WHEELBASES: Final = (0.05, 8.0)
 """Wheelbases that a vehicle can have [m]."""
 _DENSITIES: Final = (2.0, 5000.0)
 """Mass over the wheelbase's cube of vehicles [kg/m^3]: cars have some 80, trucks 200, dense small robots 1000."""
-_UNITS: Final = ((0.01, "cm"), (0.001, "mm"), (0.3048, "ft"))
+_UNITS: Final = ("cm", "mm", "ft")
+"""What wheel positions may be in by mistake."""
 _CLEAR: Final = 0.8
 """Least correlation of the yaw rate with what speed and steering angle make of it."""
 
@@ -100,15 +102,15 @@ def check_size(rig: Rig) -> list[Finding]:
         return []
     evidence = f"a wheelbase of {vehicle.wheelbase:.3g} m with {vehicle.mass:.3g} kg"
     remedy, cures = "vehicle.wheel_positions are in m, vehicle.mass is in kg", []
-    for factor, unit in _UNITS:
+    for unit in _UNITS:
+        factor = unit_factor("position", unit)
         if _DENSITIES[0] < vehicle.mass / (factor * vehicle.wheelbase) ** 3 < _DENSITIES[1]:
             places = [[rounded(factor * x), rounded(factor * y)] for x, y in vehicle.wheel_positions]
             cures.append((Edit("vehicle.wheel_positions", places),))
             remedy += f"; if these are in {unit}: {cures[-1][0]}"
             break
-    return [
-        Finding("warning", "vehicle", "is too light or too heavy for its size", evidence, remedy, 1.0, tuple(cures))
-    ]
+    what = "is too light or too heavy for its size"
+    return [Finding("warning", "vehicle", what, evidence, remedy, 1.0, tuple(cures))]
 
 
 def _left(vehicle: Vehicle) -> list[str]:

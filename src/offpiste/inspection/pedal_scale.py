@@ -23,8 +23,9 @@ def held_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
 
 
 def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """What a pedal covers in this drive: from where it rests to the farthest that it is held; rare readings beyond
-    its rest are none of it.
+    """What a pedal covers in this drive: from where it rests to the farthest that it is held.
+
+    Rare readings beyond its rest are none of it.
     """
     (low, high), (least, most) = held_range(values), np.percentile(values, (0.5, 99.5))
     return (low, float(most)) if rests_high(values) else (float(least), high)

@@ -113,9 +113,8 @@ def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
         yield (Edit("channels.position.fields", [fields[1], fields[0], *fields[2:]]),)
         yield from _compass(rig)
     pedals = {"throttle", "brake"}
-    if pedals <= places & set(rig.channels) and not any(
-        _channels(cure) == pedals for f in findings for cure in f.cures
-    ):
+    together = any(_channels(cure) == pedals for finding in findings for cure in finding.cures)
+    if pedals <= places & set(rig.channels) and not together:
         yield _swapped("throttle", "brake", rig)
 
 

@@ -11,7 +11,7 @@ from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.wraps import find_wrap
-from offpiste.logs.channel import LARGEST, convert, largest
+from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
 from offpiste.rig.channels import ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
@@ -74,7 +74,7 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
             continue
         columns = r.values[:, [r.fields.index(f) for f in source.fields]]
         converted = _valid(convert(name, source, columns), source)
-        raw = columns if source.wrap is None else _unwrapped(columns, source.wrap)
+        raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields):
             where = f"{name} ({place(source.topic, field)})"
             most = largest(name) / abs(source.scale * unit_factor(name, source.unit) or 1.0)
@@ -275,7 +275,3 @@ def _valid(values: Float[np.ndarray, "n k"], source: ChannelSource) -> Float[np.
         return values
     with np.errstate(invalid="ignore"):
         return values[((values >= source.valid[0]) & (values <= source.valid[1])).all(axis=1)]
-
-
-def _unwrapped(values: Float[np.ndarray, "n k"], wrap: Wrap) -> Float[np.ndarray, "n k"]:
-    return np.where(values > wrap.above, values - wrap.period, values)

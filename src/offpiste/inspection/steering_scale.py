@@ -179,10 +179,12 @@ def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
     wheelbase = rig.vehicle.wheelbase
-    line = f"vehicle.max_steer = atan({number(curvature)} * wheelbase): {np.arctan(curvature * wheelbase):.3f} at a "
-    line += f"wheelbase of {wheelbase:.3g} m; somewhat more where tyres slid all along"
-    if name != "steer" or _is_of_an_angle(rig):
-        line = "none, if it is an angle of the road wheels in the unit that the rig says: then compare with "
-        line += "tan(max_steer) / wheelbase, less a fifth or so for slip" if name == "steer" else "1 / wheelbase"
-    remedy = line
+    remedy = "none, if it is an angle of the road wheels in the unit that the rig says: then compare with "
+    if name == "steer_angle":
+        remedy += "1 / wheelbase"
+    elif _is_of_an_angle(rig):
+        remedy += "tan(max_steer) / wheelbase, less a fifth or so for slip"
+    else:
+        remedy = f"vehicle.max_steer = atan({number(curvature)} * wheelbase): {np.arctan(curvature * wheelbase):.3f} "
+        remedy += f"at a wheelbase of {wheelbase:.3g} m; somewhat more where tyres slid all along"
     return Finding("note", name, "has this scale", evidence, remedy, 0.4)

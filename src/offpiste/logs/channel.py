@@ -14,7 +14,7 @@ from offpiste.errors import LogError, RigError
 from offpiste.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.log import Log, Samples
-from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, known_channels, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.rig import Rig
 
 _FARTHEST: Final = 1.5e7
@@ -168,6 +168,11 @@ def _first_run(bad: Bool[np.ndarray, " n"]) -> str:
     return f" (sample {first}{more})" if first == last else f" (samples {first} to {last}{more})"
 
 
+def unwrapped(values: Float[np.ndarray, "*n"], wrap: Wrap) -> Float[np.ndarray, "*n"]:
+    """Raw numbers of a counter, those above its threshold less a period."""
+    return np.where(values > wrap.above, values - wrap.period, values)
+
+
 def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them.
 
@@ -180,7 +185,7 @@ def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> 
     if source.unit == GEOGRAPHIC:
         return local_from_geographic(source.sign * (values * source.scale + source.offset))
     if source.wrap is not None:
-        values = np.where(values > source.wrap.above, values - source.wrap.period, values)
+        values = unwrapped(values, source.wrap)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
         values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit)
         if (control := control_of(name)) is not None and control.discrete:

@@ -7,6 +7,7 @@ step is read once (`kernel_terrain`): the step's cost reads it, and so does the 
 import numpy as np
 
 from offpiste.compilation import PLANNING
+from offpiste.conventions import CONTROL
 from offpiste.dynamics.kernels.elementary import f4
 from offpiste.dynamics.kernels.lanes import ACTUATED, COMMANDED
 from offpiste.dynamics.kernels.layout import LANES
@@ -42,13 +43,13 @@ def load_controls(
     """Controls of step t, into `command` and the workspace; lanes behind the samples repeat the last one."""
     for i in range(LANES):
         sample = np.uint64(min(block * LANES + i, len(controls) - 1))
-        for k in range(3):
+        for k in range(len(CONTROL)):
             command[k * LANES + i] = controls[sample, np.uint64(t), k]
-    for k in range(3):
+    for k in range(len(CONTROL)):
         if recorded[ACTUATED + k]:
             for i in range(k * LANES, (k + 1) * LANES):
                 w[CONTROL_ROW * LANES + i] = command[i]
-    for k in range(3, COMMANDED):  # optional ones, which cost nothing
+    for k in range(len(CONTROL), COMMANDED):  # optional ones, which cost nothing
         if recorded[ACTUATED + k]:
             for i in range(LANES):
                 sample = np.uint64(min(block * LANES + i, len(controls) - 1))
@@ -90,11 +91,11 @@ def roll_out(
     w = make_workspace(4 * len(ground.missing), recorded)
     buffer_sets = make_buffer_sets(networks, f4(1))
     model_states = np.zeros((2, len(start) * LANES), f4)
-    commands = np.zeros((2, 3 * LANES), f4)
+    commands = np.zeros((2, len(CONTROL) * LANES), f4)
     terrain, total = make_samples(len(cost_cells.outside)), np.zeros(LANES, f4)
     for block in range(first, last):
         total[:] = f4(0)
-        for k in range(3):
+        for k in range(len(CONTROL)):
             commands[0, k * LANES : (k + 1) * LANES] = control[k]
         for k in range(len(start)):
             absent = STATES <= k < MOVED // LANES and not recorded[k - STATES]
