@@ -48,6 +48,16 @@ def test_a_fall_is_named_with_its_time(topic: str, field: str, name: str) -> Non
     assert f"from {since:.2f} s on" in finding.evidence
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_wheel_is_turned_as_far_as_it_goes_once_but_not_twice(times: int) -> None:
+    def turned(values: np.ndarray) -> np.ndarray:
+        for one in range(times):
+            values[1000 + 500 * one :][:10] = -np.sign(values[1000 + 500 * one])
+        return values
+
+    assert len(_found(CLEAN.change("steering", "command", turned))) == times - 1
+
+
 def test_a_wheel_that_is_turned_at_once_again_and_again_is_driven_so() -> None:
     random = np.random.default_rng(0)
 

@@ -6,8 +6,10 @@ from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
+from offpiste.inspection.heading_drift import check_fast_drift, check_heading_drift, check_heading_noise
+from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
+from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seed=0)
 
@@ -32,6 +34,39 @@ def test_a_drift_is_said_with_its_size(rate: float) -> None:
     said, lasts = float(words[words.index("by") + 1]), float(words[words.index("in") + 1])
     assert lasts > 0.8 * np.ptp(time)
     assert said == pytest.approx(rate * lasts, rel=0.1)
+
+
+@pytest.mark.parametrize("rate", [3.0, -6.0])
+def test_a_drift_so_fast_that_the_heading_does_not_follow_is_said_too(rate: float) -> None:
+    time, _ = CLEAN.data["odom"]
+    log = _turned(np.radians(rate) * (time - time[0]))
+    drive = drive_from_log(log, rig())
+    (finding,) = check_fast_drift(drive, driven_path(drive))
+    assert (finding.severity, finding.where, finding.what) == ("warning", "orientation", "the heading drifts")
+    words = finding.evidence.split()
+    said, lasts = float(words[words.index("by") + 1]), float(words[words.index("in") + 1])
+    assert said == pytest.approx(rate * lasts, rel=0.1)
+    assert any(f.what == "the heading drifts" for f in inspect_log(log, rig()).findings)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_heading_that_has_nothing_to_do_with_the_course_does_not_drift(seed: int) -> None:
+    time, _ = CLEAN.data["odom"]
+    wandering = np.cumsum(np.random.default_rng(seed).normal(size=len(time))) * 0.1
+    drive = drive_from_log(_turned(wandering), rig())
+    assert check_fast_drift(drive, driven_path(drive)) == []
+
+
+def test_a_heading_that_rests_while_the_vehicle_goes_in_circles_does_not_drift() -> None:
+    time = np.arange(0, 100, 0.02)
+    angle = 0.3 * time
+    odom = {"x": 10 * np.cos(angle), "y": 10 * np.sin(angle), "z": 0 * time}
+    odom |= {"qx": 0 * time, "qy": 0 * time, "qz": 0 * time, "qw": 1 + 0 * time}
+    others = [name for name in rig().channels if name not in ("position", "orientation")]
+    gone = (*rig().absent, "throttle", "brake", "steer", "steer_angle")
+    posed = edited(rig(), [*(Edit(f"channels.{name}", None) for name in others), Edit("absent", list(gone))])
+    drive = drive_from_log(MemoryLog({"odom": (time, odom)}), posed)
+    assert check_fast_drift(drive, driven_path(drive)) == []
 
 
 def test_a_heading_that_wanders_about_the_course_does_not_drift() -> None:

@@ -77,6 +77,31 @@ def test_places_in_feet_are_likelier_than_wheels_that_hardly_turn() -> None:
     assert any(other.startswith("vehicle.max_steer") for other in others)
 
 
+def test_places_of_no_unit_are_scaled_where_command_and_wheels_agree() -> None:
+    log = drive_log(seed=0)
+    for axis in "xyz":
+        log = log.change("odom", axis, lambda values: 2 * values)
+    posed = edited(rig(), [Edit("channels.linear_velocity", None)])
+    (finding,) = (f for f in inspect_log(log, posed).findings if f.severity == "warning")
+    (edit,) = finding.cures[0]
+    assert edit.key == "channels.position.scale"
+    assert edit.value == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_wheels_in_another_place_are_likelier_than_places_of_no_unit(factor: float) -> None:
+    places = [[factor * x, y] for x, y in rig().vehicle.wheel_positions]
+    wrong = edited(rig(), [Edit("vehicle.wheel_positions", places), Edit("channels.linear_velocity", None)])
+    (finding,) = (f for f in inspect_log(drive_log(seed=0), wrong).findings if f.severity == "warning")
+    assert [edit.key for edit in finding.cures[0]] == ["vehicle.wheel_positions"]
+
+
+def test_places_are_not_scaled_where_the_wheels_go_as_far() -> None:
+    wrong = rig((f"max_steer = {MAX_STEER}", f"max_steer = {MAX_STEER * 0.2:.3f}"))
+    findings = inspect_log(drive_log(seed=0), wrong).findings
+    assert not any(edit.key == "channels.position.scale" for f in findings for cure in f.cures for edit in cure)
+
+
 @pytest.mark.parametrize("understeer", [0.0, 0.005, 0.02])
 def test_slip_that_grows_with_the_speed_is_taken_out_of_the_scale(understeer: float) -> None:
     """At no speed, a bicycle turns as its geometry says, whatever its understeer."""

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from offpiste.channels import control_of
 from offpiste.inspection.driven_path import MOVING, Path
 from offpiste.inspection.findings import Finding
 from offpiste.logs.drive import Drive
@@ -31,6 +32,8 @@ def check_dropouts(drive: Drive, path: Path) -> list[Finding]:
             continue
         channel = drive.channels[name]
         runs = _falls(channel.values)
+        if len(runs) == 1 and _at_its_end(name, channel.values[runs[0, 0]]):
+            continue  # a wheel that was turned as far as it goes, in an emergency
         begin, end = channel.time[runs[:, 0]], channel.time[runs[:, 1]]
         moving = np.interp(begin, path.time, np.nan_to_num(path.speed)) > MOVING
         if not moving.any():
@@ -45,6 +48,12 @@ def check_dropouts(drive: Drive, path: Path) -> list[Finding]:
         share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
         findings.append(Finding("warning", name, "falls to one value and comes back", evidence, how, share))
     return findings
+
+
+def _at_its_end(name: str, value: Float[np.ndarray, " k"]) -> bool:
+    """Whether a control is where its range ends."""
+    control = control_of(name)
+    return control is not None and bool((np.isclose(value, control.low) | np.isclose(value, control.high)).all())
 
 
 def _falls(values: Float[np.ndarray, "n k"]) -> Int[np.ndarray, "r 2"]:

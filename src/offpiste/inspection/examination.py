@@ -9,10 +9,11 @@ from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, moti
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, Path, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
+from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.inspection.stamps import check_spans
-from offpiste.logs.drive import drive_from_log
+from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import Clock
 from offpiste.rig.rig import Rig
@@ -74,13 +75,20 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     if unfit:
         return findings + unfit, path
     origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
-    posed = check_pose(drive, path, origin) + check_course(drive, path)
+    posed = check_pose(drive, path, origin) + _check_heading(drive, path)
     findings += posed
     if not is_fatal(tilted + posed):
         motion = motion_of(topics, drive, path)
         for check in MOTION_CHECKS:
             findings += check(motion)
     return findings, path
+
+
+def _check_heading(drive: Drive, path: Path) -> list[Finding]:
+    """How the heading fits the course; what no entry of the rig explains may be a drift."""
+    found = check_course(drive, path)
+    unexplained = any(not finding.cures for finding in found)
+    return (check_fast_drift(drive, path) if unexplained else []) or found
 
 
 def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:

@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import Path
@@ -15,6 +16,12 @@ _DRIFT: Final = np.radians(6.0)
 """Change over the whole drive that is reported [rad]."""
 _BLOCKS: Final = 6
 """Stretches of 5 s with straight driving that a drift is seen in, at least."""
+_FASTEST: Final = np.radians(10.0)
+"""Largest drift that is looked for where the heading does not follow the course [rad/s]."""
+_EVENLY: Final = 0.9
+"""Resultant of angles, less an even turning, above which they turn evenly."""
+_MANY_BLOCKS: Final = 8
+"""The same where it is looked for: among many rates, angles of few stretches agree by chance with one."""
 _NOISY: Final = 0.02
 """Scatter of single headings that is reported [rad]: ten times that of compasses, GNSS/INS and SLAM."""
 
@@ -33,11 +40,39 @@ def check_heading_drift(drive: Drive, path: Path) -> list[Finding]:
     change, sigma = float(fit.gain[0]) * lasts, fit.gain_sigma(0) * lasts
     if abs(change) < _DRIFT + SURE * sigma:
         return []
+    return [_drifts(drive, f"{np.degrees(-change):.0f} ± {np.degrees(sigma):.0f}", lasts)]
+
+
+def check_fast_drift(drive: Drive, path: Path) -> list[Finding]:
+    """A finding if a heading that does not follow the course does so once an even turning is taken out."""
+    rows = np.flatnonzero(straight_rows(path))
+    if len(np.unique(path.time[rows] // 5)) < _MANY_BLOCKS:
+        return []
+    away, time = course_minus_heading(path)[rows], path.time[rows]
+    rate, together = _even_turning(away, time)
+    # Of a vehicle that goes in circles, the course turns evenly: then so it does against a heading that rests.
+    turning, circles = _even_turning(away + path.yaw[rows], time)
+    if together < _EVENLY or (circles >= _EVENLY and abs(turning / rate - 1) < 0.2):
+        return []
+    lasts = float(np.ptp(time))
+    return [_drifts(drive, f"{np.degrees(-rate) * lasts:.0f}", lasts)]
+
+
+def _even_turning(angle: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """The rate of turning that explains angles modulo pi best [rad/s], and the resultant of what is left (0 to 1)."""
+    lasts = float(np.ptp(time))
+    rates = np.arange(-_FASTEST, _FASTEST, np.pi / (8 * lasts))
+    some = np.unique(np.linspace(0, len(time) - 1, 2000).astype(int))
+    turned = [np.abs(np.mean(np.exp(2j * (angle[some] - rate * time[some])))) for rate in rates]
+    best = int(np.argmax(turned))
+    return float(rates[best]), float(turned[best])
+
+
+def _drifts(drive: Drive, degrees: str, lasts: float) -> Finding:
     name = "yaw" if "yaw" in drive.channels else "orientation"
-    evidence = f"against the course it turns by {np.degrees(-change):.0f} ± {np.degrees(sigma):.0f} degrees in "
-    evidence += f"{lasts:.0f} s, where the vehicle drives straight"
+    evidence = f"against the course it turns by {degrees} degrees in {lasts:.0f} s, where the vehicle drives straight"
     how = "no rig line fixes it: take a heading that is corrected by a compass, GNSS or SLAM"
-    return [Finding("warning", name, "the heading drifts", evidence, how, 0.6)]
+    return Finding("warning", name, "the heading drifts", evidence, how, 0.6)
 
 
 def check_heading_noise(drive: Drive, path: Path) -> list[Finding]:

@@ -8,7 +8,7 @@ import numpy as np
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_agreement import Agreement
 from offpiste.inspection.steering_fit import SteeringFit, curvature_per_unit
-from offpiste.rig.channels import unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, number, rounded
 from offpiste.rig.rig import Rig
 
@@ -46,7 +46,9 @@ def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, ri
     ratios = {
         name: _extrapolated_ratio(name, fit, rig) or _gripping_ratio(name, fit, rig) for name, fit in fits.items()
     }
-    return [_off(name, ratio, rig) for name, ratio in ratios.items() if ratio is not None]
+    off = {name: ratio for name, ratio in ratios.items() if ratio is not None}
+    alike = agreement is not None and len(off) == len(fits) == 2
+    return [_off(name, ratio, rig, alike=alike) for name, ratio in off.items()]
 
 
 def _suspect(fits: Mapping[str, SteeringFit], rig: Rig) -> str | None:
@@ -98,8 +100,12 @@ def _angle_edit(factor: float, rig: Rig) -> Edit:
     return Edit("channels.steer_angle.scale", rounded(source.scale * factor))
 
 
-def _off(name: str, ratio: float, rig: Rig) -> Finding:
-    """The finding where the vehicle turns `ratio` times as much as the rig says."""
+def _off(name: str, ratio: float, rig: Rig, *, alike: bool) -> Finding:
+    """The finding where the vehicle turns `ratio` times as much as the rig says.
+
+    Args:
+        alike: whether command and measured angle both say so.
+    """
     evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
     angle = 0.0
     if name == "steer":
@@ -109,14 +115,17 @@ def _off(name: str, ratio: float, rig: Rig) -> Finding:
     else:
         evidence += f"{ratio:.3g} times the angle"
         edit = _angle_edit(ratio, rig)
-    others = {f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ": _other_wheelbase(rig, 1 / ratio)}
-    others[""] = _other_places(rig, ratio)
-    ways = [("", edit), *((words, other) for words, other in others.items() if other is not None)]
+    own, wheelbase, unit = ("", edit), _other_wheelbase(rig, 1 / ratio), _other_unit(rig, ratio)
+    long = (f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ", wheelbase)
+    # A command and wheels that agree are hardly both wrong.
+    scale = _other_scale(rig, ratio) if alike and unit is None else None
+    ways = [own, long, ("", unit), ("", scale)]
     # A range of steering that no vehicle has speaks for the places, or the wheels' own.
     if name == "steer" and not _RANGES[0] < angle < _RANGES[1]:
-        ways = [*ways[:0:-1], ways[0]]
-    remedy = "; or ".join(f"{words}{way}" for words, way in ways)
-    cures = tuple((way,) for _, way in ways)
+        ways = [("", unit), long, ("", scale), own]
+    likely = [(words, way) for words, way in ways if way is not None]
+    remedy = "; or ".join(f"{words}{way}" for words, way in likely)
+    cures = tuple((way,) for _, way in likely)
     what = "turns the vehicle more than the rig says" if ratio > 1 else "turns the vehicle less than the rig says"
     return Finding("warning", name, what, evidence, remedy, 0.6, cures)
 
@@ -160,12 +169,18 @@ def _other_wheelbase(rig: Rig, factor: float) -> Edit | None:
     return Edit("vehicle.wheel_positions", places)
 
 
-def _other_places(rig: Rig, ratio: float) -> Edit | None:
+def _other_unit(rig: Rig, ratio: float) -> Edit | None:
     """The unit of positions that explains a turning `ratio` times the rig's; None where none does."""
     for unit in ("ft", "cm"):
         if not rig.channels["position"].unit and abs(np.log(ratio / unit_factor("position", unit))) < 0.3:
             return Edit("channels.position.unit", unit)
     return None
+
+
+def _other_scale(rig: Rig, ratio: float) -> Edit | None:
+    """Positions `ratio` times as far apart, in whatever unit; None for degrees of the globe."""
+    source = rig.channels["position"]
+    return None if source.unit == GEOGRAPHIC else Edit("channels.position.scale", rounded(source.scale * ratio))
 
 
 def _is_of_an_angle(rig: Rig) -> bool:
