@@ -22,10 +22,8 @@ _NOISE: Final = 0.03
 """Distance that is within the noise of the sensors."""
 _LEFT: Final = 0.25
 """A cure is right if it leaves at most this share of the distance."""
-_TRAINED: Final = 0.7
+TRAINED: Final = 0.7
 """Share of a log that the quick model is fitted to; it is evaluated on the rest."""
-
-
 FEW, MANY = 60, 300
 """Windows of the quick and of the exact measure: another choice of windows, of the same healthy log, changes the error
 by 2 % in the middle and by 7 % in one of ten logs with few, by 0.4 % and 3 % with many."""
@@ -157,7 +155,7 @@ def costs_against(healthy: Readable, evaluated: Readable | None = None, *, windo
 
 def _error(trained: Readable | None, evaluated: Readable, windows: int) -> float:
     start, end = evaluated.rows.time[[0, -1]]
-    split = start + _TRAINED * (end - start)
+    split = start + TRAINED * (end - start)
     if trained is None:
         return np.inf
     first = windows_of(trained.rows, trained.vehicle, first=-np.inf, last=split, most=windows)
