@@ -226,6 +226,8 @@ def test_features_of_other_names(copied: Path, good: Path, error_of: Callable[..
         (("--pca", "6"), "reads 6 terrain features; the dataset has 5"),
         (("--batch", "0"), "--batch is 0"),
         (("--stride", "0"), "--stride is 0"),
+        (("--relative", "1.5"), "--relative is 1.5"),
+        (("--relative", "nan"), "--relative is nan"),
         (("--epochs", "0"), "--epochs is 0"),
         (("--learning-rate", "nan"), "--learning-rate is nan; give a number above 0"),
         (("--seed", "-1"), "--seed is -1"),

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -34,6 +34,8 @@ from offpiste.inspection.pedals import pedal_fits
 from offpiste.inspection.range_ends import check_range_ends
 from offpiste.inspection.steering_fit import curvature_per_unit, steering_fits
 from offpiste.logs.drive import drive_from_log
+
+T = TypeVar("T")
 
 _CLEAR: Final = 0.7
 """Correlation above which centre and scale of a steering are clear."""
@@ -169,7 +171,8 @@ def _error(readable: Readable, later: float, windows: int) -> float:
     return error_of(fit(trained, vehicle.wheelbase), evaluated, vehicle.wheelbase)
 
 
-def _together(parts: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, list[float]]:
+def _together(parts: Sequence[Mapping[str, Sequence[T]]]) -> dict[str, list[T]]:
+    """Values of the same key, of all parts."""
     keys = dict.fromkeys(key for part in parts for key in part)
     return {key: [value for part in parts for value in part.get(key, ())] for key in keys}
 

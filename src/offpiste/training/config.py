@@ -45,6 +45,8 @@ class TrainConfig:
         gradient_clip: largest norm of a gradient.
         start: states that predictions start from, in training as in use.
         min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
+        relative: 0: errors in metres count alike at any speed, as in the paper; 1: relative to the distance that is
+            driven, so that slow windows matter.
         weights: weights of the loss's components.
         seed: seed of the initial weights and the order of the windows.
         device: where to train: "cpu", "cuda", ...
@@ -64,6 +66,7 @@ class TrainConfig:
     gradient_clip: float = 1.0
     start: Literal["causal", "smoothed"] = "causal"
     min_speed: float | None = None
+    relative: float = 0.0
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
     device: str = "cpu"
@@ -86,6 +89,8 @@ def refuse_impossible(config: TrainConfig) -> None:
             _refuse(name, getattr(config, name), "a number above 0")
     if config.min_speed is not None and not 0 <= config.min_speed < math.inf:
         _refuse("min_speed", config.min_speed, "a speed of 0 or more [m/s]")
+    if not 0 <= config.relative <= 1:
+        _refuse("relative", config.relative, "a number from 0 to 1")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
         raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")

@@ -35,6 +35,7 @@ from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
+from offpiste.training.speed_weights import speed_weights
 from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)
@@ -96,9 +97,10 @@ def train(
         _freeze(dynamics, lags)
     scale = loss_scale(reference, windows, config)
     weights = torch.tensor(config.weights.in_order(), device=config.device)
+    weigh = speed_weights(windows, config.relative)
 
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
-        return summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
+        return weigh(batch) * summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
     maps = maps or map_loss(validation, group)
 
