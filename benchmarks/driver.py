@@ -26,7 +26,7 @@ SLIDING = 0.2
 """Slip angle from which a wheel counts as sliding [rad]."""
 STANDING = 0.1
 """Speed up to which a vehicle stands [m/s]."""
-SPEEDS = (1.5, 4.0, 8.0, 12.0)
+SPEEDS = (1.5, 4.0, 8.0, 12.0, 16.0)
 """Limits of the bands of forward speed [m/s]."""
 
 
@@ -74,7 +74,7 @@ def report(world_name: str, drives: Sequence[Sequence[VehicleSample]]) -> str:
 def shares_by_speed(drives: Sequence[Sequence[VehicleSample]]) -> str:
     """Share of the time by forward speed, and the highest, of all drives together."""
     speed = np.array([pose_and_speed(sample)[3] for samples in drives for sample in samples])
-    edges = (STANDING, *SPEEDS, np.inf)
+    edges = (STANDING, *SPEEDS)
     shares = {"standing": np.abs(speed) <= STANDING, "reverse": speed < -STANDING} | {
         f"{low:g} to {high:g} m/s": (speed > low) & (speed <= high) for low, high in pairwise(edges)
     }

@@ -124,6 +124,7 @@ def main(
     runs: int = 3,
     seconds: float = 120.0,
     full_seconds: float = 60.0,
+    only: str = "",
 ) -> None:
     """Run, and print the table.
 
@@ -132,8 +133,9 @@ def main(
         dataset: with visual features and actuators, for what trainings take.
         runs: of every command; medians are printed.
         seconds, full_seconds: of the `light` and the `full` drive; in short ones start-up and the world weigh most.
+        only: rows whose name contains this. What extraction reads is the `light` drive of the first row.
     """
-    table = rows(seconds, full_seconds, dataset.resolve() if dataset else None)
+    table = [row for row in rows(seconds, full_seconds, dataset.resolve() if dataset else None) if only in row.name]
     checkouts = {"before": before.resolve(), "after": ROOT} if before else {"after": ROOT}
     with tempfile.TemporaryDirectory(prefix="offpiste-pipeline-") as folder:
         works = {name: Path(folder) / name for name in checkouts}

@@ -25,8 +25,8 @@ _LEFT: Final = 0.25
 TRAINED: Final = 0.7
 """Share of a log that the quick model is fitted to; it is evaluated on the rest."""
 FEW, MANY = 60, 300
-"""Windows of the quick and of the exact measure: another choice of windows, of the same healthy log, changes the error
-by 2 % in the middle and by 7 % in one of ten logs with few, by 0.4 % and 3 % with many."""
+"""Windows of the quick and of the exact measure: others of the same healthy log change the error by 2 % in the middle
+and by 6 % in one of ten logs with few, by 0.5 % and 2 % with many (`detectability`)."""
 UNREADABLE: Final = 1e6
 """Cost of a log that cannot be read, or that has too few windows; no model is worse than that."""
 

@@ -1,5 +1,7 @@
 """Controls that end short of their range; and no illness: drivers who press no further, switches, full throttle."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
@@ -7,7 +9,9 @@ from simulated import MemoryLog, drive_log, rig
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.range_ends import check_range_ends, limit_of
+from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
+from offpiste.rig.rig import load_rig
 
 CLEAN = drive_log(seed=0)
 FULL = drive_log(120.0, seed=3)
@@ -60,3 +64,11 @@ def test_the_whole_inspection_says_it_once() -> None:
     log = CLEAN.change("steering", "command", lambda values: np.clip(values, -0.3, 0.3))
     about = [f for f in inspect_log(log, rig()).findings if f.where == "steer" and "cut off" in f.what]
     assert len(about) == 1
+
+
+def test_no_control_of_a_recorded_drive_ends_short_of_its_range(data_folder: Path) -> None:
+    recorded = [(path, "dart") for path in data_folder.glob("dart/**/*.csv")]
+    recorded += [(path, "tartandrive2") for path in data_folder.glob("tartandrive2/drives/*")]
+    assert len(recorded) == 15
+    drives = [(path, drive_from_log(open_log(path), load_rig(name))) for path, name in recorded]
+    assert [path.name for path, drive in drives if check_range_ends(drive)] == []

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Literal
 
 from offpiste.cli.entry import COMMANDS
@@ -61,7 +62,7 @@ class Simulate:
         if self.drives == 1:
             seed = self.seed if self.drive_seed is None else self.drive_seed
             simulate(self._settings(self.seed, seed), self.out, twins=self.twins)
-            show(f"next: offpiste inspect {self.out} --rig {self._rig}")
+            show(f"next: offpiste inspect {quote(str(self.out))} --rig {self._rig}")
             return 0
         if self.drives < 1:
             raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
@@ -82,7 +83,7 @@ class Simulate:
         seeds = range(self.seed, self.seed + self.drives)
         recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
         simulate_all(recordings, self.processes or usable_cores(), self.cluster)
-        show(f"next: offpiste inspect {self.out}/*.mcap --rig {self._rig}")
+        show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {self._rig}")
 
     @property
     def _rig(self) -> str:

@@ -3,6 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import join
 from typing import Annotated
 
 import tyro
@@ -60,4 +61,4 @@ class Train:
     def _say_next(self) -> None:
         from offpiste.progress import show
 
-        show(f"next: offpiste evaluate {self.out} --dataset {self.dataset}")
+        show(f"next: {join(['offpiste', 'evaluate', str(self.out), '--dataset', str(self.dataset)])}")

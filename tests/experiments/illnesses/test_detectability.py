@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.illnesses.detectability import Detectability, measure, report, warned
+from experiments.illnesses.detectability import Detectability, Measured, measure, report, warned
 from experiments.illnesses.effect import FEW, MANY
 from experiments.illnesses.true_drive import save
 from made_up_drive import made_up_drive
@@ -22,8 +22,12 @@ def test_an_error_as_large_as_the_scatter_warns_as_many_as_it_finds():
     assert warned(healthy, (-1.0, 1.0), found=0.9) == pytest.approx(0.8, abs=0.01)
 
 
-def test_what_is_measured_in_a_healthy_drive_is_what_drove():
-    measured = measure(made_up_drive(seconds=60), seed=3)
+@pytest.fixture(scope="module")
+def measured():
+    return measure(made_up_drive(seconds=60), seed=3)
+
+
+def test_what_is_measured_in_a_healthy_drive_is_what_drove(measured):
     # No tyre of this vehicle slips: both recordings, of either size, turn as the geometry asks for.
     assert measured.healthy["steer: scale"] == pytest.approx([0, 0], abs=0.1)
     assert measured.healthy["steer: centre"] == pytest.approx([0, 0], abs=0.02)
@@ -48,9 +52,8 @@ def test_the_command_reports_and_resumes(tmp_path):
     assert (tmp_path / "out" / "measured.jsonl").read_bytes() == made
 
 
-def test_what_is_clear_in_no_log_has_no_row():
-    measured = measure(made_up_drive(seconds=60), seed=3)
-    only = type(measured)(1, {"steer: centre": measured.healthy["steer: centre"]}, {}, {})
+def test_what_is_clear_in_no_log_has_no_row(measured):
+    only = Measured(1, {"steer: centre": measured.healthy["steer: centre"]}, {}, {})
     text = report([only])
     assert "steer: offset" in text
     assert "late or early" not in text
