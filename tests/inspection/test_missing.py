@@ -38,6 +38,22 @@ def test_a_pose_is_never_declared_absent() -> None:
     assert "[channels.position]" in finding.remedy
 
 
+def test_a_log_of_another_vehicle_is_said_in_one_finding() -> None:
+    log = MemoryLog({f"/{number}/{topic.upper()}": data for number, (topic, data) in enumerate(CLEAN.data.items())})
+    (finding,) = inspect_log(log, rig()).findings
+    assert (finding.severity, finding.where) == ("fatal", "log")
+    assert "none of the topics" in finding.what
+    assert "/0/ODOM" in finding.evidence
+
+
+def test_a_log_without_samples_is_said_in_one_finding() -> None:
+    log = MemoryLog(
+        {topic: (time[:0], {f: v[:0] for f, v in fields.items()}) for topic, (time, fields) in CLEAN.data.items()}
+    )
+    (finding,) = inspect_log(log, rig()).findings
+    assert (finding.severity, finding.where, finding.what) == ("fatal", "log", "holds no numbers")
+
+
 PEDALS = "".join(f'[channels.{name}]\ntopic = "pedals"\nfields = ["{name}"]\n' for name in ("throttle", "brake"))
 NO_PEDALS = (('absent = ["brake_pressure"', 'absent = ["throttle", "brake", "brake_pressure"'), (PEDALS, ""))
 

@@ -30,6 +30,8 @@ _FIELDS: Final = 6
 
 def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """Findings on channels whose topic or fields are not in the log, with names that are nearly the same."""
+    if (nothing := _nothing(recorded, rig)) is not None:
+        return [nothing]
     findings = []
     for name, source in rig.channels.items():
         r = recorded.get(source.topic)
@@ -41,10 +43,26 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         else:
             what, there = f"its topic has no field '{missing[0]}'", list(map(r.topic.in_words, r.fields))
         cures = tuple(_cures(name, source, recorded, rig))
-        evidence = "there is: " + ", ".join(there[:_LISTED]) + (", ..." if len(there) > _LISTED else "")
+        evidence = _listed(there)
         remedy = ", ".join(map(str, cures[0])) if cures else f"name where it is recorded in [channels.{name}]"
         findings.append(Finding("fatal", name, what, evidence, remedy, 1.0, cures))
     return findings
+
+
+def _nothing(recorded: dict[str, Recorded], rig: Rig) -> Finding | None:
+    """The one finding on a log that has nothing of what the rig reads, under no similar name either."""
+    if not recorded:
+        how = "record it again, or repair it if it was cut off"
+        return Finding("fatal", "log", "holds no numbers", "no topic has samples", how, 1.0)
+    topics = {source.topic for source in rig.channels.values()}
+    if any(get_close_matches(topic, recorded, 1) for topic in topics):
+        return None
+    how = "give the rig of this log's vehicle, or let `inspect --write-rig` write a first one"
+    return Finding("fatal", "log", "has none of the topics that the rig reads", _listed(list(recorded)), how, 1.0)
+
+
+def _listed(there: Sequence[str]) -> str:
+    return "there is: " + ", ".join(there[:_LISTED]) + (", ..." if len(there) > _LISTED else "")
 
 
 def _cures(name: str, source: ChannelSource, recorded: dict[str, Recorded], rig: Rig) -> Iterator[tuple[Edit, ...]]:
