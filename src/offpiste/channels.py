@@ -76,9 +76,16 @@ class Actuator:
 
 
 CONTROLS: Final = (
-    Control("throttle", rate=4.0, pattern=r"throttle|acc(el(erator)?)?_?pedal|pedal_?acc|(^|[ ._/])gas", declared=True),
-    Control("brake", rate=8.0, pattern=r"brake", declared=True),
-    Control("steer", low=-1.0, rate=4.0, pattern=r"steer", declared=True),
+    Control(
+        "throttle",
+        rate=4.0,
+        declared=True,
+        pattern=r"throttle|acc(el(erator)?)?_?pedal|pedal_?acc|(^|[ ._/])(gas|thr(?![a-z]))",
+    ),
+    Control("brake", rate=8.0, pattern=r"brake|(?<![a-z])brk(?![a-z])", declared=True),
+    Control(
+        "steer", low=-1.0, rate=4.0, pattern=r"steer|(?<![a-z])str_?(cmd|com+and|pct|in(put)?)(?![a-z])", declared=True
+    ),
 )
 """Throttle and brake from 0 to 1, steering from -1 to 1 and + left, as commanded."""
 

@@ -55,6 +55,17 @@ def test_names_that_only_contain_those_of_measurements_are_looked_at(topic: str)
     }
 
 
+def test_a_steering_whose_turning_does_not_grow_with_the_speed_is_found() -> None:
+    """Of a vehicle that understeers, the yaw rate follows the steering alone as well as times the speed."""
+    log = joystick()
+    time, odom = log.data["odom"]
+    joy_time, axes = log.data["joy"]
+    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
+    later = np.interp(joy_time + 0.3, time, np.gradient(yaw, time))
+    found = find_controls(MemoryLog({"odom": log.data["odom"], "joy": (joy_time, axes | {"axes[0]": later})}), posed())
+    assert found["steer"][0].fields == ("axes[0]",)
+
+
 def test_noise_and_what_is_measured_is_no_control() -> None:
     log = joystick()
     time, axes = log.data["joy"]

@@ -88,6 +88,18 @@ def test_places_of_no_unit_are_scaled_where_command_and_wheels_agree() -> None:
     assert edit.value == pytest.approx(0.5, rel=0.1)
 
 
+def test_a_command_of_another_unit_is_likelier_than_wheels_that_turn_further_than_any() -> None:
+    """A servo from 0 to 1, 0.53 straight ahead, whose rig has no scale yet."""
+    servo = drive_log(seed=0).change("steering", "command", lambda values: 0.53 + 0.2 * values)
+    without = [Edit("channels.steer_angle", None), Edit("absent", [*rig().absent, "steer_angle"])]
+    first = edited(rig(), [Edit("channels.steer.offset", -0.53), *without])
+    (finding,) = (f for f in inspect_log(servo, first).findings if f.severity == "warning")
+    scale, offset = finding.cures[0]
+    assert (scale.key, offset.key) == ("channels.steer.scale", "channels.steer.offset")
+    assert scale.value == pytest.approx(5, rel=0.15)
+    assert offset.value / scale.value == pytest.approx(-0.53, rel=1e-3)
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_wheels_in_another_place_are_likelier_than_places_of_no_unit(factor: float) -> None:
     places = [[factor * x, y] for x, y in rig().vehicle.wheel_positions]
@@ -138,6 +150,10 @@ def test_a_range_that_no_vehicle_has_speaks_for_another_wheelbase() -> None:
     path = driven_path(drive)
     (finding,) = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
     assert finding.what == "turns the vehicle more than the rig says"
-    assert [cure[0].key for cure in finding.cures] == ["vehicle.wheel_positions", "vehicle.max_steer"]
+    assert [cure[0].key for cure in finding.cures] == [
+        "vehicle.wheel_positions",
+        "channels.steer.scale",
+        "vehicle.max_steer",
+    ]
     found = np.ptp([x for x, _ in finding.cures[0][0].value])
     assert found == pytest.approx(np.ptp([x for x, _ in rig().vehicle.wheel_positions]), rel=0.1)

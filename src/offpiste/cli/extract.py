@@ -3,13 +3,16 @@
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import join
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.conventions import PERCEPTION_LATENCY
 from offpiste.progress import show
+
+if TYPE_CHECKING:
+    from offpiste.dataset.splits import Split
 
 
 @COMMANDS.register("extract")
@@ -57,12 +60,13 @@ class Extract:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
+        from offpiste.dataset.split_balance import next_split
         from offpiste.mapping.replay import MapperSettings
         from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
 
         rig = load_rig(self.rig)
-        make_dataset(
+        dataset = make_dataset(
             self.logs,
             rig.without_slope() if self.flat else rig,
             self.out,
@@ -78,7 +82,26 @@ class Extract:
             cluster=self.cluster,
             force=self.force,
         )
-        model = "dc" if self.pca else "b"
         if not self.shard:
-            show(f"next: {join(['offpiste', 'train', str(self.out), '--model', model, '--out', f'runs/{model}'])}")
+            show(f"next: {join(self._next(next_split(dataset)))}")
         return 0
+
+    def _next(self, split: "Split | None") -> list[str]:
+        """The next command: a training, or where a part has no window, an extraction with another split."""
+        if split is None:
+            model = "dc" if self.pca else "b"
+            return ["offpiste", "train", str(self.out), "--model", model, "--out", f"runs/{model}"]
+        again = self.out.with_name(f"{self.out.stem}-2{self.out.suffix}")
+        visual = ["--pca", str(self.pca)] if self.pca else []
+        return [
+            "offpiste",
+            "extract",
+            *self.logs,
+            "--rig",
+            self.rig,
+            *visual,
+            "--split",
+            split.text,
+            "--out",
+            str(again),
+        ]

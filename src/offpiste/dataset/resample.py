@@ -97,14 +97,16 @@ def extract_rows(drive: Drive) -> Rows:
     grid = RowGrid(drive, time)
     columns = {name: column.read(grid) for name, column in COLUMNS.items()}
 
-    valid = ~_across_jumps(drive, time)
-    for name, column in COLUMNS.items():
-        valid &= column.complete(columns[name], drive.rig)
+    complete = {name: column.complete(columns[name], drive.rig) for name, column in COLUMNS.items()}
+    valid = np.logical_and.reduce([~_across_jumps(drive, time), *complete.values()])
     if valid.sum() * DT < 1.0:
+        worst = min(complete, key=lambda name: int(complete[name].sum()))
         raise LogError(
-            f"no second of it has all channels of the rig ({valid.sum()} complete rows of {len(valid)})",
+            f"no second of it has all channels of the rig ({valid.sum()} complete rows of {len(valid)}, and "
+            f"{complete[worst].sum()} of '{worst}')",
             where=drive.name,
-            how="run `offpiste inspect` on it; widen clock.max_gap or motion.window, or declare a channel absent",
+            how="run `offpiste inspect` on it; widen motion.window, so that it holds five samples of the pose, or"
+            " clock.max_gap, or declare a channel absent",
         )
     known = np.isfinite(columns["state_causal"]).all(axis=1)
     origin = columns["state_causal"][np.argmax(known), :2].copy()

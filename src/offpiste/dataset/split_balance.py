@@ -160,15 +160,27 @@ def better_split(dataset: Dataset) -> tuple[Split, tuple[PartFacts, ...]] | None
 
 
 def fitting_split(drive: StoredDrive, min_hindsight: float, min_speed: float) -> Split | None:
-    """Blocks with larger parts to validate and test on, which all have windows of a short drive; None without."""
-    rows = drive.rows
+    """Blocks with larger parts to validate and test on, which a short drive has enough windows for; None without any.
+
+    The first that leaves `LEAST_WINDOWS` in each part, or else that with the most in its smallest.
+    """
+    rows, least = drive.rows, {}
     for text in _FOR_SHORT_DRIVES:
         split = parse_split(text)
         label = split.label(drive.name, rows.state[:, :2] + rows.origin)
-        parts = range(len(PARTS))
-        if all(len(evaluation_starts(rows, label == part, min_hindsight, min_speed)) for part in parts):
-            return split
-    return None
+        counts = [len(evaluation_starts(rows, label == part, min_hindsight, min_speed)) for part in range(len(PARTS))]
+        least[text] = min(counts)
+    best = max(least, key=lambda text: min(least[text], LEAST_WINDOWS))
+    return parse_split(best) if least[best] else None
+
+
+def next_split(dataset: Dataset) -> Split | None:
+    """The split to extract a dataset's only drive again with, where a part of it has no window; None elsewhere."""
+    wanted = len(PARTS) - len(empty_parts(dataset.split))
+    facts = part_facts(dataset)
+    if len(dataset.drives) != 1 or (len(facts) == wanted and all(part.windows for part in facts)):
+        return None
+    return fitting_split(dataset.drives[0], dataset.min_hindsight, dataset.min_speed)
 
 
 def split_warning(dataset: Dataset) -> str | None:
@@ -177,7 +189,7 @@ def split_warning(dataset: Dataset) -> str | None:
     wrong = list(complaints(facts)) if len(facts) > 1 else []
     if not wrong:
         return None
-    line = f"the parts of the split {dataset.split.text} are unlike each other: {'; '.join(wrong)}"
+    line = f"the parts of the split {dataset.split.text} are too short, or unlike each other: {'; '.join(wrong)}"
     better = better_split(dataset)
     if better is None:
         how = "; record more driving"

@@ -58,7 +58,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
-    ("steer", 1, r"(?<![a-z])servo(_?(cmd|com+and|input|value|pos(ition)?))?$"),
+    ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
@@ -181,11 +181,15 @@ def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
                 continue
             channel, _, letters = group
             fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
+            if channel == "position" and len(fields) == 2:
+                fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
             guess = _guess(channel, topic, fields, named[fields[0]])
             if guess is not None and len(fields) in _WIDTHS[channel]:
                 yield guess
 
 
+_HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(alt|altitude|elevation|height)")
+"""What the height of a place is called whose east and north are called otherwise."""
 _GEOGRAPHIC: Final = tuple(
     re.compile(rf"(?<![a-z])({words})$")
     for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")

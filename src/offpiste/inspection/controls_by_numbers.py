@@ -30,6 +30,8 @@ _LEADS: Final = {"steer": (-0.05, 0.6), "throttle": (-0.05, 0.8), "brake": (-0.0
 """How long after a command the motion comes [s]: what moves before it is measured."""
 _NEARLY: Final = 0.95
 """Share of the best correlation that counts as the best: slow signals hardly tell when."""
+_AT_ONCE: Final = 0.1
+"""Wheels take longer to turn, and vehicles to follow them [s]."""
 _MOST: Final = 24
 """Most fields that are tried."""
 _MEASURED: Final = re.compile(
@@ -98,14 +100,14 @@ def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: Path) -> float:
 
 
 def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bool:
-    """Whether a field explains the yaw rate by itself, as a gyroscope does, and no less than times the speed.
+    """Whether a field explains the yaw rate of that moment alone, as a gyroscope does, no less than times the speed.
 
     Args:
         strength: its correlation times the speed.
     """
     one = np.ones((len(path.time), 1))
     fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
-    return fit is not None and fit.strength >= strength
+    return fit is not None and fit.strength >= strength and abs(float(fit.lags[fit.best()])) < _AT_ONCE
 
 
 def _pressed(channel: Channel) -> Channel | None:

@@ -99,7 +99,10 @@ def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
 
 
 def _pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
-    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log."""
+    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
+
+    Where none has both a position and a heading, as with a GNSS receiver beside an IMU, each comes from its own topic.
+    """
     best: dict[str, Guess] = {}
     best_score = (0, 0)
     channels_of = by_topic(guesses)
@@ -111,6 +114,9 @@ def _pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
         score = (sum(c in _POSE for c in moving), log.topics[topic].count)
         if "position" in moving and score > best_score:
             best, best_score = moving, score
+    best = best or _places_and_headings(log, channels_of)
+    if best and not _RATES & set(best):
+        best |= _from_imu(log, channels_of)
     entries: dict[str, Entry] = {}
     for channel in _POSE:
         if channel not in best:
@@ -126,6 +132,29 @@ def _pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
             lines += _degrees(values[:, 0])
         entries[channel] = Entry(guess, lines, comment)
     return entries
+
+
+_RATES: Final = {"angular_velocity", "yaw_rate"}
+
+
+def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
+    """A position and a heading of different topics, those with most samples; empty where one is missing."""
+    often = sorted(channels_of, key=lambda topic: -log.topics[topic].count)
+    of_kind = [
+        [g for topic in often for c, g in channels_of[topic].items() if c in kind and _varies(field_values(log, g))]
+        for kind in (("position",), ("orientation", "yaw"))
+    ]
+    return {guesses[0].channel: guesses[0] for guesses in of_kind} if all(of_kind) else {}
+
+
+def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
+    """The angular velocity of the IMU that reports most often, where the pose's topic has none."""
+    imus = [topic for topic in channels_of if "imu" in log.topics[topic].type.lower()]
+    for topic in sorted(imus, key=lambda topic: -log.topics[topic].count):
+        guess = channels_of[topic].get("angular_velocity")
+        if guess is not None and _varies(field_values(log, guess)):
+            return {"angular_velocity": guess}
+    return {}
 
 
 def _unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
@@ -160,6 +189,9 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     elif channel == "steer" and largest > 1.05:
         lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
         comment += f"; scaled by its largest value, {largest:.4g}"
+    elif channel == "steer" and low > 0 and 0.3 < np.median(values) < 0.7:
+        lines += ["scale = 2.0", "offset = -1.0"]
+        comment += "; 0..1 read as -1..1"
     elif channel == "engine_rpm" and high > 20 and not guess.unit:
         lines.append('unit = "rev/min"')
     elif channel == "yaw" and not guess.unit:

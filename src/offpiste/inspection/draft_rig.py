@@ -10,6 +10,7 @@ from textwrap import wrap
 from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
 from offpiste.inspection.controls_by_numbers import find_controls
+from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import Entry, Found, draft_channels
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
@@ -25,6 +26,7 @@ from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import Clock, undeclared
+from offpiste.rig.edits import edited
 from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig, parse_rig
 
@@ -98,12 +100,22 @@ def draft_rig(log: Log) -> str:
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
-    if found := find_controls(log, rig):
+    if found := find_controls(log, _with_heading(log, rig)):
         rig = parse_rig(_text(log, _Seen(found=found)), where="the drafted rig")
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     seen = _Seen(frame, wheelbase, estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), found)
     return text if seen == _Seen() else _text(log, seen)
+
+
+def _with_heading(log: Log, rig: Rig) -> Rig:
+    """A rig whose heading follows the course, where one of its readings does: a compass counts clockwise."""
+    try:
+        drive = drive_from_log(log, rig)
+        cures = [cure for finding in check_course(drive, driven_path(drive)) for cure in finding.cures[:1]]
+        return edited(rig, cures[0]) if cures else rig
+    except OffpisteError:
+        return rig
 
 
 def _text(log: Log, seen: _Seen) -> str:

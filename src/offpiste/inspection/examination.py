@@ -10,6 +10,7 @@ from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, Path, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
+from offpiste.inspection.pedals import check_control_channels
 from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.inspection.stamps import check_spans
@@ -77,7 +78,9 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
     posed = check_pose(drive, path, origin) + _check_heading(drive, path)
     findings += posed
-    if not is_fatal(tilted + posed):
+    if is_fatal(tilted + posed):
+        findings += check_control_channels(drive, path)
+    else:
         motion = motion_of(topics, drive, path)
         for check in MOTION_CHECKS:
             findings += check(motion)

@@ -10,12 +10,10 @@ import numpy as np
 from offpiste.channels import CONTROLS
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.channels import ChannelSource
+from offpiste.rig.channels import POSE, ChannelSource
 from offpiste.rig.edits import Edit, absent
 from offpiste.rig.rig import Rig
 
-_NEEDED: Final = ("position", "orientation", "yaw")
-"""Channels that no log is usable without: they are not declared absent."""
 _LISTED: Final = 12
 _COMMAND: Final = "joy|com+and|cmd|control"
 _NAMES: Final = {
@@ -76,7 +74,7 @@ def _cures(name: str, source: ChannelSource, recorded: dict[str, Recorded], rig:
         if fields:
             edits = (("topic", topic, source.topic), ("fields", fields, list(source.fields)))
             yield tuple(Edit(f"channels.{name}.{key}", new) for key, new, old in edits if new != old)
-    if name not in _NEEDED:
+    if name not in POSE:
         yield absent(name, rig)
 
 
@@ -95,7 +93,16 @@ def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         return []
     names = ", ".join(lacking)
     remedy = f"if one of them is it, give [channels.{lacking[0]}] its topic and fields, and take it out of `absent`"
-    return [Finding("note", names, "is not read", f"nothing reads {'; '.join(there)}", remedy, 0.3)]
+    return [
+        Finding(
+            "note",
+            names,
+            "is not read" if len(lacking) == 1 else "are not read",
+            f"nothing reads {'; '.join(there)}",
+            remedy,
+            0.3,
+        )
+    ]
 
 
 def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> Iterator[str]:

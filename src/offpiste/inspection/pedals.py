@@ -42,12 +42,24 @@ def check_controls(
         # Without a rig only names were guessed, and the topic may have another.
         findings.append(Finding("fatal" if given else "warning", "controls", what, evidence, remedy, 1.0))
     if not steers and not drives and not _others_work(drive, path):
-        present = [control.name for control in all_controls() if control.name in drive.channels]
-        what = "no control has any effect" if present else "there is no control channel"
-        evidence = f"checked: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
-        remedy = "add [channels.steer] and [channels.throttle] with the topics that hold them"
-        findings.append(Finding("fatal", "controls", what, evidence, remedy, 1.0))
+        findings.append(_no_controls(_present(drive), path))
     return findings
+
+
+def check_control_channels(drive: Drive, path: Path) -> list[Finding]:
+    """The finding that no control is read at all: it needs no motion, and a pose's cure must not seem to bring it."""
+    return [] if _present(drive) else [_no_controls([], path)]
+
+
+def _present(drive: Drive) -> list[str]:
+    return [control.name for control in all_controls() if control.name in drive.channels]
+
+
+def _no_controls(present: list[str], path: Path) -> Finding:
+    what = "no control has any effect" if present else "there is no control channel"
+    evidence = f"checked: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
+    remedy = "add [channels.steer] and [channels.throttle] with the topics that hold them"
+    return Finding("fatal", "controls", what, evidence, remedy, 1.0)
 
 
 def _others_work(drive: Drive, path: Path) -> bool:

@@ -84,10 +84,14 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
 
 
 def _size(cure: Cure, rig: Rig) -> int:
-    """Number of things that a cure says are wrong: entries, of which one kind for all channels of a topic is one."""
-    things = set()
+    """Number of things that a cure says are wrong: entries, of which one kind for all channels of a topic is one.
+
+    A scale and an offset of one channel are one thing, its unit.
+    """
+    things, keys = set(), {edit.key for edit in cure}
     for edit in cure:
         table, _, entry = edit.key.rpartition(".")
+        entry = "scale" if entry == "offset" and f"{table}.scale" in keys else entry
         channel = rig.channels.get(table.removeprefix("channels."))
         things.add((table if channel is None else channel.topic, entry))
     return len(things)

@@ -12,7 +12,7 @@ from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
-from offpiste.rig.channels import ChannelSource, Wrap, known_channels, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
@@ -77,7 +77,9 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields):
             where = f"{name} ({place(source.topic, field)})"
-            most = largest(name) / abs(source.scale * unit_factor(name, source.unit) or 1.0)
+            # Of geographic places, two are degrees and the height is not.
+            unit = "m" if source.unit == GEOGRAPHIC and i > 1 else source.unit
+            most = largest(name) / abs(source.scale * unit_factor(name, unit) or 1.0)
             beside = _usual(np.delete(converted, i, axis=1))
             signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most, beside))
     return signals
@@ -142,8 +144,11 @@ def _not_finite(signal: Signal) -> list[Finding]:
         return []
     share = float(bad.mean())
     how = "nothing where the rest is enough: those samples are dropped on reading"
+    name = signal.key.removeprefix("channels.")
     if share >= 0.5:
-        how = f'declare it absent: absent = ["{signal.key.removeprefix("channels.") or "..."}"]'
+        how = f'declare it absent: absent = ["{name or "..."}"]'
+        if name in POSE:
+            how = "take another field; where the rest comes often enough, nothing: those samples are dropped on reading"
     at = np.flatnonzero(bad)
     evidence = f"{len(at)} of {len(bad)} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
     severity: Severity = "warning" if signal.key else "note"

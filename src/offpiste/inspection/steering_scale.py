@@ -32,6 +32,9 @@ _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
 
 
+Cure = tuple[Edit, ...]
+
+
 def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, rig: Rig) -> list[Finding]:
     """Findings on the scale of `steer` and `steer_angle`: yaw rate over speed is tan(angle) / wheelbase without slip.
 
@@ -115,17 +118,18 @@ def _off(name: str, ratio: float, rig: Rig, *, alike: bool) -> Finding:
     else:
         evidence += f"{ratio:.3g} times the angle"
         edit = _angle_edit(ratio, rig)
-    own, wheelbase, unit = ("", edit), _other_wheelbase(rig, 1 / ratio), _other_unit(rig, ratio)
-    long = (f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ", wheelbase)
+    own, unit = ("", (edit,)), ("", _other_unit(rig, ratio))
+    long = (f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ", _other_wheelbase(rig, 1 / ratio))
     # A command and wheels that agree are hardly both wrong.
-    scale = _other_scale(rig, ratio) if alike and unit is None else None
-    ways = [own, long, ("", unit), ("", scale)]
-    # A range of steering that no vehicle has speaks for the places, or the wheels' own.
-    if name == "steer" and not _RANGES[0] < angle < _RANGES[1]:
-        ways = [("", unit), long, ("", scale), own]
+    places = ("", _other_scale(rig, ratio) if alike and unit[1] is None else None)
+    ways = [own, long, unit, places]
+    if name == "steer":
+        command = ("", _other_command(rig, ratio))
+        # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
+        ways = [*ways, command] if _RANGES[0] < angle < _RANGES[1] else [unit, long, places, command, own]
     likely = [(words, way) for words, way in ways if way is not None]
-    remedy = "; or ".join(f"{words}{way}" for words, way in likely)
-    cures = tuple((way,) for _, way in likely)
+    remedy = "; or ".join(f"{words}{', '.join(map(str, way))}" for words, way in likely)
+    cures = tuple(way for _, way in likely)
     what = "turns the vehicle more than the rig says" if ratio > 1 else "turns the vehicle less than the rig says"
     return Finding("warning", name, what, evidence, remedy, 0.6, cures)
 
@@ -160,27 +164,34 @@ def _extrapolated_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
     return factor / _USUAL_WITHOUT_SLIP
 
 
-def _other_wheelbase(rig: Rig, factor: float) -> Edit | None:
+def _other_wheelbase(rig: Rig, factor: float) -> Cure | None:
     """Wheel positions whose wheelbase is `factor` times as long; None where no vehicle has that shape."""
     vehicle = rig.vehicle
     if not _SHAPES[0] < factor * vehicle.wheelbase / max(vehicle.track, 1e-6) < _SHAPES[1]:
         return None
     places = [[rounded(x * factor), y] for x, y in vehicle.wheel_positions]
-    return Edit("vehicle.wheel_positions", places)
+    return (Edit("vehicle.wheel_positions", places),)
 
 
-def _other_unit(rig: Rig, ratio: float) -> Edit | None:
+def _other_unit(rig: Rig, ratio: float) -> Cure | None:
     """The unit of positions that explains a turning `ratio` times the rig's; None where none does."""
     for unit in ("ft", "cm"):
         if not rig.channels["position"].unit and abs(np.log(ratio / unit_factor("position", unit))) < 0.3:
-            return Edit("channels.position.unit", unit)
+            return (Edit("channels.position.unit", unit),)
     return None
 
 
-def _other_scale(rig: Rig, ratio: float) -> Edit | None:
+def _other_scale(rig: Rig, ratio: float) -> Cure | None:
     """Positions `ratio` times as far apart, in whatever unit; None for degrees of the globe."""
     source = rig.channels["position"]
-    return None if source.unit == GEOGRAPHIC else Edit("channels.position.scale", rounded(source.scale * ratio))
+    return None if source.unit == GEOGRAPHIC else (Edit("channels.position.scale", rounded(source.scale * ratio)),)
+
+
+def _other_command(rig: Rig, factor: float) -> Cure:
+    """Commands `factor` times as large, with the zero where it is."""
+    source = rig.channels["steer"]
+    edits = (Edit("channels.steer.scale", rounded(source.scale * factor)),)
+    return edits if not source.offset else (*edits, Edit("channels.steer.offset", rounded(source.offset * factor)))
 
 
 def _is_of_an_angle(rig: Rig) -> bool:

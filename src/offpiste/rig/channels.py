@@ -11,6 +11,8 @@ from offpiste.errors import RigError
 
 GEOGRAPHIC: Final = "lat lon"
 """Unit of positions in degrees of latitude and longitude, with the height in metres."""
+POSE: Final = ("position", "orientation", "yaw")
+"""Channels of the pose: no log is usable without a position and a heading, so they are not declared absent."""
 
 _UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, GEOGRAPHIC: 111_195.0},  # of the last: about, and northward
