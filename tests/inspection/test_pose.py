@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.dataset.resample import extract_rows
-from offpiste.errors import LogError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import Inspection, inspect_log
-from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
@@ -126,17 +123,6 @@ def test_a_jump_of_height_is_said_as_one() -> None:
 def test_a_position_that_jumps_goes_on_as_before() -> None:
     _, complaints = _inspected(CLEAN.change("odom", "x", lambda x: np.where(np.arange(len(x)) < 2400, x, x + 15)))
     assert "changes its velocity in an instant" not in [f.what for f in complaints]
-
-
-def test_places_that_come_too_seldom_to_differentiate_get_a_wider_window() -> None:
-    time, odom = CLEAN.data["odom"]
-    every = round(0.1 / float(np.median(np.diff(time))))
-    rarely = MemoryLog(CLEAN.data | {"odom": (time[::every], {name: values[::every] for name, values in odom.items()})})
-    (finding,) = (f for f in inspect_log(rarely, PLACE_ONLY).findings if f.severity == "fatal")
-    assert finding.what == "comes too seldom to differentiate"
-    assert extract_rows(drive_from_log(rarely, edited(PLACE_ONLY, finding.cures[0]))).valid.mean() > 0.9
-    with pytest.raises(LogError, match="of 'state"):
-        extract_rows(drive_from_log(rarely, PLACE_ONLY))
 
 
 def test_heights_of_geographic_places_are_metres() -> None:

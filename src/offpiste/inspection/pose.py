@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.pose_rate import check_repeats, check_seldom
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -129,26 +130,9 @@ def _plausible(path: Path, factor: float) -> bool:
 def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
     """Findings on positions; `origin` is where the log's time starts [s]."""
     place = drive.channels["position"]
-    seldom = _seldom(drive)
+    seldom = check_repeats(drive, path) + check_seldom(drive)
     noise = [] if seldom else _noise(drive, path)
     return check_faults(drive) + seldom + _jumps(place, path, origin) + _kicked(path, origin) + _level(place) + noise
-
-
-def _seldom(drive: Drive) -> list[Finding]:
-    """A finding if places or headings come too seldom for the span over which they are differentiated."""
-    velocity, channels = drive.rig.channels.get("linear_velocity"), drive.rig.channels
-    differentiated = [] if velocity is not None and velocity.frame != "unknown" else ["position"]
-    if not {"yaw_rate", "angular_velocity"} & set(channels):
-        differentiated.append("yaw" if "yaw" in channels else "orientation")
-    window = drive.rig.motion.window
-    steps = {name: float(np.median(np.diff(drive.channels[name].time))) for name in differentiated}
-    name = max(steps, key=lambda name: steps[name], default="")
-    # Four samples are fitted (`geometry.local_polynomial`), whatever the moment lies between.
-    if not name or window >= 3.9 * steps[name]:
-        return []
-    edit = Edit("motion.window", rounded(5 * steps[name]))
-    evidence = f"{1 / steps[name]:.3g} samples a second: fewer than four in the {window:g} s that rates are fitted over"
-    return [Finding("fatal", name, "comes too seldom to differentiate", evidence, str(edit), 1.0, ((edit,),))]
 
 
 def check_faults(drive: Drive) -> list[Finding]:

@@ -14,7 +14,7 @@ from offpiste.errors import LogError, RigError
 from offpiste.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.log import Log, Samples
-from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, Wrap, known_channels, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, REPEATED, ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.rig import Rig
 
 _FARTHEST: Final = 1.5e7
@@ -136,6 +136,9 @@ def _clean(
     time, values = time[~bad], values[~bad]
     if source.clip is not None:
         values = np.clip(values, *source.clip)
+    if source.repeats == "drop":
+        new = ~repeated(time, values)
+        time, values, numbers = time[new], values[new], numbers[new]
 
     forward = _increasing(time)
     if not forward.all():
@@ -157,6 +160,14 @@ def _clean(
             how="fix its entry in the rig, or declare it absent",
         )
     return Channel(name, unit, time, values), numbers, notes
+
+
+def repeated(time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"]) -> Bool[np.ndarray, " n"]:
+    """Samples equal to the one before, but for the first after every `REPEATED` of the same value."""
+    same = np.append(False, (values[1:] == values[:-1]).all(axis=1))
+    begin = np.maximum.accumulate(np.where(same, 0, np.arange(len(time))))
+    slot = np.floor((time - time[begin]) / REPEATED)
+    return np.asarray(same & (slot == np.append(0, slot[:-1])))
 
 
 def _first_run(bad: Bool[np.ndarray, " n"]) -> str:

@@ -11,6 +11,8 @@ from offpiste.errors import RigError
 
 GEOGRAPHIC: Final = "lat lon"
 """Unit of positions in degrees of latitude and longitude, with the height in metres."""
+REPEATED: Final = 0.25
+"""A value that stays is measured again after this time [s], as of a vehicle that stands (`ChannelSource.repeats`)."""
 POSE: Final = ("position", "orientation", "yaw")
 """Channels of the pose: no log is usable without a position and a heading, so they are not declared absent."""
 
@@ -86,6 +88,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         values: what recorded values stand for, of channels of one field; keys are numbers, true, false, or the single
             letter whose character code is recorded. The other entries apply to what they stand for.
         interpolation: between samples: a command holds, a measurement is interpolated.
+        repeats: "drop": samples equal to the one before are left out, but for one every `REPEATED`: tables hold the
+            last value of a slower sensor.
     """
 
     fields: tuple[str, ...]
@@ -101,6 +105,7 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clip: tuple[float, float] | None = None
     values: dict[str, float] = {}
     interpolation: Literal["linear", "hold"] = "linear"
+    repeats: Literal["keep", "drop"] = "keep"
 
     def meanings(self) -> dict[float, float]:
         """Recorded numbers and what they stand for (`values`).

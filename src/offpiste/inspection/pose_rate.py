@@ -1,0 +1,58 @@
+"""Checks of how often the pose is measured: rows that repeat a slower sensor's value, samples too far apart."""
+
+from typing import Final
+
+import numpy as np
+
+from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.findings import Finding
+from offpiste.logs.drive import Drive
+from offpiste.rig.channels import POSE
+from offpiste.rig.edits import Edit
+
+_ENOUGH: Final = 3.9
+"""Times between samples that `motion.window` must hold: four are fitted (`geometry.local_polynomial`)."""
+_HELD, _FEW = 0.6, 200
+"""Share of samples that repeat the one before from which a channel is held, of this many that move or more."""
+
+
+def check_repeats(drive: Drive, path: Path) -> list[Finding]:
+    """A finding if most places repeat the one before while the vehicle moves: rows hold a slower sensor's value."""
+    old = {name: share for name in (*POSE, "linear_velocity") if (share := _repeats(drive, path, name)) > _HELD}
+    if "position" not in old:
+        return []
+    place, window = drive.channels["position"], drive.rig.motion.window
+    between = float(np.median(np.diff(place.time))) / (1 - old["position"])
+    cure = tuple(Edit(f"channels.{name}.repeats", "drop") for name in old)
+    if window < _ENOUGH * between:
+        cure += (Edit("motion.window", round(5 * between, 2)),)
+    evidence = f"{old['position']:.0%} of the samples of a moving vehicle are equal to the one before: it is measured "
+    evidence += f"{1 / between:.3g} times a second, and recorded {1 / float(np.median(np.diff(place.time))):.3g} times"
+    how = ", ".join(map(str, cure))
+    return [Finding("warning", "position", "repeats its last value", evidence, how, 0.8, (cure,))]
+
+
+def _repeats(drive: Drive, path: Path, name: str) -> float:
+    """Share of a channel's samples that are equal to the one before while the vehicle moves."""
+    if name not in drive.channels:
+        return 0.0
+    channel = drive.channels[name]
+    moving = np.interp(channel.time[1:], path.time, np.nan_to_num(path.speed)) > max(MOVING, 0.3 * path.cruise)
+    same = (np.diff(channel.values, axis=0) == 0).all(axis=1)
+    return float(same[moving].mean()) if moving.sum() > _FEW else 0.0
+
+
+def check_seldom(drive: Drive) -> list[Finding]:
+    """A finding if places or headings come too seldom for the span over which they are differentiated."""
+    velocity, channels = drive.rig.channels.get("linear_velocity"), drive.rig.channels
+    differentiated = [] if velocity is not None and velocity.frame != "unknown" else ["position"]
+    if not {"yaw_rate", "angular_velocity"} & set(channels):
+        differentiated.append("yaw" if "yaw" in channels else "orientation")
+    window = drive.rig.motion.window
+    steps = {name: float(np.median(np.diff(drive.channels[name].time))) for name in differentiated}
+    name = max(steps, key=lambda name: steps[name], default="")
+    if not name or window >= _ENOUGH * steps[name]:
+        return []
+    edit = Edit("motion.window", round(5 * steps[name], 2))
+    evidence = f"{1 / steps[name]:.3g} samples a second: fewer than four in the {window:g} s that rates are fitted over"
+    return [Finding("fatal", name, "comes too seldom to differentiate", evidence, str(edit), 1.0, ((edit,),))]
