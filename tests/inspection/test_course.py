@@ -40,6 +40,16 @@ def test_a_turned_heading_is_turned_back(degrees: float) -> None:
     assert check_course(cured, driven_path(cured)) == []
 
 
+@pytest.mark.parametrize("degrees", [-90.0, 30.0, 60.0])
+def test_a_turned_heading_of_a_vehicle_that_reverses_at_times_is_turned_back(degrees: float) -> None:
+    time = CLEAN.data["odom"][0]
+    back = np.where(((time - time[0]) // 8) % 3 == 1, np.pi, 0.0)  # a third of the time
+    drive = drive_from_log(_turned(back + np.radians(degrees)), rig())
+    (finding,) = check_course(drive, driven_path(drive))
+    ((edit,),) = finding.cures
+    assert edit.value == pytest.approx(-np.radians(degrees), abs=0.05)
+
+
 def test_a_drift_in_the_curves_is_no_fault() -> None:
     path = driven_path(drive_from_log(CLEAN, rig()))
     rate = np.interp(CLEAN.data["odom"][0], path.time, np.nan_to_num(path.yaw_rate))

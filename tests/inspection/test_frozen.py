@@ -77,3 +77,19 @@ def test_headings_that_hang_again_and_again_are_found(seconds: float) -> None:
     (finding,) = (f for f in _frozen(log) if f.where == "orientation")
     assert " times, " in finding.evidence
     assert f"the longest for {seconds:.1f} s" in finding.evidence
+
+
+def test_a_steering_that_rests_at_zero_while_the_vehicle_turns_hangs() -> None:
+    _, odom = CLEAN.data["odom"]
+    time, _ = CLEAN.data["steering"]
+    turning = np.abs(np.interp(time, CLEAN.data["odom"][0], odom["wz"]))
+    count = round(8.0 / float(np.median(np.diff(time))))
+    sums = np.convolve(turning**2, np.ones(count), "valid")
+    for first, found in ((int(sums.argmax()), 1), (int(sums.argmin()), 0)):
+
+        def rested(values: np.ndarray, first: int = first) -> np.ndarray:
+            return np.concatenate((values[:first], np.zeros(count), values[first + count :]))
+
+        log = CLEAN.change("steering", "command", rested)
+        drive = drive_from_log(log, rig())
+        assert [f.where for f in check_frozen(drive, driven_path(drive))] == ["steer"] * found

@@ -239,12 +239,18 @@ def _together(difference: Float[np.ndarray, " n"]) -> float:
 
 
 def _offset(difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"]) -> tuple[float, float]:
-    """Mean angle of some rows, and its standard deviation by a jackknife over blocks of 5 s [rad]."""
+    """Mean angle of some rows, and its standard deviation by a jackknife over blocks of 5 s [rad].
+
+    Angles are averaged modulo pi, as a vehicle that reverses at times goes where its tail points; most rows say which.
+    """
     at = np.flatnonzero(rows & np.isfinite(difference))
     if not len(at):
         return 0.0, np.inf
-    turns = np.exp(1j * difference[at])
-    blocks = [turns[at // round(5 / STEP) == block].sum() for block in np.unique(at // round(5 / STEP))]
+    twice = np.exp(2j * difference[at])
+    blocks = [twice[at // round(5 / STEP) == block].sum() for block in np.unique(at // round(5 / STEP))]
     total = np.sum(blocks)
-    left_out = np.angle((total - np.array(blocks)) / total) if len(blocks) > 1 else np.zeros(1)
-    return float(np.angle(total)), jackknife(left_out)
+    left_out = np.angle((total - np.array(blocks)) / total) / 2 if len(blocks) > 1 else np.zeros(1)
+    mean = float(np.angle(total)) / 2
+    if np.cos(difference[at] - mean).sum() < 0:
+        mean += np.pi if mean <= 0 else -np.pi
+    return mean, jackknife(left_out)

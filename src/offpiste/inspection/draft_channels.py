@@ -1,17 +1,17 @@
 """Channels of a first rig: which guesses it takes, with units, scales and signs by names and numbers."""
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
-from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels
+from offpiste.inspection.channel_guesses import Guess, guess_channels
 from offpiste.inspection.draft_gear import gear_values
+from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
 from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, seen_range, whole_range
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import unwrapped
@@ -20,7 +20,6 @@ from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit
 
-_POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 _COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
 _WIDEST: Final = 1.05
@@ -35,22 +34,6 @@ Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
 """Guesses of channels of one number, and their values."""
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A channel of a first rig.
-
-    Attributes:
-        lines: TOML besides topic and fields.
-        comment: why it was chosen.
-        max_angle: of road wheels at a steering command of 1 [rad], where this channel says so; else 0.
-    """
-
-    guess: Guess
-    lines: tuple[str, ...]
-    comment: str
-    max_angle: float = 0.0
-
-
 def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
@@ -59,7 +42,7 @@ def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) ->
         found: controls that no name shows.
     """
     guesses = guess_channels(log)
-    entries = _pose(log, guesses, frame)
+    entries = draft_pose(log, guesses, frame)
     pose_topic = entries["position"].guess.topic if "position" in entries else ""
     scalars: Scalars = {}
     for guess in guesses:
@@ -88,86 +71,6 @@ def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) ->
     return entries
 
 
-def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
-    """Finite rows of a guess's fields, None where they cannot be read."""
-    try:
-        values = log.read(guess.topic, guess.fields).values
-    except OffpisteError:
-        return None
-    values = values[np.isfinite(values).all(axis=1)]
-    return values if len(values) > 1 else None
-
-
-def _pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
-    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
-
-    Where none has both a position and a heading, as with a GNSS receiver beside an IMU, each comes from its own topic.
-    """
-    best: dict[str, Guess] = {}
-    best_score = (0, 0)
-    channels_of = by_topic(guesses)
-    for topic in (name for name in log.topics if name in channels_of):
-        channels = channels_of[topic]
-        if "position" not in channels or not {"orientation", "yaw"} & set(channels):
-            continue
-        moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(field_values(log, g))}
-        score = (sum(c in _POSE for c in moving), log.topics[topic].count)
-        if "position" in moving and score > best_score:
-            best, best_score = moving, score
-    best = best or _places_and_headings(log, channels_of)
-    if best and not _RATES & set(best):
-        best |= _from_imu(log, channels_of)
-    entries: dict[str, Entry] = {}
-    for channel in _POSE:
-        if channel not in best:
-            continue
-        guess = best[channel]
-        lines, comment = _unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"
-        if channel == "linear_velocity":
-            lines += (f'frame = "{frame}"',)
-            comment += "" if frame == "unknown" else "; frame by the pose"
-        elif channel == "angular_velocity":
-            lines, comment = (*lines, 'frame = "body"'), comment + "; frame as in REP 103"
-        elif channel == "yaw" and not guess.unit and (values := field_values(log, guess)) is not None:
-            lines += _degrees(values[:, 0])
-        entries[channel] = Entry(guess, lines, comment)
-    return entries
-
-
-_RATES: Final = {"angular_velocity", "yaw_rate"}
-
-
-def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """A position and a heading of different topics, those with most samples; empty where one is missing."""
-    often = sorted(channels_of, key=lambda topic: -log.topics[topic].count)
-    of_kind = [
-        [g for topic in often for c, g in channels_of[topic].items() if c in kind and _varies(field_values(log, g))]
-        for kind in (("position",), ("orientation", "yaw"))
-    ]
-    return {guesses[0].channel: guesses[0] for guesses in of_kind} if all(of_kind) else {}
-
-
-def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """The angular velocity of the IMU that reports most often, where the pose's topic has none."""
-    imus = [topic for topic in channels_of if "imu" in log.topics[topic].type.lower()]
-    for topic in sorted(imus, key=lambda topic: -log.topics[topic].count):
-        guess = channels_of[topic].get("angular_velocity")
-        if guess is not None and _varies(field_values(log, guess)):
-            return {"angular_velocity": guess}
-    return {}
-
-
-def _unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
-    """The unit that the log states, where it is one of the channel's and not offpiste's own."""
-    unit = channel_unit(channel, guess.unit)
-    return (f'unit = "{unit}"',) if unit else ()
-
-
-def _degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-    """The unit of an angle that no radians would be."""
-    return ('unit = "deg"',) if np.ptp(values) > 20 and np.abs(values).max() <= 361 else ()
-
-
 def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entry:
     """Scale and wrap from the numbers: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
     lines: list[str] = []
@@ -178,7 +81,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
         values = unwrapped(values, wrap)
     low, high = np.percentile(values, (0.5, 99.5))
     largest = max(-low, high)
-    stated = _unit_line(channel, guess)
+    stated = unit_line(channel, guess)
     if stated and (channel not in ("throttle", "brake", "steer") or largest > 1.05):
         lines += stated
         comment += " and unit"
@@ -195,7 +98,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     elif channel == "engine_rpm" and high > 20 and not guess.unit:
         lines.append('unit = "rev/min"')
     elif channel == "yaw" and not guess.unit:
-        lines += _degrees(values)
+        lines += degrees(values)
     elif channel == "gear":
         lines += gear_values(guess, values)
         comment += "; `values` may have to say what is recorded" if lines else "; of its numbers the sign counts"
@@ -226,7 +129,7 @@ def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
         return {}
     low, high = held_range(values)
     largest = max(-low, high)
-    scaled = _unit_line("throttle", guess) if largest > 1.05 else ()
+    scaled = unit_line("throttle", guess) if largest > 1.05 else ()
     if not scaled and largest > 1.05:
         full = full_scale(largest)
         scaled = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / (full or largest))}",)
@@ -309,7 +212,3 @@ def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
     else:
         factors = [1.0, unit_factor("steer_angle", "deg")]
     return next((factor for factor in factors if 0 < _largest(values) * factor <= _WIDEST), 0.0)
-
-
-def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
-    return values is not None and bool(np.ptp(values, axis=0).max() > 0)

@@ -11,7 +11,8 @@ from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
 from offpiste.inspection.controls_by_numbers import find_controls
 from offpiste.inspection.course import check_course
-from offpiste.inspection.draft_channels import Entry, Found, draft_channels
+from offpiste.inspection.draft_channels import Found, draft_channels
+from offpiste.inspection.draft_pose import Entry
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,

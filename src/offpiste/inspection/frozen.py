@@ -12,6 +12,9 @@ from offpiste.logs.drive import Drive
 
 _HEADINGS: Final = ("orientation", "yaw")
 """Nobody drives so that a measured heading stays the same, unlike a control; a position that does is no motion."""
+_STEERINGS: Final = ("steer", "steer_angle")
+_TURNED: Final = 0.7
+"""RMS of the yaw rate during a run over that of the whole drive, from which the vehicle turns."""
 _CONTROLS: Final = ("steer", "throttle", "brake")
 """A driver holds them for some seconds now and then."""
 _LEAST, _LEAST_OF_HEADINGS, _LEAST_OF_CONTROLS = 3.0, 0.4, 4.7
@@ -57,7 +60,7 @@ def _frozen(
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
-    moves = ~_rests(channel)[first] & (_moving(path, begin) | _moving(path, end))
+    moves = (~_rests(channel)[first] | _turns(channel, path, begin, end)) & (_moving(path, begin) | _moving(path, end))
     if moves.sum() < 50:
         return np.zeros(0), np.zeros(0)
     # Who stops with the wheel turned holds it at the standstill, too.
@@ -74,6 +77,17 @@ def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
         return np.zeros(len(channel.values), bool)
     values = channel.values[:, 0]
     return np.asarray((values == 0) | (values == values.min()) | (values == values.max()))
+
+
+def _turns(
+    channel: Channel, path: Path, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]
+) -> Bool[np.ndarray, " r"]:
+    """Runs of a steering in which the vehicle turns as at other times: no driver does that with a wheel that rests."""
+    if channel.name not in _STEERINGS:
+        return np.zeros(len(begin), bool)
+    square = np.cumsum(np.nan_to_num(path.yaw_rate) ** 2)
+    within, time = np.interp(end, path.time, square) - np.interp(begin, path.time, square), (end - begin) / STEP
+    return np.asarray(within > _TURNED**2 * square[-1] / len(square) * np.maximum(time, 1.0))
 
 
 def _moving(path: Path, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:

@@ -139,14 +139,16 @@ def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding
     """
     largest = float(np.percentile(np.abs(drive.channels[name].values), 99.9))
     gain, sigma = abs(float(fit.gain[right])), fit.gain_sigma(right)
-    if not 0 < largest < _HARDLY or fit.strength < _CLEAR or gain - SURE * sigma < _STRONGEST:
+    if not 0 < largest < _HARDLY or fit.strength < _CLEAR:
         return []
-    source = drive.rig.channels[name]
+    source, sure = drive.rig.channels[name], SURE
     factor = next(f for f in (10.0, 100.0, 1000.0, 1 / largest) if _HARDLY < f * largest <= 1.1)
     edit = Edit(f"channels.{name}.scale", rounded(factor * source.scale))
     for unit in ("1", "percent"):
         if source.unit and np.isclose(unit_factor(name, unit), factor * unit_factor(name, source.unit)):
-            edit = Edit(f"channels.{name}.unit", unit)
+            edit, sure = Edit(f"channels.{name}.unit", unit), 1.0  # which explains it without any chance
+    if gain - sure * sigma < _STRONGEST:
+        return []
     evidence = f"it never exceeds {largest:.3g}, and full {name} would mean {gain:.0f} ± {sigma:.0f} m/s2"
     return [Finding("warning", name, "is too small for what it does", evidence, str(edit), 1.0, ((edit,),))]
 
