@@ -15,7 +15,7 @@ import numpy as np
 from offpiste.errors import OffpisteError
 from offpiste.inspection.course import against_names
 from offpiste.inspection.findings import Finding, ranked
-from offpiste.rig.channels import unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig
 
@@ -112,7 +112,10 @@ def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
     places = {finding.where.split(" ")[0] for finding in findings}
     fields = rig.channels["position"].fields
     if "position" in places:
-        yield from ((Edit("channels.position.fields", list(other)),) for other in list(permutations(fields))[1:])
+        others = list(permutations(fields))[1:]
+        if rig.channels["position"].unit == GEOGRAPHIC:  # a height is no degree
+            others = [(fields[1], fields[0], *fields[2:])]
+        yield from ((Edit("channels.position.fields", list(other)),) for other in others)
     elif places & _TURNED:
         yield (Edit("channels.position.fields", [fields[1], fields[0], *fields[2:]]),)
         yield from _compass(rig)
