@@ -242,7 +242,9 @@ def test_a_dataset_says_that_its_snapshots_are_damaged(tmp_path):
         store.open_dataset(path)
 
 
-@pytest.mark.parametrize("settings", [{"seconds": 0.0}, {"seconds": -1.0}, {"min_speed": -1.0}, {"min_speed": np.nan}])
+@pytest.mark.parametrize(
+    "settings", [{"seconds": np.nan}, {"seconds": -1.0}, {"min_speed": -1.0}, {"min_speed": np.nan}]
+)
 def test_impossible_settings_are_refused(settings: dict[str, float]) -> None:
     with pytest.raises(DatasetError, match="give a"):
         SnapshotSettings(**settings)

@@ -42,7 +42,7 @@ class SnapshotSettings:
         min_speed: windows that start above it get one [m/s], 0: standstills as well; None: as the dataset's windows.
 
     Raises:
-        DatasetError: the latency is no time from 0 to 1 s, `seconds` none above 0, or the speed none of 0 or more.
+        DatasetError: the latency is no time from 0 to 1 s, or `seconds` or the speed none of 0 or more.
     """
 
     seconds: float = 0.5
@@ -55,8 +55,8 @@ class SnapshotSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1:
             raise DatasetError(f"a latency of {self.latency:g} s", how="give a time from 0 to 1")
-        if not 0 < self.seconds < np.inf:
-            raise DatasetError(f"a snapshot every {self.seconds:g} s", how="give a time above 0")
+        if not 0 <= self.seconds < np.inf:
+            raise DatasetError(f"a snapshot every {self.seconds:g} s", how="give a time of 0 or more")
         if self.min_speed is not None and not 0 <= self.min_speed < np.inf:
             raise DatasetError(f"snapshots above {self.min_speed:g} m/s", how="give a speed of 0 or more")
 

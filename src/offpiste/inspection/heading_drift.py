@@ -52,9 +52,11 @@ def check_fast_drift(drive: Drive, path: Path) -> list[Finding]:
     rate, together = _even_turning(away, time)
     # Of a vehicle that goes in circles, the course turns evenly: then so it does against a heading that rests.
     turning, circles = _even_turning(away + path.yaw[rows], time)
-    if together < _EVENLY or (circles >= _EVENLY and abs(turning / rate - 1) < 0.2):
-        return []
     lasts = float(np.ptp(time))
+    if together < _EVENLY or abs(rate) * lasts < _DRIFT:
+        return []
+    if circles >= _EVENLY and abs(turning - rate) < 0.2 * abs(rate):
+        return []
     return [_drifts(drive, f"{np.degrees(-rate) * lasts:.0f}", lasts)]
 
 
