@@ -20,10 +20,9 @@ import numpy as np
 from experiments.command import run
 from experiments.illnesses import channel_illnesses, results  # noqa: F401  declared there: what is cut off
 from experiments.illnesses.drives import drive_of
-from experiments.illnesses.effect import FEW, MANY, TRAINED, Readable, rows_of
+from experiments.illnesses.effect import FEW, MANY, error_after, rows_of
 from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.logger import recorded
-from experiments.illnesses.quick_model import error_of, fit, windows_of
 from experiments.illnesses.recording import Case
 from experiments.illnesses.score import COSTLY
 from experiments.illnesses.table import share
@@ -154,21 +153,10 @@ def _changes(case: Case) -> dict[int, list[float]]:
         return {}
     changes: dict[int, list[float]] = {}
     for windows in (FEW, MANY):
-        first, *others = (_error(readable, later, windows) for later in (0.0, *_LATER))
+        begins = readable.rows.time[0] + np.array((0.0, *_LATER))
+        first, *others = (error_after(readable, readable, windows, begin=float(begin)) for begin in begins)
         changes[windows] = [other / first - 1 for other in others if np.isfinite(other) and np.isfinite(first)]
     return changes
-
-
-def _error(readable: Readable, later: float, windows: int) -> float:
-    """Error after 5 s of a model fitted to the first part of a log, from some moment on, on its last part."""
-    rows, vehicle = readable.rows, readable.vehicle
-    start, end = rows.time[[0, -1]]
-    split = start + TRAINED * (end - start)
-    trained = windows_of(rows, vehicle, first=start + later, last=split, most=windows)
-    evaluated = windows_of(rows, vehicle, first=split, last=np.inf, most=windows)
-    if trained is None or evaluated is None:
-        return np.inf
-    return error_of(fit(trained, vehicle.wheelbase), evaluated, vehicle.wheelbase)
 
 
 def _together(parts: Sequence[Mapping[str, Sequence[T]]]) -> dict[str, list[T]]:

@@ -22,7 +22,7 @@ _NOISE: Final = 0.03
 """Distance that is within the noise of the sensors."""
 _LEFT: Final = 0.25
 """A cure is right if it leaves at most this share of the distance."""
-TRAINED: Final = 0.7
+_TRAINED: Final = 0.7
 """Share of a log that the quick model is fitted to; it is evaluated on the rest."""
 FEW, MANY = 60, 300
 """Windows of the quick and of the exact measure: others of the same healthy log change the error by 2 % in the middle
@@ -145,20 +145,27 @@ class Costs:
         """The same for rows that are read already."""
         if not np.isfinite(self.healthy):
             return None
-        return min(_error(readable, self.evaluated, self.windows) / self.healthy - 1, UNREADABLE)
+        return min(error_after(readable, self.evaluated, self.windows) / self.healthy - 1, UNREADABLE)
 
 
 def costs_against(healthy: Readable, evaluated: Readable | None = None, *, windows: int = FEW) -> Costs:
     """Costs of cases against their healthy log, evaluated there or on another one."""
-    return Costs(evaluated or healthy, _error(healthy, healthy, windows), windows)
+    return Costs(evaluated or healthy, error_after(healthy, healthy, windows), windows)
 
 
-def _error(trained: Readable | None, evaluated: Readable, windows: int) -> float:
+def error_after(trained: Readable | None, evaluated: Readable, windows: int, *, begin: float = -np.inf) -> float:
+    """Error after 5 s of a quick model on the last part of a log [m]; infinite where there are too few windows.
+
+    Args:
+        trained: what it is fitted to, up to that part's beginning.
+        windows: that it is fitted to, and evaluated on, at the most.
+        begin: time from which on it is fitted [s].
+    """
     start, end = evaluated.rows.time[[0, -1]]
-    split = start + TRAINED * (end - start)
+    split = start + _TRAINED * (end - start)
     if trained is None:
         return np.inf
-    first = windows_of(trained.rows, trained.vehicle, first=-np.inf, last=split, most=windows)
+    first = windows_of(trained.rows, trained.vehicle, first=begin, last=split, most=windows)
     last = windows_of(evaluated.rows, evaluated.vehicle, first=split, last=np.inf, most=windows)
     if first is None or last is None:
         return np.inf

@@ -12,7 +12,16 @@ from scipy.stats import ks_2samp
 from factories import circle_rows, small_rig
 from offpiste.dataset.extract import described
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.split_balance import apart, better_split, complaints, fitting_split, part_facts, split_warning
+from offpiste.dataset.split_balance import (
+    LEAST_WINDOWS,
+    apart,
+    better_split,
+    complaints,
+    fitting_split,
+    next_split,
+    part_facts,
+    split_warning,
+)
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 
@@ -105,3 +114,11 @@ def test_the_distance_is_that_of_kolmogorov_and_smirnov(seed: int) -> None:
     one, other = (np.sort(rng.normal(rng.uniform(0, 2), 1, int(rng.integers(1, 50))).round(1)) for _ in range(2))
     assert apart(one, other) == pytest.approx(ks_2samp(one, other).statistic)
     assert apart(one, np.zeros(0)) == 1.0
+
+
+def test_a_short_drive_is_extracted_again_with_parts_that_have_enough_windows() -> None:
+    short = dataset(at_speed(wandering(3000)))
+    split = next_split(short)
+    assert split is not None
+    assert all(part.windows >= LEAST_WINDOWS for part in part_facts(short.relabelled(split)))
+    assert next_split(dataset(at_speed(wandering(20000)))) is None

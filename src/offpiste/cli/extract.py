@@ -83,25 +83,13 @@ class Extract:
             force=self.force,
         )
         if not self.shard:
-            show(f"next: {join(self._next(next_split(dataset)))}")
+            show(f"next: {self._next(next_split(dataset))}")
         return 0
 
-    def _next(self, split: "Split | None") -> list[str]:
-        """The next command: a training, or where a part has no window, an extraction with another split."""
-        if split is None:
-            model = "dc" if self.pca else "b"
-            return ["offpiste", "train", str(self.out), "--model", model, "--out", f"runs/{model}"]
-        again = self.out.with_name(f"{self.out.stem}-2{self.out.suffix}")
-        visual = ["--pca", str(self.pca)] if self.pca else []
-        return [
-            "offpiste",
-            "extract",
-            *self.logs,
-            "--rig",
-            self.rig,
-            *visual,
-            "--split",
-            split.text,
-            "--out",
-            str(again),
-        ]
+    def _next(self, split: "Split | None") -> str:
+        """The next command: a training, or where a part has no window, the same extraction with another split."""
+        if split is not None:
+            other = self.out.with_name(f"{self.out.stem}-2{self.out.suffix}")
+            return f"the same command with {join(['--split', split.text, '--out', str(other)])}"
+        model = "dc" if self.pca else "b"
+        return join(["offpiste", "train", str(self.out), "--model", model, "--out", f"runs/{model}"])

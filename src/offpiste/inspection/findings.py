@@ -7,6 +7,8 @@ from typing import Literal
 from offpiste.rig.edits import Edit
 
 Severity = Literal["fatal", "warning", "note"]
+Cure = tuple[Edit, ...]
+"""Rig edits that are made together."""
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}
 
 
@@ -32,7 +34,7 @@ class Finding:
     evidence: str
     remedy: str
     score: float = 0.0
-    cures: tuple[tuple[Edit, ...], ...] = ()
+    cures: tuple[Cure, ...] = ()
     sure: bool = True
     also: tuple[str, ...] = ()
 

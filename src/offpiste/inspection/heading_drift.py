@@ -16,12 +16,12 @@ _DRIFT: Final = np.radians(6.0)
 """Change over the whole drive that is reported [rad]."""
 _BLOCKS: Final = 6
 """Stretches of 5 s with straight driving that a drift is seen in, at least."""
+_MANY_BLOCKS: Final = 8
+"""The same where its rate is searched: among many, angles of few stretches agree by chance with one."""
 _FASTEST: Final = np.radians(10.0)
 """Largest drift that is looked for where the heading does not follow the course [rad/s]."""
 _EVENLY: Final = 0.9
 """Resultant of angles, less an even turning, above which they turn evenly."""
-_MANY_BLOCKS: Final = 8
-"""The same where it is looked for: among many rates, angles of few stretches agree by chance with one."""
 _NOISY: Final = 0.02
 """Scatter of single headings that is reported [rad]: ten times that of compasses, GNSS/INS and SLAM."""
 

@@ -93,16 +93,8 @@ def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         return []
     names = ", ".join(lacking)
     remedy = f"if one of them is it, give [channels.{lacking[0]}] its topic and fields, and take it out of `absent`"
-    return [
-        Finding(
-            "note",
-            names,
-            "is not read" if len(lacking) == 1 else "are not read",
-            f"nothing reads {'; '.join(there)}",
-            remedy,
-            0.3,
-        )
-    ]
+    what = "is not read" if len(lacking) == 1 else "are not read"
+    return [Finding("note", names, what, f"nothing reads {'; '.join(there)}", remedy, 0.3)]
 
 
 def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> Iterator[str]:

@@ -14,14 +14,13 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.course import against_names
-from offpiste.inspection.findings import Finding, ranked
+from offpiste.inspection.findings import Cure, Finding, ranked
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig
 
 Examine = Callable[[Rig], tuple[Finding, ...]]
 """Findings of a log as a rig reads it."""
-Cure = tuple[Edit, ...]
 
 _WEIGHTS: Final = {"fatal": 100.0, "warning": 1.0, "note": 0.05}
 _PER_EDIT: Final = 0.1

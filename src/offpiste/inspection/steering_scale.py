@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.steering_agreement import Agreement
 from offpiste.inspection.steering_fit import SteeringFit, curvature_per_unit
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
@@ -30,9 +30,6 @@ _RANGES: Final = (0.25, 0.9)
 """Largest steering angles that vehicles have [rad]."""
 _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
-
-
-Cure = tuple[Edit, ...]
 
 
 def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, rig: Rig) -> list[Finding]:
