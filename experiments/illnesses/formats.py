@@ -104,13 +104,13 @@ def _ros_fields(stream: Stream) -> dict[str, str]:
 
 
 def _write_ros(streams: Mapping[str, Stream], path: Path) -> None:
-    """Messages in the order of their arrival."""
+    """Messages arrive one after the other, in the order of the rows whatever their stamps."""
     first = path.suffix == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC) if first else message_types()
     messages = [
         (int(1e9 * at), topic, number)
         for topic, stream in streams.items()
-        for number, at in enumerate(stream.time if stream.arrival is None else stream.arrival)
+        for number, at in enumerate(np.sort(stream.time if stream.arrival is None else stream.arrival))
     ]
     makers = {topic: _maker(store, stream, sequence=first) for topic, stream in streams.items()}
     if not first:

@@ -97,9 +97,10 @@ def _bus_drifts(case: Case, strength: float, random: np.random.Generator) -> Cas
     return case
 
 
-def _rows(name: str, strengths: tuple[float, ...], unit: str, channel: str) -> Callable[..., Change]:
+def _rows(name: str, strengths: tuple[float, ...], unit: str, channel: str, *needs: str) -> Callable[..., Change]:
     """An illness of the rows of the topic that `channel` comes from."""
-    return illness(f"{channel}: {name}", "stamps", strengths, unit, (channel,), consequences=("stamps",))
+    wanted = (channel, *needs)
+    return illness(f"{channel}: {name}", "stamps", strengths, unit, (channel,), consequences=("stamps",), needs=wanted)
 
 
 for _channel in ("position", "steer"):
@@ -157,7 +158,7 @@ for _channel in ("position", "steer"):
     def _losses(case: Case, strength: float, random: np.random.Generator, channel: str = _channel) -> Case:
         return case.with_rows(case.source(channel).topic, lambda count: random.random(count) > strength)
 
-    @_rows("truncated", (0.1, 0.3, 0.6), "of the log", _channel)
+    @_rows("truncated", (0.1, 0.3, 0.6), "of the log", _channel, "topics")  # a table that ends is a shorter log
     def _truncated(case: Case, strength: float, random: np.random.Generator, channel: str = _channel) -> Case:
         return case.with_rows(case.source(channel).topic, lambda count: np.arange(count) < (1 - strength) * count)
 

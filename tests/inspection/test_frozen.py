@@ -93,3 +93,16 @@ def test_a_steering_that_rests_at_zero_while_the_vehicle_turns_hangs() -> None:
         log = CLEAN.change("steering", "command", rested)
         drive = drive_from_log(log, rig())
         assert [f.where for f in check_frozen(drive, driven_path(drive))] == ["steer"] * found
+
+
+def test_a_steering_that_is_held_while_the_vehicle_drives_straight_may_be_the_drivers() -> None:
+    time, _ = CLEAN.data["steering"]
+    count = round(6.0 / float(np.median(np.diff(time))))
+    first = len(time) // 2
+    log = CLEAN.change("steering", "command", lambda values: _held(values, first, count))
+    drive = drive_from_log(log, rig())
+    path = driven_path(drive)
+    assert [finding.where for finding in check_frozen(drive, path)] == ["steer"]
+    inside = (path.time > time[first]) & (path.time < time[first + count])
+    straight = replace(path, yaw_rate=np.where(inside, 0.1, path.yaw_rate))
+    assert check_frozen(drive, straight) == []

@@ -46,6 +46,40 @@ def test_two_causes_are_cured_one_after_the_other() -> None:
     assert {cause.cures for cause in causes} == {((SIGN,),), ((UNIT,),)}
 
 
+def test_a_cause_that_hides_another_as_bad_is_cured_first() -> None:
+    start = rig()
+
+    def examine(now: Rig) -> tuple[Finding, ...]:
+        if now.channels["steer"].sign == 1:
+            return (_warning("steer", (UNIT,), (SIGN,)),)
+        hidden = now.channels["throttle"].unit != "percent"
+        return (_warning("throttle", (UNIT,)),) if hidden else ()
+
+    causes = explain(examine(start), start, examine)
+    assert [(cause.where, cause.cures) for cause in causes] == [("steer", ((SIGN,),)), ("throttle", ((UNIT,),))]
+
+
+def test_a_cure_that_only_moves_what_is_wrong_is_not_advised() -> None:
+    start = rig()
+
+    def examine(now: Rig) -> tuple[Finding, ...]:
+        return (_warning("steer", (SIGN,)),) if now.channels["steer"].sign == 1 else (_warning("yaw_rate", (UNIT,)),)
+
+    (left,) = explain(examine(start), start, examine)
+    assert (left.where, left.cures) == ("steer", ())
+
+
+def test_a_rig_is_examined_once() -> None:
+    start, seen = rig(), []
+
+    def examine(now: Rig) -> tuple[Finding, ...]:
+        seen.append(now)
+        return (_warning("steer", (SIGN,)), _warning("brake", (SIGN,), (UNIT,)))
+
+    explain(examine(start), start, examine)
+    assert len(seen[1:]) == 3  # as it is, and with each cure
+
+
 def test_a_cure_that_does_not_help_or_is_impossible_is_not_advised() -> None:
     start = rig()
     nothing = Edit("channels.steer.delay", 0.5)

@@ -88,6 +88,16 @@ def test_places_of_no_unit_are_scaled_where_command_and_wheels_agree() -> None:
     assert edit.value == pytest.approx(0.5, rel=0.1)
 
 
+def test_a_range_of_steering_and_places_that_are_both_wrong_are_both_cured() -> None:
+    log = drive_log(seed=0)
+    for axis in "xyz":
+        log = log.change("odom", axis, lambda values: 3.28084 * values)
+    wrong = rig((f"max_steer = {MAX_STEER}", f"max_steer = {2 * MAX_STEER}"))
+    found = inspect_log(log, edited(wrong, [Edit("channels.linear_velocity", None)])).findings
+    cures = {edit.key: edit.value for f in found if f.severity != "note" for edit in f.cures[0]}
+    assert cures == {"channels.position.unit": "ft", "vehicle.max_steer": pytest.approx(MAX_STEER, rel=0.05)}
+
+
 def test_a_command_of_another_unit_is_likelier_than_wheels_that_turn_further_than_any() -> None:
     """A servo from 0 to 1, 0.53 straight ahead, whose rig has no scale yet."""
     servo = drive_log(seed=0).change("steering", "command", lambda values: 0.53 + 0.2 * values)

@@ -17,6 +17,7 @@ from offpiste.inspection.gear import check_gear
 from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.late_poses import check_late_poses
+from offpiste.inspection.lost_throttle import check_lost_throttle
 from offpiste.inspection.missing import check_missing, check_unread
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.range_ends import check_range_ends
@@ -212,6 +213,11 @@ def _pedals(motion: Motion) -> list[Finding]:
     return check_pedals(motion.pedals, motion.drive, motion.path)
 
 
+def _lost_throttle(motion: Motion) -> list[Finding]:
+    fit = motion.pedals.get("throttle")
+    return check_lost_throttle(fit, motion.drive, motion.path) if fit is not None else []
+
+
 def _controls(motion: Motion) -> list[Finding]:
     fits = motion.steering, motion.pedals
     return check_controls(*fits, motion.drive, motion.path, given=motion.topics.given)
@@ -236,6 +242,7 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _cut_off,
     _steering_copies,
     _pedals,
+    _lost_throttle,
     _controls,
     _gear,
 )

@@ -13,8 +13,9 @@ from offpiste.logs.drive import Drive
 _HEADINGS: Final = ("orientation", "yaw")
 """Nobody drives so that a measured heading stays the same, unlike a control; a position that does is no motion."""
 _STEERINGS: Final = ("steer", "steer_angle")
-_TURNED: Final = 0.7
-"""RMS of the yaw rate during a run over that of the whole drive, from which the vehicle turns."""
+_STRAIGHT, _TURNED = 0.15, 0.7
+"""Standard deviation of the yaw rate in a run over its RMS in the drive: up to which a held steering may be the
+driver's, and from which the vehicle turns to and fro."""
 _CONTROLS: Final = ("steer", "throttle", "brake")
 """A driver holds them for some seconds now and then."""
 _LEAST, _LEAST_OF_HEADINGS, _LEAST_OF_CONTROLS = 3.0, 0.4, 4.7
@@ -35,13 +36,14 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
             continue
         heading = name in _HEADINGS
         least = _LEAST_OF_HEADINGS if heading else _LEAST_OF_CONTROLS if name in _CONTROLS else _LEAST
-        begin, lasts = _frozen(channel, path, least, again=heading)
+        begin, lasts, turns = _frozen(channel, path, least, again=heading)
         if not len(begin):
             continue
         longest = int(lasts.argmax())
         times = "once" if len(begin) == 1 else f"{len(begin)} times, {lasts.sum():.1f} s in all"
         evidence = f"{times}, the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
-        evidence += f"99 % of its other values last {1 / _UNUSUAL:.0%} of that or less"
+        usual = f"99 % of its other values last {1 / _UNUSUAL:.0%} of that or less"
+        evidence += "the vehicle turns to and fro meanwhile" if turns[longest] else usual
         how = "no rig line fixes it: cut the log there, or leave the channel out"
         share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
         findings.append(Finding("warning", name, "holds one value while the vehicle moves", evidence, how, share))
@@ -50,8 +52,8 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
 
 def _frozen(
     channel: Channel, path: Path, least: float, *, again: bool
-) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
-    """When the unusually long runs of one value begin, and how long they last in motion [s].
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"], Bool[np.ndarray, " r"]]:
+    """When the unusually long runs of one value begin, how long they last in motion [s], and which turn meanwhile.
 
     Args:
         least: shortest run [s].
@@ -60,15 +62,18 @@ def _frozen(
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
-    moves = (~_rests(channel)[first] | _turns(channel, path, begin, end)) & (_moving(path, begin) | _moving(path, end))
+    turned = _turned(path, begin, end) if channel.name in _STEERINGS else np.full(len(begin), (_STRAIGHT + _TURNED) / 2)
+    turns = turned > _TURNED
+    moves = (~_rests(channel)[first] | turns) & (_moving(path, begin) | _moving(path, end))
     if moves.sum() < 50:
-        return np.zeros(0), np.zeros(0)
+        return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     # Who stops with the wheel turned holds it at the standstill, too.
     lasts = _time_in_motion(path, end) - _time_in_motion(path, begin)
     usual = np.sort(lasts[moves])
-    least = max(least, _UNUSUAL * float(np.percentile(usual, 99)), 0.0 if again else _ALONE * float(usual[-3]))
-    long = moves & (lasts > least) & (last - first >= _SAMPLES)
-    return begin[long], lasts[long]
+    alone = max(least, 0.0 if again else _ALONE * float(usual[-3]))
+    unusual = np.where(turns, 0.0, _UNUSUAL * float(np.percentile(usual, 99)))
+    long = moves & (turned > _STRAIGHT) & (lasts > np.maximum(alone, unusual)) & (last - first >= _SAMPLES)
+    return begin[long], lasts[long], turns[long]
 
 
 def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
@@ -79,15 +84,14 @@ def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
     return np.asarray((values == 0) | (values == values.min()) | (values == values.max()))
 
 
-def _turns(
-    channel: Channel, path: Path, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]
-) -> Bool[np.ndarray, " r"]:
-    """Runs of a steering in which the vehicle turns as at other times: no driver does that with a wheel that rests."""
-    if channel.name not in _STEERINGS:
-        return np.zeros(len(begin), bool)
-    square = np.cumsum(np.nan_to_num(path.yaw_rate) ** 2)
-    within, time = np.interp(end, path.time, square) - np.interp(begin, path.time, square), (end - begin) / STEP
-    return np.asarray(within > _TURNED**2 * square[-1] / len(square) * np.maximum(time, 1.0))
+def _turned(path: Path, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+    """How much the yaw rate changes within runs, over its RMS in the drive: with one steering it hardly does."""
+    rate = np.nan_to_num(path.yaw_rate)
+    first, last = np.searchsorted(path.time, begin), np.searchsorted(path.time, end)
+    sums = [np.cumsum(np.append(0.0, rate**power)) for power in (1, 2)]
+    mean, square = ((total[last] - total[first]) / np.maximum(last - first, 1) for total in sums)
+    spread = np.sqrt(np.maximum(square - mean**2, 0.0))
+    return np.asarray(spread / max(float(np.sqrt(np.mean(rate**2))), 1e-9))
 
 
 def _moving(path: Path, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.channels import KERNEL_CONTROLS, all_controls
 from offpiste.conventions import GRAVITY
@@ -79,7 +80,7 @@ def _others_work(drive: Drive, path: Path) -> bool:
 
 _EFFECTS = {"throttle": 1, "brake": -1}
 """Signs of the pedals' effects on the acceleration."""
-_OWN_DELAY = {"throttle": (-0.07, 0.8), "brake": (-0.07, 0.5)}
+OWN_DELAY = {"throttle": (-0.07, 0.8), "brake": (-0.07, 0.5)}
 """Delays of the acceleration that are the vehicle's own [s]: engines spool up, and brakes bite."""
 _USUAL_DELAY = {"throttle": 0.1, "brake": 0.06}
 """Delays that healthy vehicles have in the middle [s]."""
@@ -109,7 +110,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
     both = _both_flipped(drive) if {*fits} == {*_EFFECTS} else None
     for name, fit in fits.items():
         sign = _EFFECTS[name]
-        own = _OWN_DELAY[name]
+        own = OWN_DELAY[name]
         right, wrong = fit.best(*own, sign=sign), fit.best(*own, sign=-sign)
         late = fit.best(sign=sign)
         if not _has_effect(fit):
@@ -189,7 +190,7 @@ def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
     fit = fit_lags(pushed, base, lagged(drive.channels[name], path.time, drive.rig), LAGS, rows)
     if fit is None:
         return False
-    best = fit.best(*_OWN_DELAY[name], sign=_EFFECTS[name])
+    best = fit.best(*OWN_DELAY[name], sign=_EFFECTS[name])
     r = _EFFECTS[name] * float(fit.r[best])
     return r > max(_PEDAL_EFFECT, SURE * fit.r_sigma(best))
 
@@ -233,12 +234,16 @@ def _has_effect(fit: LagFit) -> bool:
 
 def pedal_fit(channel: Channel, other: Channel | None, path: Path, rig: Rig) -> LagFit | None:
     """Fit of the gain in speed, forwards or backwards, by a pedal, with drag, slope and the other pedal taken out."""
-    one, way = np.ones(len(path.time)), np.sign(path.forward)
-    base = [one, np.abs(path.forward), path.forward**2, path.slope]  # along the motion, in reverse as well
+    pedal, way = lagged(channel, path.time, rig), np.sign(path.forward)
+    return fit_lags(path.acceleration * way, pedal_base(path, other, rig), pedal, LAGS, path.speed > 0.3)
+
+
+def pedal_base(path: Path, other: Channel | None, rig: Rig) -> Float[np.ndarray, "n b"]:
+    """What changes the speed besides a pedal, along the motion, in reverse as well: drag, slope and the other pedal."""
+    base = [np.ones(len(path.time)), np.abs(path.forward), path.forward**2, path.slope]
     if other is not None and np.ptp(other.values) > 0:
         base.append(sampled(other, path.time - 0.2, rig))
-    pedal = lagged(channel, path.time, rig)
-    return fit_lags(path.acceleration * way, np.stack(base, axis=1), pedal, LAGS, path.speed > 0.3)
+    return np.stack(base, axis=1)
 
 
 def _flip(name: str, channel: Channel, rig: Rig) -> tuple[Edit, ...]:

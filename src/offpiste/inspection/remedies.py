@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import permutations
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from offpiste.errors import OffpisteError
@@ -31,7 +32,9 @@ _TURNED: Final = {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "ang
 """Places of findings that a pose with wrong axes has."""
 _ROUNDS: Final = 6
 _MOST: Final = 16
-"""Most cures that are tried in a round."""
+"""Most cures that are tried in a round ..."""
+_FEW: Final = 2
+"""... and most that are tried as the first of two."""
 
 
 def explain(findings: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Finding, ...]:
@@ -45,10 +48,10 @@ def explain(findings: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Fi
         silences; then what is left, without cures that were tried in vain. Findings that show only once others are
         cured are among them.
     """
-    left, current = tuple(findings), rig
+    left, current, examine = tuple(findings), rig, _remembering(examine)
     causes: list[Finding] = []
     for _ in range(_ROUNDS):
-        best = _best_cure(left, current, examine)
+        best = _best_cure(left, current, examine) or _first_of_two(left, current, examine)
         if best is None:
             break
         cure, after = best
@@ -80,6 +83,49 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
         if remains < least - 1e-9:
             best, least = (cure, after), remains
     return best
+
+
+def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cure, tuple[Finding, ...]] | None:
+    """The cure that silences its own finding and after which another leaves least, and what the first one leaves.
+
+    Two things that are wrong hide each other: with the first one cured, the second shows, at times as badly.
+    """
+    firsts: list[tuple[Cure, tuple[Finding, ...]]] = []
+    for finding in left:
+        for cure in finding.cures[:_MOST] if finding.severity != "note" else ():
+            try:
+                after = examine(edited(rig, cure))
+            except OffpisteError:
+                continue
+            if not _is_among(finding, after):
+                firsts.append((cure, after))
+    best, least = None, badness(left) - 2 * _LEAST_GAIN
+    for cure, after in sorted(firsts, key=lambda first: badness(first[1]))[:_FEW]:
+        cured = edited(rig, cure)
+        second = _best_cure(after, cured, examine)
+        if second is None:
+            continue
+        remains = badness(second[1]) + _PER_EDIT * (_size(cure, rig) + _size(second[0], cured))
+        if remains < least - 1e-9:
+            best, least = (cure, after), remains
+    return best
+
+
+def _remembering(examine: Examine) -> Examine:
+    """The same, each rig once."""
+    known: dict[bytes, tuple[Finding, ...]] = {}
+
+    def remembered(rig: Rig) -> tuple[Finding, ...]:
+        key = msgspec.json.encode(rig)
+        if key not in known:
+            known[key] = examine(rig)
+        return known[key]
+
+    return remembered
+
+
+def _is_among(finding: Finding, findings: Sequence[Finding]) -> bool:
+    return (finding.where, finding.what) in {(other.where, other.what) for other in findings}
 
 
 def _size(cure: Cure, rig: Rig) -> int:
@@ -157,7 +203,7 @@ def _swapped(one: str, other: str, rig: Rig) -> Cure:
 
 def _cause(cure: Cure, before: Sequence[Finding], after: Sequence[Finding]) -> Finding:
     """The worst of the findings that a cure silences, the one that proposed it if that is as bad, with the others."""
-    gone = [f for f in before if (f.where, f.what) not in {(g.where, g.what) for g in after} and f.severity != "note"]
+    gone = [f for f in before if not _is_among(f, after) and f.severity != "note"]
     own = [f for f in before if cure in f.cures]
     worst = ranked(gone or own)[0] if gone or own else before[0]
     head = next((f for f in own if f.severity == worst.severity), worst)

@@ -35,20 +35,19 @@ _SHAPES: Final = (1.0, 2.8)
 def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, rig: Rig) -> list[Finding]:
     """Findings on the scale of `steer` and `steer_angle`: yaw rate over speed is tan(angle) / wheelbase without slip.
 
-    Where the two contradict each other, one of them is blamed: the one that the turning fits less.
+    Where the two contradict each other, one of them is blamed: the one that the turning fits less. The other may be
+    off as well, by the positions or the wheelbase.
 
     Args:
         fits: of those that have an effect.
     """
     suspect = _suspect(fits, rig) if agreement is not None and agreement.is_off else None
-    if agreement is not None and suspect is not None:
-        return [_contradiction(suspect, agreement, rig)]
-    ratios = {
-        name: _extrapolated_ratio(name, fit, rig) or _gripping_ratio(name, fit, rig) for name, fit in fits.items()
-    }
-    off = {name: ratio for name, ratio in ratios.items() if ratio is not None}
-    alike = agreement is not None and len(off) == len(fits) == 2
-    return [_off(name, ratio, rig, alike=alike) for name, ratio in off.items()]
+    findings = [_contradiction(suspect, agreement, rig)] if agreement is not None and suspect is not None else []
+    for name, fit in fits.items():
+        ratio = _extrapolated_ratio(name, fit, rig) or _gripping_ratio(name, fit, rig)
+        if ratio is not None and name != suspect:
+            findings.append(_off(name, ratio, rig, both=agreement is not None and len(fits) == 2))
+    return findings
 
 
 def _suspect(fits: Mapping[str, SteeringFit], rig: Rig) -> str | None:
@@ -100,11 +99,11 @@ def _angle_edit(factor: float, rig: Rig) -> Edit:
     return Edit("channels.steer_angle.scale", rounded(source.scale * factor))
 
 
-def _off(name: str, ratio: float, rig: Rig, *, alike: bool) -> Finding:
+def _off(name: str, ratio: float, rig: Rig, *, both: bool) -> Finding:
     """The finding where the vehicle turns `ratio` times as much as the rig says.
 
     Args:
-        alike: whether command and measured angle both say so.
+        both: whether command and measured angle have been compared with each other: then both are hardly wrong alike.
     """
     evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
     angle = 0.0
@@ -117,9 +116,8 @@ def _off(name: str, ratio: float, rig: Rig, *, alike: bool) -> Finding:
         edit = _angle_edit(ratio, rig)
     own, unit = ("", (edit,)), ("", _other_unit(rig, ratio))
     long = (f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ", _other_wheelbase(rig, 1 / ratio))
-    # A command and wheels that agree are hardly both wrong.
-    places = ("", _other_scale(rig, ratio) if alike and unit[1] is None else None)
-    ways = [own, long, unit, places]
+    places = ("", _other_scale(rig, ratio) if both and unit[1] is None else None)
+    ways = [unit, long, places, own] if both else [own, long, unit, places]
     if name == "steer":
         command = ("", _other_command(rig, ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from experiments.illnesses import stamp_illnesses  # noqa: F401  # declares its illnesses
 from experiments.illnesses.formats import formats_for, stored
+from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.logger import recorded
 from experiments.illnesses.recording import rig_text
 from experiments.illnesses.sensing import START, Sensing
@@ -59,6 +61,18 @@ def test_every_format_holds_the_same_numbers(storage, tmp_path):
         if case.stream(name).arrival is not None and log.has_arrivals:
             arrived = log.read(source.topic, source.fields, stamps="receive").time
             np.testing.assert_allclose(arrived, case.stream(name).arrival, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "ROS 1 bag"])
+def test_rows_stay_in_their_order_whatever_their_stamps(storage, tmp_path):
+    cases = (made_up_case("orientation", seed=seed) for seed in range(30))
+    case = next(case for case in cases if storage in formats_for(case))
+    shuffled = ILLNESSES["position: rows shuffled"].change(case, 0.1, np.random.default_rng(0))
+    renamed, log = stored(shuffled, storage, tmp_path)
+    source = renamed.source("position")
+    time = log.read(source.topic, source.fields).time
+    assert (np.diff(time) < 0).any()
+    np.testing.assert_allclose(time, shuffled.stream("position").time, rtol=0, atol=1e-6)
 
 
 def test_stamps_that_no_header_holds_are_left_to_folders():

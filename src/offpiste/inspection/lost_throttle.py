@@ -1,0 +1,112 @@
+"""Check of a throttle that is zero while the vehicle is driven on, as one reads whose connection is lost."""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from offpiste.inspection.driven_path import MOVING, STEP, Path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import LAGS, LagFit, sampled
+from offpiste.inspection.pedals import OWN_DELAY, pedal_base
+from offpiste.logs.channel import Channel
+from offpiste.logs.drive import Drive
+
+_LEAST: Final = 0.5
+"""Shortest run of zeros that is looked at [s]; an acceleration takes 0.6 s of samples."""
+_SETTLED: Final = 0.3
+"""What the vehicle needs to answer [s]: as much is left out at the ends of a run."""
+_ROWS: Final = 200
+"""Rows besides a run that a fit needs: 10 s of driving."""
+_STRETCH: Final = 5.0
+"""Longest stretch of other driving that a run is compared with [s]: a drive has few that are longer."""
+_SURE, _SURE_ALONE = 3.5, 5.0
+"""Standard deviations, of stretches as long as the run, by which the vehicle is driven on: where the throttle leaps
+there or back, and where it does not."""
+_LEAP: Final = 0.3
+"""A step into or out of the run is a leap from this share of the throttle that explains the motion."""
+_PRESSED: Final = 0.3
+"""That throttle is surely one from this share of what the driver usually presses ..."""
+_FULL: Final = 1.5
+"""... up to here; more than full throttle is something else: a hill, a push, a gear that changes."""
+_CRUISE: Final = 0.2
+"""Share of the cruising speed below which a motor's first jerk and a change of gear are seen, not the throttle."""
+
+
+def check_lost_throttle(fit: LagFit, drive: Drive, path: Path) -> list[Finding]:
+    """A finding if the vehicle accelerates through zeros of the throttle as if it were pressed.
+
+    The acceleration is fitted without each run of zeros; what the fit lacks within the run, over what full throttle
+    brings, is the throttle that was really pressed.
+
+    Args:
+        fit: of the throttle, by `pedals.pedal_fits`.
+    """
+    runs = [run for run in _runs(drive.channels["throttle"]) if _is_lost(run, fit, drive, path)]
+    if not runs:
+        return []
+    begin, lasts = np.array([(begin, end - begin) for begin, end in runs]).T
+    longest = int(lasts.argmax())
+    start = begin[longest] - drive.channels["throttle"].time[0]
+    times = "once" if len(runs) == 1 else f"{len(runs)} times, {lasts.sum():.1f} s in all"
+    evidence = f"{times}, for {lasts[longest]:.1f} s from {start:.2f} s on, where the acceleration is that of "
+    evidence += f"{_pressed(*runs[longest], fit, drive, path)[0]:.2f} of full throttle"
+    how = "no rig line fixes it: cut the log there, or leave the channel out"
+    share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
+    return [Finding("warning", "throttle", "is zero while the vehicle is driven on", evidence, how, share)]
+
+
+def _runs(channel: Channel) -> list[tuple[float, float]]:
+    """First and last times of runs of zeros that are long enough."""
+    zero = np.concatenate(([False], channel.values[:, 0] == 0, [False]))
+    first, after = np.flatnonzero(np.diff(zero.astype(int))).reshape(-1, 2).T
+    begin, end = channel.time[first], channel.time[after - 1]
+    long = end - begin >= _LEAST
+    return list(zip(begin[long], end[long], strict=True))
+
+
+def _is_lost(run: tuple[float, float], fit: LagFit, drive: Drive, path: Path) -> bool:
+    pressed, sigmas, usual = _pressed(*run, fit, drive, path)
+    if sigmas < _SURE or not _PRESSED * usual < pressed < _FULL:
+        return False
+    channel = drive.channels["throttle"]
+    first, last = np.searchsorted(channel.time, run)
+    beside = channel.values[[max(first - 1, 0), min(last + 1, len(channel.values) - 1)], 0]
+    return bool(sigmas > _SURE_ALONE or beside.max() > _LEAP * pressed)
+
+
+def _pressed(begin: float, end: float, fit: LagFit, drive: Drive, path: Path) -> tuple[float, float, float]:
+    """The throttle that explains the motion within a run, its standard deviations, and what is usually pressed.
+
+    Returns:
+        Zeros where too little is known.
+    """
+    lag = float(LAGS[fit.best(*OWN_DELAY["throttle"], sign=1)])
+    throttle = sampled(drive.channels["throttle"], path.time - lag, drive.rig)
+    columns = np.column_stack((pedal_base(path, drive.channels.get("brake"), drive.rig), throttle))
+    gained = path.acceleration * np.sign(path.forward)
+    known = (path.speed > MOVING) & np.isfinite(gained) & np.isfinite(columns).all(axis=1)
+    others = known & ((path.time < begin) | (path.time > end + 1.0))
+    within = known & (path.time > begin + lag + _SETTLED)
+    within &= path.time < end + lag - min(_SETTLED, (end - begin) / 3)
+    if others.sum() < _ROWS or not _driven(within, path) or not (throttle[others] > 0).any():
+        return 0.0, 0.0, 0.0
+    solution = np.linalg.lstsq(columns[others], gained[others], rcond=None)[0]
+    if solution[-1] <= 0:
+        return 0.0, 0.0, 0.0
+    missed = gained - columns @ solution
+    stretches = _means(missed[others], min(int(within.sum()), round(_STRETCH / STEP)))
+    more = float(missed[within].mean())
+    usual = float(np.median(throttle[others & (throttle > 0)]))
+    return more / float(solution[-1]), more / float(np.sqrt(np.mean(stretches**2))), usual
+
+
+def _driven(within: Bool[np.ndarray, " n"], path: Path) -> bool:
+    """Whether a run has rows at some speed."""
+    return bool(within.sum() >= 4 and path.speed[within].mean() > max(2 * MOVING, _CRUISE * path.cruise))
+
+
+def _means(values: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, " m"]:
+    """Means of stretches of so many values, one after the other."""
+    whole = len(values) // count * count
+    return np.asarray(values[:whole].reshape(-1, count).mean(axis=1))
