@@ -1,5 +1,7 @@
 """The tables of controls and actuators, and what is derived from them."""
 
+import re
+
 import pytest
 
 from offpiste.channels import (
@@ -12,6 +14,7 @@ from offpiste.channels import (
     all_controls,
     channel_of_rate,
     control_columns,
+    control_of,
 )
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuator_lags import LAGS, lagging
@@ -64,3 +67,19 @@ def test_a_rate_comes_from_the_channel_that_it_is_the_rate_of() -> None:
 def test_rigs_know_all_channels_and_their_units() -> None:
     assert {"position", "brake", "brake_pressure", "engine_rpm"} <= set(known_channels())
     assert unit_factor("engine_rpm", "rev/min") == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize(
+    "name", ["throttle", "acc_pedal", "accel_pedal", "accelerator", "accelerator_pedal", "gas", "thr"]
+)
+def test_pedals_are_known_by_name(name: str) -> None:
+    control = control_of("throttle")
+    assert control is not None
+    assert re.search(control.pattern, name)
+
+
+@pytest.mark.parametrize("name", ["acceleration", "accelerometer", "through", "brake_pedal", "thrust"])
+def test_other_names_are_no_pedal(name: str) -> None:
+    control = control_of("throttle")
+    assert control is not None
+    assert not re.search(control.pattern, name)
