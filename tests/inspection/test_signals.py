@@ -80,6 +80,16 @@ def test_nan_and_infinity_are_counted() -> None:
     assert finding.evidence == "11 of 3000 samples (0.4%), the first 10, the last 30"
 
 
+def test_rows_that_a_slower_sensor_leaves_empty_are_no_fault() -> None:
+    row = np.arange(3000)
+    log = drive_log(seconds=60).change("pedals", "throttle", lambda x: np.where(row % 3 > 0, np.nan, x))
+    assert not [f for f in inspect_log(log, rig()).findings if f.severity != "note"]
+    lost = log.change("pedals", "throttle", lambda x: np.where((row >= 1000) & (row < 1100), np.nan, x))
+    (finding,) = (f for f in inspect_log(lost, rig()).findings if f.what.startswith("values are NaN"))
+    assert (finding.severity, finding.where.split(" ")[0]) == ("warning", "throttle")
+    assert "the first 1000, the last 1100" in finding.evidence
+
+
 def test_a_field_that_no_channel_reads_is_only_noted() -> None:
     log = drive_log(seconds=60)
     log = log.change("wheels", "rear", lambda x: np.where(np.arange(len(x)) % 701 == 5, 1e6, x))

@@ -98,6 +98,16 @@ def test_values_that_are_not_finite_are_dropped_even_where_values_are_clipped(fa
     assert "not finite" in notes[0]
 
 
+def test_rows_that_a_slower_sensor_leaves_empty_are_left_out_without_a_word():
+    values = np.where(np.arange(100) % 2, np.nan, np.arange(100) / 100)
+    found, notes = read(np.arange(100.0), values)
+    assert found.time.tolist() == list(range(0, 100, 2))
+    assert notes == []
+    values[50] = np.inf
+    _, notes = read(np.arange(100.0), values)
+    assert "1 of 50 samples" in notes[0]
+
+
 def test_an_invalid_value_does_not_become_valid_by_clipping():
     found, _ = read([0, 1, 2, 3], [0.1, 500.0, 0.2, 1.1], valid=(-0.2, 1.2), clip=(0.0, 1.0))
     assert found.time.tolist() == [0, 2, 3]

@@ -12,6 +12,7 @@ from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
+from offpiste.logs.empty_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
@@ -140,9 +141,12 @@ def place(topic: str, field: str) -> str:
 def _not_finite(signal: Signal) -> list[Finding]:
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(signal.raw) <= signal.largest)
+    empty = between_samples(np.isnan(signal.raw))
+    bad &= ~empty
     if not bad.any():
         return []
-    share = float(bad.mean())
+    count = int((~empty).sum())
+    share = float(bad.sum() / count)
     how = "nothing where the rest is enough: those samples are dropped on reading"
     name = signal.key.removeprefix("channels.")
     if share >= 0.5:
@@ -150,7 +154,7 @@ def _not_finite(signal: Signal) -> list[Finding]:
         if name in POSE:
             how = "take another field; where the rest comes often enough, nothing: those samples are dropped on reading"
     at = np.flatnonzero(bad)
-    evidence = f"{len(at)} of {len(bad)} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
+    evidence = f"{len(at)} of {count} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
     severity: Severity = "warning" if signal.key else "note"
     return [Finding(severity, signal.where, "values are NaN, infinite or beyond any measurement", evidence, how, share)]
 

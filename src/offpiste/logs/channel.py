@@ -13,6 +13,7 @@ from offpiste.channels import control_of
 from offpiste.errors import LogError, RigError
 from offpiste.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
+from offpiste.logs.empty_rows import between_samples
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import GEOGRAPHIC, REPEATED, ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.rig import Rig
@@ -129,9 +130,10 @@ def _clean(
             bad |= ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
     if name == "orientation":
         bad |= ~(np.abs(np.linalg.norm(values, axis=1) - 1) < 0.05)
-    if bad.any():
-        where = _first_run(bad)
-        notes.append(f"{name}: {bad.sum()} of {len(bad)} samples are not finite or not valid and were dropped{where}")
+    empty = between_samples(np.isnan(values).all(axis=1))
+    if (lost := bad & ~empty).any():
+        of = f"{lost.sum()} of {(~empty).sum()} samples"
+        notes.append(f"{name}: {of} are not finite or not valid and were dropped{_first_run(lost)}")
     numbers = np.flatnonzero(~bad)
     time, values = time[~bad], values[~bad]
     if source.clip is not None:
