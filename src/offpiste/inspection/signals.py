@@ -151,7 +151,7 @@ def _not_finite(signal: Signal) -> list[Finding]:
     name = signal.key.removeprefix("channels.")
     if share >= 0.5:
         how = f'declare it absent: absent = ["{name or "..."}"]'
-        if name in POSE:
+        if name in (*POSE, "steer"):
             how = "take another field; where the rest comes often enough, nothing: those samples are dropped on reading"
     at = np.flatnonzero(bad)
     evidence = f"{len(at)} of {count} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
