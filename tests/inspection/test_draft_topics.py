@@ -2,13 +2,16 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log
 
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.log import Topic
+from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import Rig, parse_rig
 
 CLEAN = drive_log(seed=0)
@@ -94,3 +97,90 @@ def test_a_clockwise_heading_does_not_hide_the_controls() -> None:
     pose = {"x": ODOM["x"], "y": ODOM["y"], "heading": np.degrees(np.pi / 2 - yaw) % 360}
     channels = _drafted(Typed({"pose": (TIME, pose), "joy/Joy": (time, axes)})).channels
     assert channels["steer"].fields == ("axes[0]",)
+
+
+def _actuators() -> Typed:
+    """Commands in an array of no names, with the measured angle of the wheels, a quarter of a second behind."""
+    time, pedals = CLEAN.data["pedals"]
+    steer_time, steering = CLEAN.data["steering"]
+    command, angle = (
+        np.interp(time - late, steer_time, steering[name]) for late, name in ((-0.2, "command"), (0.05, "angle"))
+    )
+    array = {
+        "data[0]": 255 * pedals["throttle"],
+        "data[1]": 255 * 0.6 * pedals["brake"],
+        "data[2]": 511.5 * (command + 1),
+        "data[3]": np.degrees(angle),
+    }
+    return Typed({"odom": (TIME, ODOM), "actuators/Float32MultiArray": (time, array)})
+
+
+def test_an_array_of_commands_and_a_measured_angle_is_read_by_its_numbers() -> None:
+    log = _actuators()
+    text = draft_rig(log)
+    rig = parse_rig(text, where="draft")
+    fields = {name: rig.channels[name].fields for name in ("throttle", "brake", "steer", "steer_angle")}
+    assert fields == {
+        "throttle": ("data[0]",),
+        "brake": ("data[1]",),
+        "steer": ("data[2]",),
+        "steer_angle": ("data[3]",),
+    }
+    assert [rig.channels[name].scale for name in ("throttle", "brake")] == [pytest.approx(1 / 255, rel=1e-3)] * 2
+    steer = rig.channels["steer"]
+    assert (steer.scale, steer.offset) == (pytest.approx(1 / 511.5, rel=1e-3), -1.0)
+    assert rig.channels["steer_angle"].unit == "deg"
+
+
+def test_raw_numbers_of_an_array_get_the_range_that_loggers_write() -> None:
+    log = _actuators()
+    raw = parse_rig(draft_rig(log), where="draft")
+    names = ("throttle", "brake", "steer", "steer_angle")
+    channels = {name: ChannelSource(c.fields, c.topic) if name in names else c for name, c in raw.channels.items()}
+    found = inspect_log(log, msgspec.structs.replace(raw, channels=channels))
+    cures = {edit.key: edit.value for edit in found.cure}
+    assert cures["channels.throttle.scale"] == cures["channels.brake.scale"] == pytest.approx(1 / 255, rel=1e-3)
+    assert (cures["channels.steer.scale"], cures["channels.steer.offset"]) == (pytest.approx(1 / 511.5, rel=1e-3), -1.0)
+    assert cures["channels.steer_angle.unit"] == "deg"
+
+
+def test_a_velocity_of_its_own_topic_gets_the_frame_that_fits() -> None:
+    pose = {name: values for name, values in ODOM.items() if name[0] not in "vw"}
+    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
+    world = {"twist.linear.x": ODOM["vx"] * np.cos(yaw), "twist.linear.y": ODOM["vx"] * np.sin(yaw),
+             "twist.linear.z": ODOM["vz"]}  # fmt: skip
+    log = Typed(CLEAN.data | {"odom": (TIME, pose), "velocity/TwistStamped": (TIME, world)})
+    velocity = _drafted(log).channels["linear_velocity"]
+    assert (velocity.topic, velocity.frame) == ("velocity/TwistStamped", "world")
+    asked = Typed({("cmd_" if name[0] == "v" else "") + name: data for name, data in log.data.items()})
+    assert "linear_velocity" not in _drafted(asked).channels
+
+
+def test_topics_that_nothing_reads_are_listed() -> None:
+    log = Typed(CLEAN.data | {"battery/Float32": (TIME, {"data": np.sin(TIME)})})
+    assert "# Not read: fields of battery/Float32: data" in draft_rig(log)
+
+
+def test_pulses_of_a_servo_and_a_speed_controller() -> None:
+    time, pedals = CLEAN.data["pedals"]
+    steer = np.interp(time, CLEAN.data["steering"][0], CLEAN.data["steering"][1]["command"])
+    columns = {"servo_us": 1500 - 400 * steer, "esc_us": 1500 + 400 * (pedals["throttle"] - pedals["brake"])}
+    rig = _drafted(Typed({"odom": (TIME, ODOM), "radio": (time, columns)}))
+    throttle, brake, servo = (rig.channels[name] for name in ("throttle", "brake", "steer"))
+    assert (throttle.scale, throttle.offset, throttle.sign) == (0.002, -3.0, 1)
+    assert (brake.fields, brake.scale, brake.offset, brake.sign) == (throttle.fields, 0.002, -3.0, -1)
+    reach = float(np.abs(np.percentile(columns["servo_us"], (0.1, 99.9)) - 1500).max())
+    assert (servo.scale, servo.offset) == (pytest.approx(1 / reach, rel=1e-3), pytest.approx(-1500 / reach, rel=1e-3))
+
+
+def test_a_vehicle_that_turns_tightly_is_drafted_small() -> None:
+    small = MemoryLog(CLEAN.data)
+    for axis in "xyz":
+        small = small.change("odom", axis, lambda values: values / 8)
+    for axis in ("vx", "vy", "vz"):
+        small = small.change("odom", axis, lambda values: values / 8)
+    time, columns = small.data["steering"]
+    vehicle = _drafted(MemoryLog(small.data | {"steering": (time, {"command": columns["command"]})})).vehicle
+    assert vehicle.max_steer == 0.5
+    assert vehicle.wheelbase == pytest.approx(2.5 / 8 * np.tan(0.5) / np.tan(0.4), rel=0.15)
+    assert "that turns so with 0.5 rad" in vehicle.source

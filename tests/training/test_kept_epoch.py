@@ -30,3 +30,20 @@ def test_a_stage_of_one_epoch_is_not_doubted() -> None:
 def test_files_of_before_do_not_say_which_epoch() -> None:
     assert KeptEpoch.of({"validation_loss": 0.5}, 3) == KeptEpoch(None, 3, 0.5)
     assert KeptEpoch.of({"validation_loss": 0.5, "kept_epoch": 2}, 3) == KeptEpoch(2, 3, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("stage", "option"), [("model", "--epochs"), ("actuators", "--actuator-epochs"), ("bicycle", "--bicycle-epochs")]
+)
+def test_who_has_not_converged_is_told_which_epochs_are_few(stage: str, option: str) -> None:
+    (doubt,) = KeptEpoch(12, 12, 0.5).doubts(stage)
+    assert doubt.endswith(f"with more than 12 {option}")
+
+
+def test_epochs_that_hardly_gain_have_converged() -> None:
+    falling = KeptEpoch.last_of(6, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], 6, 0.5)
+    assert falling.gained == pytest.approx(1 - 0.5 / 0.8)
+    assert list(falling.doubts("model"))
+    still = KeptEpoch.last_of(6, [1.0, 0.5002, 0.5002, 0.5001, 0.5001, 0.5], 6, 0.5)
+    assert not list(still.doubts("model"))
+    assert KeptEpoch.last_of(2, [1.0, 0.5], 2, 0.5).gained is None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from offpiste.cli.again import command_line
 from offpiste.cli.entry import COMMANDS
 from offpiste.conventions import PERCEPTION_LATENCY
 from offpiste.progress import show
@@ -60,7 +61,7 @@ class Extract:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
-        from offpiste.dataset.split_balance import next_split
+        from offpiste.dataset.split_balance import has_little_driving, next_split
         from offpiste.mapping.replay import MapperSettings
         from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
@@ -83,13 +84,13 @@ class Extract:
             force=self.force,
         )
         if not self.shard:
-            show(f"next: {self._next(next_split(dataset))}")
+            show(f"next: {self._next(next_split(dataset), has_little_driving(dataset))}")
         return 0
 
-    def _next(self, split: "Split | None") -> str:
-        """The next command: a training, or where a part has no window, the same extraction with another split."""
+    def _next(self, split: "Split | None", little: bool) -> str:
+        """The next command: a training, or the same extraction with a split that suits the driving better."""
         if split is not None:
             other = self.out.with_name(f"{self.out.stem}-2{self.out.suffix}")
-            return f"the same command with {join(['--split', split.text, '--out', str(other)])}"
-        model = "dc" if self.pca else "b"
+            return command_line("extract", self, "logs", split=split.text, out=other)
+        model = "dc" if self.pca else "parametric" if little else "b"
         return join(["offpiste", "train", str(self.out), "--model", model, "--out", f"runs/{model}"])

@@ -32,8 +32,13 @@ _FOLDS: Final = 5
 """Folds that are tried beside blocks."""
 _SIZES: Final = (20, 30, 50, 75, 100)
 """Squares that are tried [m]."""
-_FOR_SHORT_DRIVES: Final = ("blocks:0.6,0.2,0.2", "blocks:0.5,0.25,0.25", "blocks:0.4,0.3,0.3")
+_FOR_SHORT_DRIVES: Final = (
+    *("blocks:0.6,0.2,0.2", "blocks:0.5,0.25,0.25", "blocks:0.4,0.3,0.3"),
+    *(f"fold:{number}/{folds}" for folds in (5, 4, 3) for number in range(folds)),
+)
 """Tried where a drive is too short for its split."""
+_LITTLE: Final = 600.0
+"""Driving in training from which a network beside the physics pays [s]."""
 _LEAST_TURN: Final = 0.05
 """Turn rates below this count as straight on [rad/s]."""
 
@@ -160,7 +165,7 @@ def better_split(dataset: Dataset) -> tuple[Split, tuple[PartFacts, ...]] | None
 
 
 def fitting_split(drive: StoredDrive, min_hindsight: float, min_speed: float) -> Split | None:
-    """Blocks with larger parts to validate and test on, which a short drive has enough windows for; None without any.
+    """Larger parts to validate and test on, or a fold, which a short drive has enough windows for; None without any.
 
     The first that leaves `LEAST_WINDOWS` in each part, or else that with the most in its smallest.
     """
@@ -175,12 +180,22 @@ def fitting_split(drive: StoredDrive, min_hindsight: float, min_speed: float) ->
 
 
 def next_split(dataset: Dataset) -> Split | None:
-    """The split to extract a dataset's only drive again with, where a part of it has no window; None elsewhere."""
+    """A split to extract a dataset with instead: with parts that are alike, or none that is empty; None for none."""
     wanted = len(PARTS) - len(empty_parts(dataset.split))
     facts = part_facts(dataset)
+    if not list(complaints(facts)) and len(facts) == wanted:
+        return None
+    better = better_split(dataset)
+    if better is not None:
+        return better[0]
     if len(dataset.drives) != 1 or (len(facts) == wanted and all(part.windows for part in facts)):
         return None
     return fitting_split(dataset.drives[0], dataset.min_hindsight, dataset.min_speed)
+
+
+def has_little_driving(dataset: Dataset) -> bool:
+    """Whether there is too little to train for a model with a network."""
+    return sum(part.moving for part in part_facts(dataset) if part.name == "train") < _LITTLE
 
 
 def split_warning(dataset: Dataset) -> str | None:

@@ -95,7 +95,8 @@ def evaluate_runs(
         logger.info("rows with the lookup 'map' decide: a planner knows the map, and not where the wheels will be")
     if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
         logger.info(
-            f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"
+            f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed; "
+            "`train --folds 5`, and then `evaluate` of its folder, tests on all of the driving"
         )
     logger.info(f"report: {out / 'report.html'}")
     return evaluation

@@ -143,7 +143,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         if field in taken or unnamed or _NOT_SCALARS.search(label.name):
             continue
         for channel, rank, pattern in scalars:
-            scalar = _guess(channel, topic, (field,), label, rank) if pattern.search(label.name) else None
+            named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
+            scalar = _guess(channel, topic, (field,), label, rank) if named_so else None
             if scalar is not None:
                 yield scalar
                 break

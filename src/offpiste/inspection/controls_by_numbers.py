@@ -1,7 +1,7 @@
 """Controls that no name gives away: fields that the vehicle's motion follows, such as the axes of a joystick."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -18,7 +18,7 @@ from offpiste.inspection.pedals import pedal_fit
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.log import Log
+from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import Rig
 
@@ -28,6 +28,10 @@ _CLEARER: Final = 0.1
 """By this much more than the next field."""
 _LEADS: Final = {"steer": (-0.05, 0.6), "throttle": (-0.05, 0.8), "brake": (-0.05, 0.8)}
 """How long after a command the motion comes [s]: what moves before it is measured."""
+_COPIES: Final = 0.95
+"""Correlation of two fields that are one steering, commanded and measured."""
+_APART: Final = np.arange(-0.6, 0.61, 0.02)
+"""Lags of the one behind the other that are tried [s]."""
 _NEARLY: Final = 0.95
 """Share of the best correlation that counts as the best: slow signals hardly tell when."""
 _AT_ONCE: Final = 0.1
@@ -66,19 +70,34 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
         if name != "steer":
             topics = {found["steer"][0].topic} if "steer" in found else set()
             left = [guess for guess in left if guess.topic in topics]
-        if (best := _clearest(name, left, log, rig, path)) is not None:
-            found[name] = best
+        scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in left), key=lambda pair: -pair[0])
+        if not scores or scores[0][0] < _FOLLOWS[name]:
+            continue
+        near = [(score, guess) for score, guess in scores if scores[0][0] - score < _CLEARER]
+        if name == "steer" and len(near) == 2:
+            found |= _commanded_and_measured(near, log)
+        elif len(near) == 1:
+            score, guess = near[0]
+            found[name] = replace(guess, channel=name), score
     return found
 
 
-def _clearest(name: str, fields: Collection[Guess], log: Log, rig: Rig, path: Path) -> tuple[Guess, float] | None:
-    scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in fields), key=lambda pair: -pair[0])
-    if not scores or scores[0][0] < _FOLLOWS[name]:
-        return None
-    if len(scores) > 1 and scores[0][0] - scores[1][0] < _CLEARER:
-        return None
-    score, guess = scores[0]
-    return replace(guess, channel=name), score
+def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log) -> dict[str, tuple[Guess, float]]:
+    """Two fields that are one steering: the earlier is its command, the later what was measured; nothing for others."""
+    samples = [log.read(guess.topic, guess.fields) for _, guess in pair]
+    start, end = max(s.time[0] for s in samples), min(s.time[-1] for s in samples)
+    at = np.arange(start + _APART[-1], end - _APART[-1], 0.02)
+    if len(at) < 100:
+        return {}
+    one = np.interp(at, samples[0].time, samples[0].values[:, 0])
+    others = [np.interp(at + lag, samples[1].time, samples[1].values[:, 0]) for lag in _APART]
+    alike = np.array([abs(np.corrcoef(one, other)[0, 1]) for other in others])
+    lag = float(_APART[alike.argmax()])
+    if alike.max() < _COPIES or abs(lag) < 0.01:
+        return {}
+    first, second = pair if lag > 0 else reversed(pair)
+    return {name: (replace(guess, channel=name), score)
+            for name, (score, guess) in (("steer", first), ("steer_angle", second))}  # fmt: skip
 
 
 def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: Path) -> float:
@@ -125,11 +144,16 @@ def _later(fit: LagFit, name: str, *, sign: int) -> float:
     return float(abs(fit.r[inside])) if abs(fit.r[inside]) >= _NEARLY * abs(fit.r[best]) else 0.0
 
 
+def is_measured(topic: Topic) -> bool:
+    """Whether name or type of a topic say that it is measured; a table's columns say more than its name."""
+    return bool(topic.name and _MEASURED.search(f"{topic.name} {topic.type}"))
+
+
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
     """Fields that no channel reads, that change, and that no name says to be measured."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
-        if topic.count < 100 or _MEASURED.search(f"{topic.name} {topic.type}" if topic.name else ""):
+        if topic.count < 100 or is_measured(topic):
             continue
         for field, label in labels(topic).items():
             if (

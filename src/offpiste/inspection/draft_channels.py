@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from offpiste.inspection.channel_guesses import Guess, guess_channels
 from offpiste.inspection.draft_gear import gear_values
-from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
+from offpiste.inspection.draft_pose import COMMANDED, Entry, degrees, draft_pose, field_values, unit_line
+from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest, steering_middle
 from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, seen_range, whole_range
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import unwrapped
@@ -21,7 +22,9 @@ from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
-_COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+_PULSED: Final = re.compile(r"servo|pwm|pulse|(?<![a-z])(esc|rc)(?![a-z])", re.IGNORECASE)
+_SLACK: Final = 25.0
+"""Pulses below the one at rest that are none of a brake [us]."""
 _WIDEST: Final = 1.05
 """Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
 _STEEPEST: Final = 1.4
@@ -89,6 +92,10 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
         pedal, words = _pedal(channel, guess, values)
         lines += pedal
         comment += words
+    elif channel == "steer" and largest > 1.05 and (around := steering_middle(values, named=_are_named_pulses(guess))):
+        middle, reach, words = around
+        lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]
+        comment += f" and numbers: {words}"
     elif channel == "steer" and largest > 1.05:
         lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
         comment += f"; scaled by its largest value, {largest:.4g}"
@@ -125,6 +132,8 @@ def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
     if "throttle" not in scalars:
         return {}
     guess, values = scalars["throttle"]
+    if are_pulses(values, named=_are_named_pulses(guess)):
+        return _pulsed_pedal(guess, values, alone="brake" not in scalars)
     if find_wrap(values) is not None or not is_signed(values) or ("brake" in scalars and rests_high(values)):
         return {}
     low, high = held_range(values)
@@ -139,6 +148,25 @@ def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
         lines = (*scaled, "sign = -1", "clip = [0.0, 1.0]")
         entries["brake"] = Entry(guess, lines, comment + "what is below zero brakes")
     return entries
+
+
+def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool) -> dict[str, Entry]:
+    """Throttle, and brake where nothing else is one, of a speed controller's pulses [us]."""
+    rest = pulse_at_rest(values)
+    low, high = held_range(values)
+    whole = FULL_PULSE - rest
+    both = rest - low > _SLACK
+    lines = (f"scale = {number(1 / whole)}", f"offset = {number(-rest / whole)}")
+    words = f"GUESSED by its name and numbers: pulses, released at {rest:g}, {low:.4g}..{high:.4g} seen"
+    entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), words)}
+    if alone and both:
+        entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words + "; what is below it brakes")
+    return entries
+
+
+def _are_named_pulses(guess: Guess) -> bool:
+    """Whether unit or name say that numbers are widths of pulses."""
+    return guess.unit == "us" or any(_PULSED.search(name) for name in (guess.topic, *guess.fields))
 
 
 def is_signed(values: Float[np.ndarray, " n"]) -> bool:
@@ -196,7 +224,7 @@ def _is_angle(guess: Guess) -> bool:
 
 
 def _is_command(guess: Guess) -> bool:
-    return any(_COMMANDED.search(name) for name in (guess.topic, *guess.fields))
+    return any(COMMANDED.search(name) for name in (guess.topic, *guess.fields))
 
 
 def _largest(values: Float[np.ndarray, " n"]) -> float:

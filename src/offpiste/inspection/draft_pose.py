@@ -1,5 +1,6 @@
 """The pose of a first rig, and velocities beside it: which topics hold them, by names, types and numbers."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -50,6 +51,8 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     best = best or _places_and_headings(log, channels_of)
     if best and not _RATES & set(best):
         best |= _from_imu(log, channels_of)
+    if best and "linear_velocity" not in best:
+        best |= _velocity_beside(log, channels_of)
     entries: dict[str, Entry] = {}
     for channel in _POSE:
         if channel not in best:
@@ -67,6 +70,8 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     return entries
 
 
+COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+"""Names of what is asked for, not measured."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -87,6 +92,15 @@ def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[
         guess = channels_of[topic].get("angular_velocity")
         if guess is not None and _varies(field_values(log, guess)):
             return {"angular_velocity": guess}
+    return {}
+
+
+def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
+    """The velocity that is reported most often, where the pose's topic has none; commands are none."""
+    for topic in sorted(channels_of, key=lambda topic: -log.topics[topic].count):
+        guess = channels_of[topic].get("linear_velocity")
+        if guess is not None and not COMMANDED.search(topic) and _varies(field_values(log, guess)):
+            return {"linear_velocity": guess}
     return {}
 
 

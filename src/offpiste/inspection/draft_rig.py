@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
 
+import numpy as np
+
 from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.controls_by_numbers import find_controls
+from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import Found, draft_channels
 from offpiste.inspection.draft_pose import Entry
@@ -23,6 +25,7 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
@@ -52,6 +55,9 @@ wheel_positions = {wheels}
 """
 _MAX_STEER = 0.5
 """Where no angle says what it is [rad]."""
+_WIDEST = 0.9
+"""Largest that vehicles have [rad]."""
+_COVARIANCE = re.compile(r"covariance")
 _LISTED = 60
 """How many fields of a topic are listed."""
 
@@ -64,12 +70,14 @@ class _Seen:
         frame: of its velocity.
         wheelbase: [m], or 0.
         max_steer: [rad], or 0; of the rig's wheelbase.
+        assumed: whether the wheelbase is one at which a usual `max_steer` turns the vehicle as it does.
         found: controls that only the motion shows, with its correlation.
     """
 
     frame: str = "unknown"
     wheelbase: float = 0.0
     max_steer: float = 0.0
+    assumed: bool = False
     found: Found = field(default_factory=dict)
 
 
@@ -105,7 +113,11 @@ def draft_rig(log: Log) -> str:
         rig = parse_rig(_text(log, _Seen(found=found)), where="the drafted rig")
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
-    seen = _Seen(frame, wheelbase, estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), found)
+    max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
+    if max_steer > _WIDEST and not wheelbase:  # a smaller vehicle than the made-up one
+        wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
+        max_steer = _MAX_STEER
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found)
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -154,7 +166,8 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
     wheels = WHEELS if not wheelbase else wheels_of(wheelbase)
     source = f"{GUESSED}: mass and wheel positions are a small car's"
     if wheelbase:
-        source = f"{GUESSED}: a wheelbase of {wheelbase:.3g} m by yaw rate and steering angle; the rest is made up"
+        by = f"that turns so with {_MAX_STEER} rad" if seen.assumed else "by yaw rate and steering angle"
+        source = f"{GUESSED}: a wheelbase of {wheelbase:.3g} m {by}; the rest is made up"
     stated = next((entry.max_angle for entry in entries.values() if entry.max_angle), 0.0)
     return _HEADER.format(
         name=name,
@@ -163,7 +176,7 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
         source=_toml(source),
         mass=MASS,
         max_steer=stated or seen.max_steer or _MAX_STEER,
-        by_motion="; by the yaw rate, for this wheelbase" if seen.max_steer and not stated else "",
+        by_motion="; by the yaw rate, for this wheelbase" if seen.max_steer and not stated and not seen.assumed else "",
         wheels=_toml(wheels),
     )
 
@@ -178,12 +191,15 @@ def _clock(log: Log) -> list[str]:
 
 
 def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
-    """Comments that list the fields that no channel reads, of topics that one reads and of tables."""
+    """Comments that list the fields that no channel reads, those of the topics first that one reads."""
     lines = []
-    for name in dict.fromkeys(entry.guess.topic for entry in entries.values()):
+    for name in dict.fromkeys((*(entry.guess.topic for entry in entries.values()), *log.topics)):
         read = {field for e in entries.values() if e.guess.topic == name for field in e.guess.fields}
         topic = log.topics[name]
-        named = [f for f in topic.fields if f in topic.joints or not is_array_entry(f)]
+        if is_bulk(topic):
+            continue
+        named = [f for f in topic.fields if f in topic.joints or not read or not is_array_entry(f)]
+        named = [f for f in named if not _COVARIANCE.search(f)]
         rest = [topic.in_words(f) for f in named if f not in read and f != log.clock.column]
         if rest:
             more = [f"and {len(rest) - _LISTED} more"] if len(rest) > _LISTED else []
@@ -203,9 +219,10 @@ def _candidates(log: Log) -> str:
     """Numbers that may be the steering under another name, as a sentence."""
     if list(log.topics) == [""]:
         return f"The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
-    topics = [topic for topic in log.topics.values() if topic.fields and _COMMANDS.search(topic.name)]
+    others = [topic for topic in log.topics.values() if topic.fields and not is_measured(topic)]
+    topics = [topic for topic in others if _COMMANDS.search(topic.name)] or others
     named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
-    return f"It may be in: {'; '.join(named)}" if named else "No topic is named like a command."
+    return f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements."
 
 
 def _toml(value: object) -> str:

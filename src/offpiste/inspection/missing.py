@@ -39,7 +39,7 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if r is None:
             what, there = f"its topic '{source.topic}' is not in the log, or holds no numbers", list(recorded)
         else:
-            what, there = f"its topic has no field '{missing[0]}'", list(map(r.topic.in_words, r.fields))
+            what, there = f"its topic has no field '{missing[0]}'", list(map(r.topic.in_words, r.topic.fields))
         cures = tuple(_cures(name, source, recorded, rig))
         evidence = _listed(there)
         remedy = ", ".join(map(str, cures[0])) if cures else f"name where it is recorded in [channels.{name}]"
@@ -69,12 +69,12 @@ def _cures(name: str, source: ChannelSource, recorded: dict[str, Recorded], rig:
         there = recorded[topic]
         by_joint = {joint: field for field, joint in there.topic.joints.items()}
         fields = [by_joint.get(field, field) for field in source.fields]
-        if not set(fields) <= set(there.fields):
-            fields = _renamed(source.fields, there.fields)
+        if not set(fields) <= set(there.topic.fields):
+            fields = _renamed(source.fields, there.topic.fields)
         if fields:
             edits = (("topic", topic, source.topic), ("fields", fields, list(source.fields)))
             yield tuple(Edit(f"channels.{name}.{key}", new) for key, new, old in edits if new != old)
-    if name not in POSE:
+    if name not in (*POSE, "steer"):
         yield absent(name, rig)
 
 

@@ -42,6 +42,12 @@ def check_controls(
         evidence += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
         # Without a rig only names were guessed, and the topic may have another.
         findings.append(Finding("fatal" if given else "warning", "controls", what, evidence, remedy, 1.0))
+    if given and steers and "throttle" not in drive.channels and not _others_work(drive, path):
+        what, evidence = "there is no throttle", "no channel says how the vehicle is driven on"
+        remedy = (
+            "add [channels.throttle], and [channels.brake], where the log has them; else no model can foresee the speed"
+        )
+        findings.append(Finding("warning", "controls", what, evidence, remedy, 0.8))
     if not steers and not drives and not _others_work(drive, path):
         findings.append(_no_controls(_present(drive), path))
     return findings

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.middle_ranges import steering_middle
 from offpiste.inspection.pedal_scale import rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert, largest
@@ -15,6 +16,8 @@ from offpiste.rig.edits import Edit, absent, rounded
 from offpiste.rig.rig import Rig
 
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
+_IN_A_UNIT = (1.0, 100.0, 1000.0)
+"""Ends of ranges that a unit stands for."""
 _CLIPPED = 0.2
 
 PERIODS = (65536.0, 6553.6, 655.36)
@@ -96,9 +99,22 @@ def _unwrapped(
 
 
 def _of_whole_range(name: str, source: ChannelSource, values: Float[np.ndarray, " n"], low: float) -> tuple[Edit, ...]:
-    """The edits for a pedal whose numbers are of a range from below zero to above it, as triggers' are; else none."""
-    span = whole_range(values) if low == 0 else None
-    return scaled_to_unit(name, source, span, turned=bool(rests_high(values))) if span and span[0] < 0 else ()
+    """The edits for numbers of a range that loggers write: of a pedal, or of a steering whose middle is above zero.
+
+    Returns:
+        None of them for percent, which is a unit, and for numbers of no such range.
+    """
+    if low < 0:
+        around = steering_middle(values, named=False) if not source.unit else None
+        if around is None:
+            return ()
+        middle, reach, _ = around
+        wanted = (("scale", source.scale / reach), ("offset", (source.offset - source.sign * middle) / reach))
+        return tuple(Edit(f"channels.{name}.{key}", rounded(value)) for key, value in wanted)
+    span = whole_range(values)
+    if span is None or span[1] in _IN_A_UNIT:
+        return ()
+    return scaled_to_unit(name, source, span, turned=bool(span[0] < 0 and rests_high(values)))
 
 
 def _cure(

@@ -20,6 +20,8 @@ _BULK = re.compile(
     r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
 )
 """Types that are slow to read and hold nothing about the motion."""
+_ARRAY = "MultiArray"
+"""How types of messages end that are an array (std_msgs)."""
 _LARGEST = 1e100
 """Largest number that is taken for a measurement, whatever its unit."""
 _MAX_FIELDS = 64
@@ -76,8 +78,12 @@ class RememberedLog(Log):
         return self._log.topics
 
     def quantities(self, topic: Topic) -> tuple[str, ...]:
-        """Fields that are checked: no entries of arrays (scans, covariances) but named ones and what the rig reads."""
-        plain = tuple(f for f in topic.fields if f in topic.joints or not is_array_entry(f))[:_MAX_FIELDS]
+        """Fields that are checked: no entries of arrays (scans, covariances) but named ones and what the rig reads.
+
+        Where an array is all that a message is made for, its entries are.
+        """
+        array = topic.type.endswith(_ARRAY)
+        plain = tuple(f for f in topic.fields if array or f in topic.joints or not is_array_entry(f))[:_MAX_FIELDS]
         needed = {field for source in self._sources if source.topic == topic.name for field in source.fields}
         more = tuple(f for f in topic.fields if f in needed and f not in plain)
         return plain + more or topic.fields[:1]
@@ -119,6 +125,11 @@ def _of_usable_size(samples: Samples) -> Samples:
     return Samples(limited(samples.time), limited(samples.values))
 
 
+def is_bulk(topic: Topic) -> bool:
+    """Whether a topic has no samples, or such as are slow to read and hold nothing about the motion."""
+    return topic.count == 0 or _BULK.search(topic.type) is not None
+
+
 def read_topics(log: RememberedLog, clock: Clock) -> tuple[dict[str, Recorded], list[Finding]]:
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
@@ -130,7 +141,7 @@ def read_topics(log: RememberedLog, clock: Clock) -> tuple[dict[str, Recorded], 
     findings: list[Finding] = []
     for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
         fields = log.quantities(topic)
-        if topic.count == 0 or not fields or _BULK.search(topic.type):
+        if not fields or is_bulk(topic):
             continue
         readable, errors = _readable(log, name, fields, stamps)
         findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]

@@ -26,6 +26,8 @@ _CLEAR_WITHOUT_SLIP: Final = 0.85
 _USUAL_WITHOUT_SLIP: Final = 0.94
 _MARGIN: Final = 2.0
 """Standard deviations by which it has to lie outside."""
+_RIGHT: Final = 0.5
+"""A steering is right whose turning is off by less than this share of the other's, as logarithms."""
 _RANGES: Final = (0.25, 0.9)
 """Largest steering angles that vehicles have [rad]."""
 _SHAPES: Final = (1.0, 2.8)
@@ -43,10 +45,15 @@ def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, ri
     """
     suspect = _suspect(fits, rig) if agreement is not None and agreement.is_off else None
     findings = [_contradiction(suspect, agreement, rig)] if agreement is not None and suspect is not None else []
+    both = agreement is not None and len(fits) == 2
     for name, fit in fits.items():
         ratio = _extrapolated_ratio(name, fit, rig) or _gripping_ratio(name, fit, rig)
-        if ratio is not None and name != suspect:
-            findings.append(_off(name, ratio, rig, both=agreement is not None and len(fits) == 2))
+        if ratio is None or name == suspect:
+            continue
+        others = [_share(other, fits[other], rig) for other in fits if both and suspect is None and other != name]
+        # Of two that agree with each other, one is not off where the other surely is not.
+        if not any(share is not None and abs(np.log(share)) < _RIGHT * abs(np.log(ratio)) for share in others):
+            findings.append(_off(name, ratio, rig, both=both))
     return findings
 
 
@@ -206,6 +213,9 @@ def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     elif _is_of_an_angle(rig):
         remedy += "tan(max_steer) / wheelbase, less a fifth or so for slip"
     else:
-        remedy = f"vehicle.max_steer = atan({number(curvature)} * wheelbase): {np.arctan(curvature * wheelbase):.3f} "
-        remedy += f"at a wheelbase of {wheelbase:.3g} m; somewhat more where tyres slid all along"
+        remedy = (
+            "vehicle.max_steer is the largest angle of the road wheels, where you know it; tyres slip, and this log "
+        )
+        remedy += f"shows atan({number(curvature)} * wheelbase), {np.arctan(curvature * wheelbase):.3f} rad at "
+        remedy += f"{wheelbase:.3g} m, or more"
     return Finding("note", name, "has this scale", evidence, remedy, 0.4)

@@ -1,11 +1,19 @@
 """The epoch that a stage of training keeps, and what to doubt about it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 FEW_WINDOWS: Final = 200
 """Validation windows below which the choice of an epoch is a matter of chance: 200 overlapping ones are some 10 s."""
+
+
+_RECENT: Final = 3
+"""Last epochs whose gain says whether a stage has converged."""
+_CONVERGED: Final = 0.01
+"""Share of the validation loss that they take off, below which it has."""
+_OPTIONS: Final = {"actuators": "--actuator-epochs", "bicycle": "--bicycle-epochs"}
+"""What sets the epochs of a stage; `--epochs` those of the model's."""
 
 
 @dataclass(frozen=True)
@@ -16,17 +24,25 @@ class KeptEpoch:
         epoch: its number from 1; 0: the weights that the stage began with. None of runs that did not note it.
         epochs: of the stage.
         validation_loss: of that epoch; None of runs that did not note it.
+        gained: share of the validation loss that the last epochs took off; None where it is not known.
     """
 
     epoch: int | None
     epochs: int
     validation_loss: float | None
+    gained: float | None = None
 
     @classmethod
     def of(cls, about: dict[str, Any], epochs: int) -> "KeptEpoch":
         """From what a stage's file says beside its weights."""
         epoch, loss = about.get("kept_epoch"), about.get("validation_loss")
         return cls(None if epoch is None else int(epoch), epochs, None if loss is None else float(loss))
+
+    @classmethod
+    def last_of(cls, epoch: int | None, losses: Sequence[float], epochs: int, best: float) -> "KeptEpoch":
+        """From the validation losses of a stage's epochs, as far as this process has seen them."""
+        before = min(losses[:-_RECENT], default=None)
+        return cls(epoch, epochs, best, None if not before else max(1 - best / before, 0.0))
 
     def about(self) -> dict[str, Any]:
         """What a stage's file says beside its weights."""
@@ -43,8 +59,12 @@ class KeptEpoch:
 
     def doubts(self, stage: str) -> Iterator[str]:
         """What speaks against it."""
-        if self.epoch == self.epochs > 1:
-            yield f"{stage}: the kept epoch is the last one: it may not have converged; train again with more epochs"
+        gains = self.gained is None or self.gained > _CONVERGED
+        if self.epoch == self.epochs > 1 and gains:
+            yield (
+                f"{stage}: the kept epoch is the last one: it may not have converged; train again, into another --out, "
+                f"with more than {self.epochs} {_OPTIONS.get(stage, '--epochs')}"
+            )
         elif self.epoch == 1 and self.epochs > 1:
             yield (
                 f"{stage}: the kept epoch is the first one: validation may be unlike training, or the learning rate "

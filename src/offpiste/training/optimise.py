@@ -135,12 +135,14 @@ def run_stage(
         state.restore(running)
     else:
         state.keep_if_best(_score(stage, validation, config, group))
+    losses: list[float] = []
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
         loss = _train_epoch(stage, state, train, config, epoch, group)
         score = _score(stage, validation, config, group)
         state.epoch = epoch + 1
         state.keep_if_best(score)
+        losses.append(score)
         record(
             {
                 "stage": stage.name,
@@ -154,7 +156,7 @@ def run_stage(
         if group.writes:
             state.save(running)
     load_weights(stage.module, state.best, done)
-    kept = KeptEpoch(state.best_epoch, stage.epochs, state.best_score)
+    kept = KeptEpoch.last_of(state.best_epoch, losses, stage.epochs, state.best_score)
     if group.writes:
         save_tensors(done, state.best, **kept.about())
         running.unlink(missing_ok=True)

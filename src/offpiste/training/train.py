@@ -53,12 +53,14 @@ def train(
     tensorboard: bool = False,
     group: Group = ALONE,
     maps: MapLoss | None = None,
+    folded: bool = False,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
     Args:
         group: the processes that train together; only the first one writes and logs.
         maps: those of the validation windows, where a training before has read them; otherwise they are read here.
+        folded: whether it is one of a cross-validation's.
 
     Raises:
         RunError: a setting is out of range, the folder holds a run and `resume` is false, or one with other settings.
@@ -79,7 +81,7 @@ def train(
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
     record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
     if group.writes:
-        _warn_beforehand(dataset, validation)
+        _warn_beforehand(dataset, validation, folded=folded)
     kept: dict[str, KeptEpoch] = {}
 
     def keep(name: str, epoch: KeptEpoch) -> None:
@@ -129,11 +131,11 @@ def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
         logger.warning(doubt)
 
 
-def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
-    """Log what speaks against a dataset before time is spent on it."""
+def _warn_beforehand(dataset: Dataset, validation: Windows, *, folded: bool) -> None:
+    """Log what speaks against a dataset before time is spent on it; another split is none of a fold's cures."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
-    if (line := split_warning(dataset)) is not None:
+    if not folded and (line := split_warning(dataset)) is not None:
         logger.warning(line)
     elif len(validation) < FEW_WINDOWS:
         logger.warning(
@@ -213,25 +215,28 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
     described = json.loads(json.dumps(described))
     remove_partials(folder)
     path = folder / "config.json"
-    if path.exists():
-        if not resume:
-            raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
-        result = load_json(path)
-        if isinstance(result.get("train"), dict):  # of runs that are older than a setting
-            result["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **result["train"]}
-        for key in ("train", "dataset", "split"):
-            if result.get(key) != described[key]:
-                before, now = result.get(key), described[key]
-                if isinstance(before, dict) and isinstance(now, dict):
-                    other = [name for name in now if before.get(name) != now[name]]
-                    key = ", ".join(f"{name} {before.get(name)} then, {now[name]} now" for name in other)
-                raise RunError(
-                    f"was begun with other settings ({key})",
-                    where=folder,
-                    how="resume with the same, or choose another --out",
-                )
+    if not path.exists():
+        save_json(path, described)
         return
-    save_json(path, described)
+    if other := _other_settings(load_json(path), described):
+        how = "resume with the same, or choose another --out" if resume else "choose another --out"
+        raise RunError(f"holds a run that was begun with other settings ({other})", where=folder, how=how)
+    if not resume:
+        raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
+
+
+def _other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """What differs between the settings of two runs, in words."""
+    if isinstance(before.get("train"), dict):  # of runs that are older than a setting
+        before["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **before["train"]}
+    for key in now:
+        then, new = before.get(key), now[key]
+        if then != new and isinstance(then, dict):
+            other = [name for name in new if then.get(name) != new[name]]
+            return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
+        if then != new:
+            return key
+    return ""
 
 
 def _refuse_ground(batch: Batch) -> None:
@@ -282,7 +287,7 @@ def train_folds(
     for number in range(folds):
         logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))
-        train(relabelled, config, folder / f"fold-{number}", resume=resume)
+        train(relabelled, config, folder / f"fold-{number}", resume=resume, folded=True)
 
 
 def fold_folders(folder: Path) -> list[Path]:

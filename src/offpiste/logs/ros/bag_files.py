@@ -23,6 +23,8 @@ _NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int
 MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
 """Makes the decoder of a connection's messages, given the path of its bag for errors."""
 
+_NO_NUMBERS = {"std_msgs/msg/Header", "std_msgs/msg/MultiArrayLayout"}
+"""Parts of messages that hold no measurement: stamps are read on their own, and a layout says how arrays are cut."""
 _JOINT_ARRAYS = {"position": "", "velocity": "_vel", "effort": "_effort"}
 """Arrays of sensor_msgs/JointState, with what is put behind the names of their entries."""
 _MAX_ENTRIES = 36
@@ -56,7 +58,7 @@ def fields_of(store: Typestore, msgtype: str, first: Callable[[], object], prefi
     for name, (kind, detail) in entries:
         path = prefix + name
         if kind == Nodetype.NAME:
-            if detail != "std_msgs/msg/Header":
+            if detail not in _NO_NUMBERS:
                 yield from fields_of(store, detail, first, f"{path}.")
         elif kind == Nodetype.BASE:
             if detail[0] in _NUMBERS and name != "structure_needs_at_least_one_member":
