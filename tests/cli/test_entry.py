@@ -94,7 +94,7 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         ),
         (("extract", "{drive}", *RIG, "--out", "{dataset}", "--flat"), "another rig"),
         (("train", "{tmp}/nothing.zarr", "--out", "{tmp}/run"), "not a dataset"),
-        (("train", "{dataset}", "--out", "{run}"), "holds a run already"),
+        (("train", "{dataset}", "--out", "{run}"), "holds a run that was begun with other settings"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--model", "dc9"), "no model 'dc9'"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--folds", "2"), "3 or more"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),

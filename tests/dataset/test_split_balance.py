@@ -18,6 +18,7 @@ from offpiste.dataset.split_balance import (
     better_split,
     complaints,
     fitting_split,
+    has_little_driving,
     next_split,
     part_facts,
     split_warning,
@@ -122,3 +123,28 @@ def test_a_short_drive_is_extracted_again_with_parts_that_have_enough_windows() 
     assert split is not None
     assert all(part.windows >= LEAST_WINDOWS for part in part_facts(short.relabelled(split)))
     assert next_split(dataset(at_speed(wandering(20000)))) is None
+
+
+def test_parts_that_are_unlike_are_extracted_again_as_the_warning_says() -> None:
+    speed = wandering(30000)
+    speed[21000:] = np.where(np.arange(9000) % 3000 < 400, 3.0, 0.0)
+    data = dataset(at_speed(speed))
+    split = next_split(data)
+    assert split is not None
+    assert f"--split {split.text} (" in (split_warning(data) or "")
+
+
+def test_a_drive_with_holes_gets_a_fold_where_no_blocks_fit() -> None:
+    rows = at_speed(wandering(3600))
+    valid = np.ones(len(rows.valid), bool)
+    valid[np.r_[300:320, 1500:1520, 2300:2320, 3050:3070]] = False
+    data = dataset(replace(rows, valid=valid))
+    split = next_split(data)
+    assert split is not None
+    assert all(part.windows for part in part_facts(data.relabelled(split)))
+
+
+def test_little_driving_is_what_training_has_of_it() -> None:
+    assert has_little_driving(dataset(at_speed(wandering(30000))))
+    assert not has_little_driving(dataset(at_speed(wandering(60000))))
+    assert has_little_driving(dataset(at_speed(np.where(np.arange(60000) < 10000, 4.0, 0.0))))

@@ -90,5 +90,5 @@ def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.Capture
     assert f"wrote {tmp_path / 'my.toml'}\n" in printed
     assert "  missing: calibration of front" in printed
     assert "  missing: steering: no field looks like it" in printed
-    assert "No topic is named like a command." in printed
+    assert "All topics are named like measurements." in printed
     parse_rig((tmp_path / "my.toml").read_text(), where="my.toml")

@@ -320,6 +320,14 @@ def test_pedals_alone_are_not_enough() -> None:
     assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no steering"]
 
 
+def test_steering_alone_is_warned_of() -> None:
+    pedals = rig().absent
+    without = edited(rig(), [Edit("channels.throttle", None), Edit("channels.brake", None),
+                             Edit("absent", ["throttle", "brake", *pedals])])  # fmt: skip
+    (finding,) = (f for f in inspect_log(CLEAN, without).findings if f.severity != "note")
+    assert (finding.severity, finding.what) == ("warning", "there is no throttle")
+
+
 def test_no_pose_at_all() -> None:
     found = inspect_log(MemoryLog({"pedals": CLEAN.data["pedals"]}))
     assert not found.usable

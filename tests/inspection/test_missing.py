@@ -90,3 +90,12 @@ def test_other_topics_are_no_controls():
     assert finding.evidence.startswith("nothing reads sensors")
     assert "gas" in finding.evidence
     assert " a" not in finding.evidence
+
+
+def test_fields_that_are_entries_of_an_array_are_listed() -> None:
+    array = drive_log(seed=0)
+    time, columns = array.data["steering"]
+    log = MemoryLog(array.data | {"steering": (time, {"data[0]": columns["command"], "data[1]": columns["angle"]})})
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.where == "steer" and f.severity == "fatal")
+    assert "data[0], data[1]" in finding.evidence
+    assert "leave the channel out" not in finding.remedy

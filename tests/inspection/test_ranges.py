@@ -36,3 +36,19 @@ def test_large_counts_that_are_no_wrapped_zero_are_scaled():
     scale, offset = cures(log)
     assert (scale.key, offset.key) == ("channels.brake.scale", "channels.brake.offset")
     assert scale.value == pytest.approx(1 / 5000 / np.ptp(CLEAN.data["pedals"][1]["brake"]), rel=0.1)
+
+
+@pytest.mark.parametrize(("full", "reached"), [(255.0, 0.6), (1023.0, 1.0), (4095.0, 1.0)])
+def test_counts_get_the_range_that_loggers_write_not_what_one_log_reached(full, reached):
+    (scale,) = cures(CLEAN.change("pedals", "brake", lambda x: full * reached * x / x.max()))
+    assert (scale.key, scale.value) == ("channels.brake.scale", pytest.approx(1 / full, rel=1e-3))
+
+
+def test_a_steering_that_the_rig_cuts_off_is_named_and_one_at_its_ends_is_not():
+    log = CLEAN.change("steering", "command", lambda x: 2.5 * x / np.abs(x).max())
+    field = 'fields = ["command"]'
+    clipped = rig((field, f"{field}\nclip = [-1.0, 1.0]"))
+    (finding,) = (f for f in inspect_log(log, clipped).findings if f.where == "steer" and "clipped" in f.what)
+    assert finding.severity == "warning"
+    at_its_ends = CLEAN.change("steering", "command", lambda x: np.clip(1.4 * x / np.abs(x).max(), -1.01, 1.01))
+    assert not [f for f in inspect_log(at_its_ends, clipped).findings if "clipped" in f.what]

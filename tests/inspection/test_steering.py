@@ -163,7 +163,6 @@ def test_a_range_that_no_vehicle_has_speaks_for_another_wheelbase() -> None:
     assert [cure[0].key for cure in finding.cures] == [
         "vehicle.wheel_positions",
         "channels.steer.scale",
-        "vehicle.max_steer",
     ]
     found = np.ptp([x for x, _ in finding.cures[0][0].value])
     assert found == pytest.approx(np.ptp([x for x, _ in rig().vehicle.wheel_positions]), rel=0.1)

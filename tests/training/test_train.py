@@ -231,8 +231,10 @@ def test_a_gradient_that_is_not_finite_is_named(dataset: Dataset, tmp_path: Path
 def test_a_folder_with_a_run_is_not_overwritten(dataset: Dataset, run: Path) -> None:
     with pytest.raises(RunError, match="holds a run already"):
         train(dataset, QUICK, run)
-    with pytest.raises(RunError, match=r"begun with other settings \(batch 64 then, 4 now\)"):
-        train(dataset, replace(QUICK, batch=4), run, resume=True)
+    for resume, how in ((True, "resume with the same, or choose another --out"), (False, "choose another --out")):
+        with pytest.raises(RunError, match=r"begun with other settings \(batch 64 then, 4 now\)") as error:
+            train(dataset, replace(QUICK, batch=4), run, resume=resume)
+        assert error.value.how == how
 
 
 def test_an_unknown_model_is_named(dataset: Dataset, tmp_path: Path) -> None:
@@ -276,9 +278,12 @@ def test_a_run_is_not_evaluated_on_what_it_was_trained_on(dataset: Dataset, run:
         refuse_seen(loaded, dataset.relabelled(parse_split("blocks:0.2,0.2,0.6")), "test")
 
 
-def test_folds_refit_everything_on_their_own_parts(dataset: Dataset, tmp_path: Path) -> None:
+def test_folds_refit_everything_on_their_own_parts(
+    dataset: Dataset, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     config = replace(QUICK, model="parametric", epochs=1)
     train_folds(dataset, config, tmp_path / "cv", folds=3)
+    assert "another --out, with --split" not in caplog.text
     folders = fold_folders(tmp_path / "cv")
     assert [folder.name for folder in folders] == ["fold-0", "fold-1", "fold-2"]
     runs = [load_run(folder) for folder in folders]

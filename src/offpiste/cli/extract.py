@@ -28,7 +28,7 @@ class Extract:
     out: Path
     """The dataset, e.g. dataset.zarr or s3://bucket/dataset.zarr; drives already in it are kept."""
     split: str = "blocks:0.7,0.1,0.2"
-    """blocks:TRAIN,VALIDATION,TEST by time (@SECONDS: repeated), fold:K/N, places:METRES, or drives:FILE."""
+    """blocks:TRAIN,VALIDATION,TEST by time (@SECONDS: repeated), fold:K/N (K from 0), places:METRES, or drives:FILE."""
     features: Literal["none", "ground-truth", "ground-kind"] = "none"
     """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
     `ground-kind`: the kind of ground."""

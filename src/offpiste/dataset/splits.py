@@ -85,7 +85,7 @@ def parse_split(text: str) -> Split:
         DatasetError: unknown kind, fractions that do not sum to one, a file that cannot be read.
     """
     kind, _, rest = text.partition(":")
-    usage = "write blocks:0.7,0.1,0.2, fold:0/5, places:50 or drives:FILE"
+    usage = "write blocks:0.7,0.1,0.2, fold:0/5 (the first of five, up to fold:4/5), places:50 or drives:FILE"
     if text == kind and kind in ("blocks", "fold", "places", "drives"):
         more = ", a file with a line 'NAME PART' a drive" if kind == "drives" else ""
         raise DatasetError(f"not a split: '{text}' says no more than its kind", how=f"{usage}{more}")

@@ -148,6 +148,8 @@ def check_faults(drive: Drive) -> list[Finding]:
         )
         evidence += f"{worst.off:.3g} {unit} off"
         how = "nothing where the rest is enough: they are dropped on reading, and no window reaches across"
+        if max(run.until - run.after for run in runs) < drive.rig.clock.max_gap:
+            how += "; in a short log delete these rows, since gaps as short are bridged"
         share = min(sum(run.until - run.after for run in runs if np.isfinite(run.until - run.after)) / length, 1.0)
         findings.append(Finding("warning", name, "has samples that no vehicle makes", evidence, how, share))
     turns = [jump for jump in drive.faults.jumps if jump.channel != "position"]

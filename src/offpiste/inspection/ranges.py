@@ -18,7 +18,10 @@ from offpiste.rig.rig import Rig
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
 _IN_A_UNIT = (1.0, 100.0, 1000.0)
 """Ends of ranges that a unit stands for."""
-_CLIPPED = 0.2
+_CLIPPED, _CUT = 0.2, 0.05
+"""Share of the samples that a rig may clip, of pedals, whose rest is clipped, and of controls with two ends."""
+_BEYOND = 0.025
+"""Share of the range beyond its end from which a clipped control of two ends is cut off."""
 
 PERIODS = (65536.0, 6553.6, 655.36)
 """Of 16-bit counters, whole or in tenths or hundredths."""
@@ -36,11 +39,11 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         values = _before_clip(name, source, raw)
         if len(values) < 20:
             continue
-        slack = 0.1 * (high - low)
+        slack = (0.1 if low == 0 or not source.clip else _BEYOND) * (high - low)
         # A pedal at rest may well be below what is clipped to 0.
         below = values < (low - slack if low < 0 or not source.clip else -1.0)
         outside = float(np.mean(below | (values > high + slack)))
-        if outside <= (_CLIPPED if source.clip else 0.005):
+        if outside <= (0.005 if not source.clip else _CLIPPED if low == 0 else _CUT):
             continue
         first, last = np.percentile(values, (0.5, 99.5))
         cure = _unwrapped(name, source, raw, (low - slack, high + slack)) or _of_whole_range(name, source, values, low)
@@ -136,7 +139,8 @@ def _cure(
             continue
         return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
-        return (Edit(f"channels.{name}.scale", rounded(source.scale * high / extreme)),)
+        scaled = (("scale", source.scale * high / extreme), ("offset", source.offset * high / extreme))
+        return tuple(Edit(f"channels.{name}.{key}", rounded(new)) for key, new in scaled if new)
     if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.

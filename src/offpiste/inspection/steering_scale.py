@@ -128,7 +128,10 @@ def _off(name: str, ratio: float, rig: Rig, *, both: bool) -> Finding:
     if name == "steer":
         command = ("", _other_command(rig, ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
-        ways = [*ways, command] if _RANGES[0] < angle < _RANGES[1] else [unit, long, places, command, own]
+        if not _RANGES[0] < angle < _RANGES[1]:
+            ways = [unit, long, places, command, *([own] if angle < _RANGES[1] else [])]
+        else:
+            ways.append(command)
     likely = [(words, way) for words, way in ways if way is not None]
     remedy = "; or ".join(f"{words}{', '.join(map(str, way))}" for words, way in likely)
     cures = tuple(way for _, way in likely)

@@ -1,4 +1,4 @@
-"""Rows of a table that a slower sensor leaves empty: they are no fault, and what it really lost is told apart."""
+"""Rows of a table that a slower sensor leaves empty: they are no fault, and what it really lost is known from them."""
 
 from typing import Final
 

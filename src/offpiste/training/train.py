@@ -53,14 +53,12 @@ def train(
     tensorboard: bool = False,
     group: Group = ALONE,
     maps: MapLoss | None = None,
-    folded: bool = False,
 ) -> Dynamics:
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
     Args:
         group: the processes that train together; only the first one writes and logs.
         maps: those of the validation windows, where a training before has read them; otherwise they are read here.
-        folded: whether it is one of a cross-validation's.
 
     Raises:
         RunError: a setting is out of range, the folder holds a run and `resume` is false, or one with other settings.
@@ -81,7 +79,7 @@ def train(
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
     record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
     if group.writes:
-        _warn_beforehand(dataset, validation, folded=folded)
+        _warn_beforehand(dataset, validation)
     kept: dict[str, KeptEpoch] = {}
 
     def keep(name: str, epoch: KeptEpoch) -> None:
@@ -131,11 +129,11 @@ def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
         logger.warning(doubt)
 
 
-def _warn_beforehand(dataset: Dataset, validation: Windows, *, folded: bool) -> None:
-    """Log what speaks against a dataset before time is spent on it; another split is none of a fold's cures."""
+def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
+    """Log what speaks against a dataset before time is spent on it; one of several folds is not to be split otherwise."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
-    if not folded and (line := split_warning(dataset)) is not None:
+    if dataset.split.kind != "fold" and (line := split_warning(dataset)) is not None:
         logger.warning(line)
     elif len(validation) < FEW_WINDOWS:
         logger.warning(
@@ -287,7 +285,7 @@ def train_folds(
     for number in range(folds):
         logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))
-        train(relabelled, config, folder / f"fold-{number}", resume=resume, folded=True)
+        train(relabelled, config, folder / f"fold-{number}", resume=resume)
 
 
 def fold_folders(folder: Path) -> list[Path]:
