@@ -130,7 +130,7 @@ def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
 
 
 def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
-    """Log what speaks against a dataset before time is spent on it; one of several folds is not to be split otherwise."""
+    """Log what speaks against a dataset before time is spent on it; a fold is not to be split otherwise."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     if dataset.split.kind != "fold" and (line := split_warning(dataset)) is not None:
