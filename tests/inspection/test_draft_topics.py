@@ -184,3 +184,19 @@ def test_a_vehicle_that_turns_tightly_is_drafted_small() -> None:
     assert vehicle.max_steer == 0.5
     assert vehicle.wheelbase == pytest.approx(2.5 / 8 * np.tan(0.5) / np.tan(0.4), rel=0.15)
     assert "that turns so with 0.5 rad" in vehicle.source
+
+
+def test_a_stick_that_drives_above_zero_and_brakes_below_is_found() -> None:
+    time, pedals = CLEAN.data["pedals"]
+    steer = np.interp(time, CLEAN.data["steering"][0], CLEAN.data["steering"][1]["command"])
+    axes = {"axes[0]": 0 * time, "axes[1]": pedals["throttle"] - pedals["brake"], "axes[3]": steer}
+    channels = _drafted(Typed({"odom": (TIME, ODOM), "joy/Joy": (time, axes)})).channels
+    assert channels["throttle"].fields == channels["brake"].fields == ("axes[1]",)
+    assert (channels["throttle"].sign, channels["brake"].sign) == (1, -1)
+    assert channels["throttle"].clip == channels["brake"].clip == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("name", ["/imu/angular_velocity/z", "imu.angular_velocity.z", "ang_vel_z", "gyro z"])
+def test_a_turn_rate_that_stands_alone_is_one(name: str) -> None:
+    log = MemoryLog({"table": (TIME, {"a": TIME, name: ODOM["wz"], "b": TIME})})
+    assert ("yaw_rate", (name,)) in {(guess.channel, guess.fields) for guess in guess_channels(log)}

@@ -50,8 +50,11 @@ _TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], 
 """Names too short to mean anything alone; together they are of one notation (SNAME's, of marine vehicles)."""
 
 _ANGLE = r"(angle|ang)"
+_TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
+"""The z component alone of an angular velocity."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
+    ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])theta$"),
     ("yaw", 2, r"(?<![a-z])phi$"),
@@ -140,7 +143,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
     scalars = _scalars()
     for field, label in named.items():
         unnamed = is_array_entry(field) and field not in topic.joints
-        if field in taken or unnamed or _NOT_SCALARS.search(label.name):
+        other = _NOT_SCALARS.search(label.name) and not _TURN_RATE.search(label.name)
+        if field in taken or unnamed or other:
             continue
         for channel, rank, pattern in scalars:
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
+from offpiste.inspection.draft_channels import is_signed
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedal_scale import rests_high
@@ -130,11 +131,12 @@ def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bo
 
 
 def _pressed(channel: Channel) -> Channel | None:
-    """A pedal from 0, released, upwards; None where it rests at neither end."""
+    """A pedal from 0, released, upwards, or the upper half of a stick that rests at 0; None where it rests nowhere."""
     values: Float[np.ndarray, "n 1"] = channel.values
     high = rests_high(values[:, 0])
     if high is None:
-        return None
+        both_ways = channel.name == "throttle" and is_signed(values[:, 0])
+        return replace(channel, values=np.maximum(values, 0.0)) if both_ways else None
     return Channel(channel.name, channel.unit, channel.time, values.max() - values if high else values - values.min())
 
 
