@@ -156,6 +156,18 @@ def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
     assert rig.channels["steer"].scale == pytest.approx(1 / 400, rel=0.01)
 
 
+def test_a_steering_wheel_that_is_once_turned_far_is_not_cut_off(tmp_path: Path) -> None:
+    """A tight turn is rarer than one sample in a hundred; a spike is no turn."""
+    turned = np.degrees(DRIVEN["angle"]) * 15 * np.where(np.abs(DRIVEN["t"] - 20.5) < 0.4, 2.0, 1.0)
+    turned[100] = 9000.0
+    path = tmp_path / "drive.csv"
+    columns = np.column_stack([*(DRIVEN[name] for name in ("t", "x", "y", "yaw")), turned])
+    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steering_wheel_angle_deg", comments="")
+    largest = np.abs(np.delete(turned, 100)).max()
+    assert drafted(path).channels["steer"].scale == pytest.approx(1 / largest, rel=0.01)
+    assert "max_steer is that over the steering's ratio" in draft_rig(open_log(path))
+
+
 def test_a_command_beside_an_angle_keeps_its_own_column(tmp_path: Path) -> None:
     columns = {**POSE, "steer_cmd": ("angle", 1 / WIDEST), "delta": ("angle", 1)}
     rig = drafted(written(tmp_path / "drive.csv", columns))

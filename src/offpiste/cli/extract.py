@@ -93,4 +93,6 @@ class Extract:
             other = self.out.with_name(f"{self.out.stem}-2{self.out.suffix}")
             return command_line("extract", self, "logs", split=split.text, out=other)
         model = "dc" if self.pca else "parametric" if little else "b"
-        return join(["offpiste", "train", str(self.out), "--model", model, "--out", f"runs/{model}"])
+        runs = (f"runs/{model}{more}" for more in ("", *(f"-{number}" for number in range(2, 1000))))
+        out = next((run for run in runs if not Path(run).exists()), f"runs/{model}")
+        return join(["offpiste", "train", str(self.out), "--model", model, "--out", out])

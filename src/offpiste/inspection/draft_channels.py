@@ -14,6 +14,7 @@ from offpiste.inspection.draft_gear import gear_values
 from offpiste.inspection.draft_pose import COMMANDED, Entry, degrees, draft_pose, field_values, unit_line
 from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest, steering_middle
 from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, seen_range, whole_range
+from offpiste.inspection.signals import find_spikes
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
@@ -27,6 +28,8 @@ _SLACK: Final = 25.0
 """Pulses below the one at rest that are none of a brake [us]."""
 _WIDEST: Final = 1.05
 """Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
+_STEERING_WHEEL: Final = 130.0
+"""Largest value from which a steering in degrees is surely that of the wheel in the driver's hands."""
 _STEEPEST: Final = 1.4
 """Largest `max_steer` that is drafted [rad]."""
 
@@ -97,8 +100,11 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]
         comment += f" and numbers: {words}"
     elif channel == "steer" and largest > 1.05:
+        largest = float(np.abs(values[~find_spikes(values)]).max())
         lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
         comment += f"; scaled by its largest value, {largest:.4g}"
+        if _is_angle(guess) or largest > _STEERING_WHEEL:
+            comment += ": of a steering wheel, max_steer is that over the steering's ratio"
     elif channel == "steer" and low > 0 and 0.3 < np.median(values) < 0.7:
         lines += ["scale = 2.0", "offset = -1.0"]
         comment += "; 0..1 read as -1..1"

@@ -216,9 +216,14 @@ def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     elif _is_of_an_angle(rig):
         remedy += "tan(max_steer) / wheelbase, less a fifth or so for slip"
     else:
+        source = rig.channels["steer"]
+        full = (source.sign / unit_factor("steer", source.unit) - source.offset) / source.scale
+        recorded = "" if full == 1 else f" ({full:.4g} as recorded)"
         remedy = (
-            "vehicle.max_steer is the largest angle of the road wheels, where you know it; tyres slip, and this log "
+            f"vehicle.max_steer is the angle of the road wheels at steer = 1{recorded}, where you know it; by this log "
         )
-        remedy += f"shows atan({number(curvature)} * wheelbase), {np.arctan(curvature * wheelbase):.3f} rad at "
-        remedy += f"{wheelbase:.3g} m, or more"
+        remedy += (
+            f"atan({number(curvature)} * wheelbase), {np.arctan(curvature * wheelbase):.3f} rad at {wheelbase:.3g} m, "
+        )
+        remedy += "or more, as tyres slip"
     return Finding("note", name, "has this scale", evidence, remedy, 0.4)
