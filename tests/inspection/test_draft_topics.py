@@ -184,6 +184,7 @@ def test_a_vehicle_that_turns_tightly_is_drafted_small() -> None:
     assert vehicle.max_steer == 0.5
     assert vehicle.wheelbase == pytest.approx(2.5 / 8 * np.tan(0.5) / np.tan(0.4), rel=0.15)
     assert "that turns so with 0.5 rad" in vehicle.source
+    assert vehicle.mass == pytest.approx(1000 * (vehicle.wheelbase / 2) ** 3, rel=0.1)
 
 
 def test_a_stick_that_drives_above_zero_and_brakes_below_is_found() -> None:

@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import join
 
 import numpy as np
 
@@ -94,12 +95,18 @@ def evaluate_runs(
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
         logger.info("rows with the lookup 'map' decide: a planner knows the map, and not where the wheels will be")
     if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
-        logger.info(
-            f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed; "
-            "`train --folds 5`, and then `evaluate` of its folder, tests on all of the driving"
-        )
+        line = f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"
+        logger.info(line + _folds(folders[0], runs[0].model, dataset_path))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _folds(folder: Path, model: str, dataset: Path) -> str:
+    """The command that tests a model on all of the driving; nothing for runs that are folds, or that ship."""
+    if not folder.is_dir() or fold_folders(folder):
+        return ""
+    more = ["--model", model, "--out", f"{folder}-folds", "--folds", "5"]
+    return f"; to test on all of the driving: {join(['offpiste', 'train', str(dataset), *more])}"
 
 
 def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> tuple[str, ...]:

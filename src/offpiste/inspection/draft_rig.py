@@ -19,6 +19,7 @@ from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
     MASS,
+    SMALL_CAR,
     WHEELS,
     estimated_max_steer,
     estimated_wheelbase,
@@ -174,7 +175,7 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
         quoted=_toml(name),
         absent=_toml(absent),
         source=_toml(source),
-        mass=MASS,
+        mass=MASS if not wheelbase else float(f"{MASS * (wheelbase / SMALL_CAR) ** 3:.2g}"),
         max_steer=stated or seen.max_steer or _MAX_STEER,
         by_motion="; by the yaw rate, for this wheelbase" if seen.max_steer and not stated and not seen.assumed else "",
         wheels=_toml(wheels),

@@ -18,6 +18,8 @@ MASS: Final = 1000.0
 """Mass of a small car [kg]."""
 WHEELS: Final = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
 """Its wheels, from its middle [m]."""
+SMALL_CAR: Final = WHEELS[0][0] - WHEELS[2][0]
+"""Its wheelbase [m]; the masses of vehicles go with the cube of theirs."""
 GUESSED: Final = "GUESSED"
 """What `vehicle.source` begins with until it names a source."""
 _WHEELBASES: Final = (0.05, 8.0)
@@ -80,7 +82,7 @@ def _driven(log: Log, rig: Rig) -> tuple[Drive, Path] | None:
 
 def wheels_of(wheelbase: float) -> tuple[tuple[float, float], ...]:
     """Wheels of a small car, scaled to a wheelbase [m]."""
-    scale = wheelbase / (WHEELS[0][0] - WHEELS[2][0])
+    scale = wheelbase / SMALL_CAR
     return tuple((float(f"{x * scale:.3g}"), float(f"{y * scale:.3g}")) for x, y in WHEELS)
 
 

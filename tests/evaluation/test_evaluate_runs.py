@@ -1,0 +1,26 @@
+"""What `evaluate` proposes where a test part is too short for an interval."""
+
+import shlex
+from pathlib import Path
+
+import tyro
+
+from offpiste.cli.train import Train
+from offpiste.evaluation.evaluate_runs import _folds
+
+
+def test_all_of_the_driving_is_tested_by_a_command_that_can_be_pasted(tmp_path: Path) -> None:
+    run = tmp_path / "my run"
+    run.mkdir()
+    line = _folds(run, "parametric", Path("data set.zarr")).partition("driving: ")[2]
+    program, command, *rest = shlex.split(line)
+    assert (program, command) == ("offpiste", "train")
+    train = tyro.cli(Train, args=rest)
+    assert (train.dataset, train.out, train.folds) == (Path("data set.zarr"), tmp_path / "my run-folds", 5)
+    assert train.train.model == "parametric"
+
+
+def test_folds_and_models_that_ship_are_not_trained_again(tmp_path: Path) -> None:
+    (tmp_path / "cv" / "fold-0").mkdir(parents=True)
+    assert _folds(tmp_path / "cv", "b", Path("data.zarr")) == ""
+    assert _folds(Path("pretrained:proving-ground/b"), "b", Path("data.zarr")) == ""
