@@ -64,6 +64,20 @@ def test_a_throttle_that_is_released_is_none_that_is_lost() -> None:
     assert _found(CLEAN) == []
 
 
+def test_a_brake_that_acts_less_than_usual_is_no_lost_throttle() -> None:
+    """On slippery ground a vehicle slows by less than the same brake does elsewhere."""
+    count = 200
+    first = _most_pressed(count)
+
+    def pressed(values: np.ndarray) -> np.ndarray:
+        values[first : first + count] = 0.5
+        return values
+
+    lost = _lost(first, count=count)
+    assert len(_found(lost)) == 1
+    assert _found(lost.change("pedals", "brake", pressed)) == []
+
+
 def test_a_loss_that_is_too_short_to_show_in_the_acceleration_is_left_out() -> None:
     assert _found(_lost(_most_pressed(20), count=20)) == []
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from offpiste.inspection.driven_path import MOVING, STEP, Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, LagFit, sampled
-from offpiste.inspection.pedals import OWN_DELAY, pedal_base
+from offpiste.inspection.pedals import OWN_DELAY, RELEASED, pedal_base
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
@@ -89,6 +89,7 @@ def _pressed(begin: float, end: float, fit: LagFit, drive: Drive, path: Path) ->
     others = known & ((path.time < begin) | (path.time > end + 1.0))
     within = known & (path.time > begin + lag + _SETTLED)
     within &= path.time < end + lag - min(_SETTLED, (end - begin) / 3)
+    within &= ~_braked(drive, path)
     if others.sum() < _ROWS or not _driven(within, path) or not (throttle[others] > 0).any():
         return 0.0, 0.0, 0.0
     solution = np.linalg.lstsq(columns[others], gained[others], rcond=None)[0]
@@ -99,6 +100,15 @@ def _pressed(begin: float, end: float, fit: LagFit, drive: Drive, path: Path) ->
     more = float(missed[within].mean())
     usual = float(np.median(throttle[others & (throttle > 0)]))
     return more / float(solution[-1]), more / float(np.sqrt(np.mean(stretches**2))), usual
+
+
+def _braked(drive: Drive, path: Path) -> Bool[np.ndarray, " n"]:
+    """Rows in which the brake is pressed, or was just before: it may act less than usual, on slippery ground."""
+    brake = drive.channels.get("brake")
+    if brake is None:
+        return np.zeros(len(path.time), bool)
+    pressed = [sampled(brake, path.time - late, drive.rig) > RELEASED for late in (0.0, _SETTLED)]
+    return np.asarray(pressed[0] | pressed[1])
 
 
 def _driven(within: Bool[np.ndarray, " n"], path: Path) -> bool:

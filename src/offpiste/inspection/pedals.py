@@ -92,7 +92,7 @@ _USUAL_DELAY = {"throttle": 0.1, "brake": 0.06}
 """Delays that healthy vehicles have in the middle [s]."""
 _PEDAL_EFFECT = 0.2
 """Correlation of acceleration and pedal, with speed, slope and the other pedal taken out, above which it is one."""
-_RELEASED = 0.08
+RELEASED = 0.08
 """A pedal below this is released."""
 _PRESSED = 0.3
 """A pedal above this is pressed."""
@@ -188,7 +188,7 @@ def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
     if other is None:
         return False
     with np.errstate(invalid="ignore"):
-        alone = sampled(other, path.time - 0.2, drive.rig) < _RELEASED
+        alone = sampled(other, path.time - 0.2, drive.rig) < RELEASED
     way = np.sign(path.forward)
     pushed = path.acceleration * way + GRAVITY * path.slope
     base = np.stack((np.ones(len(path.time)), np.abs(path.forward)), axis=1)
@@ -205,7 +205,7 @@ def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
     """A finding if a pedal rests above zero: at a standstill, or while the other one is pressed."""
     channel, source = drive.channels[name], drive.rig.channels[name]
     lowest = float(np.percentile(channel.values, 0.5))
-    if lowest < _RELEASED:
+    if lowest < RELEASED:
         return []
     at = sampled(channel, path.time, drive.rig)
     other = drive.channels.get("brake" if name == "throttle" else "throttle")
@@ -215,7 +215,7 @@ def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
         return []
     rest = float(np.nanpercentile(at[pressed | standing], 5))
     # Where it is higher then than while driving, the driver presses it, and its rest is not seen.
-    if not _RELEASED <= rest < lowest + _RELEASED / 2:
+    if not RELEASED <= rest < lowest + RELEASED / 2:
         return []
     # Motors do not answer to the least throttle: only who brakes has surely released it.
     severity: Severity = "warning" if pressed.sum() >= 20 else "note"
@@ -255,7 +255,7 @@ def pedal_base(path: Path, other: Channel | None, rig: Rig) -> Float[np.ndarray,
 def _flip(name: str, channel: Channel, rig: Rig) -> tuple[Edit, ...]:
     """The edits that reverse a pedal: 0..1 becomes 1..0, -1..0 its opposite, and 1..-1, as of triggers, 0..1."""
     source, values = rig.channels[name], channel.values[:, 0]
-    if held_range(values)[1] < _RELEASED and np.median(values) < 0:
+    if held_range(values)[1] < RELEASED and np.median(values) < 0:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     span = whole_range(values)
     return scaled_to_unit(name, source, span if span and span[0] < 0 else (0.0, 1.0), turned=True)
