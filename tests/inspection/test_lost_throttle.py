@@ -1,4 +1,4 @@
-"""A throttle that is lost is told from one that is released, by what the vehicle does meanwhile."""
+"""A throttle that is lost is parted from one that is released, by what the vehicle does meanwhile."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rows between a slower sensor's samples are told from lost ones."""
+"""Rows between a slower sensor's samples are parted from lost ones."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_rows_that_are_lost_at_random_are_lost(share: float) -> None:
     assert not between_samples(empty).any()
 
 
-def test_what_a_slower_sensor_loses_is_told_apart() -> None:
+def test_what_a_slower_sensor_loses_is_no_row_between_its_samples() -> None:
     empty = _rows_of(20.0)
     lost = np.zeros(len(empty), bool)
     lost[1001:1100] = True

@@ -35,7 +35,7 @@ def test_files_of_before_do_not_say_which_epoch() -> None:
 @pytest.mark.parametrize(
     ("stage", "option"), [("model", "--epochs"), ("actuators", "--actuator-epochs"), ("bicycle", "--bicycle-epochs")]
 )
-def test_who_has_not_converged_is_told_which_epochs_are_few(stage: str, option: str) -> None:
+def test_the_option_of_the_epochs_that_are_few_is_named(stage: str, option: str) -> None:
     (doubt,) = KeptEpoch(12, 12, 0.5).doubts(stage)
     assert doubt.endswith(f"with more than 12 {option}")
 

@@ -38,7 +38,7 @@ _FOR_SHORT_DRIVES: Final = (
 )
 """Tried where a drive is too short for its split."""
 _LITTLE: Final = 600.0
-"""Driving in training from which a network beside the physics pays [s]."""
+"""Driving in training below which `parametric` is the model to begin with [s]: a choice, ten minutes."""
 _LEAST_TURN: Final = 0.05
 """Turn rates below this count as straight on [rad/s]."""
 
@@ -194,7 +194,7 @@ def next_split(dataset: Dataset) -> Split | None:
 
 
 def has_little_driving(dataset: Dataset) -> bool:
-    """Whether there is too little to train for a model with a network."""
+    """Whether training holds so little that a model without a network is the one to begin with."""
     return sum(part.moving for part in part_facts(dataset) if part.name == "train") < _LITTLE
 
 

@@ -11,10 +11,9 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
-from offpiste.inspection.draft_channels import is_signed
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
-from offpiste.inspection.pedal_scale import rests_high
+from offpiste.inspection.pedal_scale import is_signed, rests_high
 from offpiste.inspection.pedals import pedal_fit
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
 from offpiste.logs.channel import Channel, read_channel

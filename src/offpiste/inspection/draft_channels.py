@@ -13,7 +13,15 @@ from offpiste.inspection.channel_guesses import Guess, guess_channels
 from offpiste.inspection.draft_gear import gear_values
 from offpiste.inspection.draft_pose import COMMANDED, Entry, degrees, draft_pose, field_values, unit_line
 from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest, steering_middle
-from offpiste.inspection.pedal_scale import full_scale, held_range, rests_high, scaled_to_unit, seen_range, whole_range
+from offpiste.inspection.pedal_scale import (
+    full_scale,
+    held_range,
+    is_signed,
+    rests_high,
+    scaled_to_unit,
+    seen_range,
+    whole_range,
+)
 from offpiste.inspection.signals import find_spikes
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import unwrapped
@@ -173,18 +181,6 @@ def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool)
 def _are_named_pulses(guess: Guess) -> bool:
     """Whether unit or name say that numbers are widths of pulses."""
     return guess.unit == "us" or any(_PULSED.search(name) for name in (guess.topic, *guess.fields))
-
-
-def is_signed(values: Float[np.ndarray, " n"]) -> bool:
-    """Whether a pedal's numbers go both ways from zero: often near it, and not at rest at the lower end."""
-    low, high = np.percentile(values, (0.5, 99.5))
-    largest = max(-low, high)
-    if min(-low, high) < 0.05 * largest:
-        return False
-    near = float(np.mean(np.abs(values) <= 0.05 * largest))
-    at_low = float(np.mean(values <= low + 0.02 * largest))
-    evenly = 0.1 * largest / (high - low)
-    return bool(near >= evenly / 4 and at_low < 0.3)
 
 
 def _steering(scalars: Scalars) -> dict[str, Entry]:

@@ -14,6 +14,9 @@ from offpiste.logs.log import Log
 from offpiste.rig.labels import channel_unit
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
+COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+"""Names of what is asked for, not measured."""
+_RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
 @dataclass(frozen=True)
@@ -68,11 +71,6 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             lines += degrees(values[:, 0])
         entries[channel] = Entry(guess, lines, comment)
     return entries
-
-
-COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
-"""Names of what is asked for, not measured."""
-_RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
 def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:

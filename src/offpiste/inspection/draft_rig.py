@@ -27,6 +27,7 @@ from offpiste.inspection.draft_values import (
 )
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.recorded_log import is_bulk
+from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
@@ -56,8 +57,6 @@ wheel_positions = {wheels}
 """
 _MAX_STEER = 0.5
 """Where no angle says what it is [rad]."""
-_WIDEST = 0.9
-"""Largest that vehicles have [rad]."""
 _COVARIANCE = re.compile(r"covariance")
 _LISTED = 60
 """How many fields of a topic are listed."""
@@ -115,7 +114,7 @@ def draft_rig(log: Log) -> str:
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
-    if max_steer > _WIDEST and not wheelbase:  # a smaller vehicle than the made-up one
+    if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
     seen = _Seen(frame, wheelbase, max_steer, assumed, found)

@@ -62,8 +62,9 @@ def _frozen(
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
-    turned = _turned(path, begin, end) if channel.name in _STEERINGS else np.full(len(begin), (_STRAIGHT + _TURNED) / 2)
-    turns = turned > _TURNED
+    # Of other channels the turning says nothing: not a number is neither straight nor turned.
+    turned = _turned(path, begin, end) if channel.name in _STEERINGS else np.full(len(begin), np.nan)
+    straight, turns = turned <= _STRAIGHT, turned > _TURNED
     moves = (~_rests(channel)[first] | turns) & (_moving(path, begin) | _moving(path, end))
     if moves.sum() < 50:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
@@ -72,7 +73,7 @@ def _frozen(
     usual = np.sort(lasts[moves])
     alone = max(least, 0.0 if again else _ALONE * float(usual[-3]))
     unusual = np.where(turns, 0.0, _UNUSUAL * float(np.percentile(usual, 99)))
-    long = moves & (turned > _STRAIGHT) & (lasts > np.maximum(alone, unusual)) & (last - first >= _SAMPLES)
+    long = moves & ~straight & (lasts > np.maximum(alone, unusual)) & (last - first >= _SAMPLES)
     return begin[long], lasts[long], turns[long]
 
 

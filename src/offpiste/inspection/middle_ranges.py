@@ -13,8 +13,8 @@ _BEGINS: Final = 1080.0
 """A speed controller that only drives is at its least pulse when it is released, and so up to here at times [us]."""
 FULL_PULSE: Final = 2000.0
 """Pulse of full throttle [us]."""
-_COUNTS: Final = ((0.0, 1.0), (0.0, 100.0), (0.0, 180.0), (0.0, 255.0), (0.0, 1023.0), (0.0, 4095.0), (0.0, 65535.0))
-"""Whole ranges with the middle in the middle."""
+_COUNTS: Final = (100.0, 180.0, 255.0, 1023.0, 4095.0, 65535.0)
+"""Ends of ranges from zero whose middle is straight ahead."""
 _REACHED: Final = 0.4
 """Least share of a whole range that a drive covers ..."""
 _CENTRAL: Final = (0.35, 0.65)
@@ -40,19 +40,16 @@ def steering_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[fl
         named: whether unit or name say that they are pulses.
     """
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
-    if low <= 0 and high > 0 and not _is_count(low, high, values):
-        return None
     seen = f"{low:.4g}..{high:.4g} seen"
     if are_pulses(values, named=named):
         reach = float(np.abs(np.percentile(values, (0.1, 99.9)) - _MIDDLE_PULSE).max())
-        return (
-            _MIDDLE_PULSE,
-            reach,
-            f"pulses, {_MIDDLE_PULSE:g} straight ahead and full lock {reach:.4g} from it; {seen}",
-        )
-    for least, most in _COUNTS:
-        if most >= 1 and least <= low <= high <= 1.02 * most and _is_within(low, high, values, least, most):
-            return (least + most) / 2, (most - least) / 2, f"of {least:g}..{most:g}, {seen}"
+        words = f"pulses, {_MIDDLE_PULSE:g} straight ahead and full lock {reach:.4g} from it; {seen}"
+        return _MIDDLE_PULSE, reach, words
+    median = float(np.median(values))
+    for full in _COUNTS:
+        central = _CENTRAL[0] * full <= median <= _CENTRAL[1] * full
+        if low >= 0 and high <= 1.02 * full and high - low >= _REACHED * full and central:
+            return full / 2, full / 2, f"of 0..{full:g}, {seen}"
     if low <= 0:
         return None
     return (low + high) / 2, (high - low) / 2, f"{seen}: is their middle straight ahead?"
@@ -61,12 +58,3 @@ def steering_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[fl
 def pulse_at_rest(values: Float[np.ndarray, " n"]) -> float:
     """The pulse of a speed controller that is released [us]: the middle one, or the least where it begins there."""
     return _MIDDLE_PULSE if float(np.percentile(values, 1)) > _BEGINS else _LEAST_PULSE
-
-
-def _is_count(low: float, high: float, values: Float[np.ndarray, " n"]) -> bool:
-    return low == 0 and high > 1.05 and any(_is_within(low, high, values, *ends) for ends in _COUNTS)
-
-
-def _is_within(low: float, high: float, values: Float[np.ndarray, " n"], least: float, most: float) -> bool:
-    middle = (float(np.median(values)) - least) / (most - least)
-    return high <= 1.02 * most and high - low >= _REACHED * (most - least) and _CENTRAL[0] <= middle <= _CENTRAL[1]

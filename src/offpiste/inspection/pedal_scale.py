@@ -66,6 +66,18 @@ def rests_high(values: Float[np.ndarray, " n"]) -> bool | None:
     return at_high > at_low
 
 
+def is_signed(values: Float[np.ndarray, " n"]) -> bool:
+    """Whether a pedal's numbers go both ways from zero: often near it, and not at rest at the lower end."""
+    low, high = np.percentile(values, (0.5, 99.5))
+    largest = max(-low, high)
+    if min(-low, high) < 0.05 * largest:
+        return False
+    near = float(np.mean(np.abs(values) <= 0.05 * largest))
+    at_low = float(np.mean(values <= low + 0.02 * largest))
+    evenly = 0.1 * largest / (high - low)
+    return bool(near >= evenly / 4 and at_low < 0.3)
+
+
 def scaled_to_unit(
     name: str, source: ChannelSource, span: tuple[float, float], *, turned: bool = False
 ) -> tuple[Edit, ...]:

@@ -90,15 +90,15 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
 
     Two things that are wrong hide each other: with the first one cured, the second shows, at times as badly.
     """
+    proposed = [(finding, cure) for finding in left if finding.severity != "note" for cure in finding.cures[:_MOST]]
     firsts: list[tuple[Cure, tuple[Finding, ...]]] = []
-    for finding in left:
-        for cure in finding.cures[:_MOST] if finding.severity != "note" else ():
-            try:
-                after = examine(edited(rig, cure))
-            except OffpisteError:
-                continue
-            if not _is_among(finding, after):
-                firsts.append((cure, after))
+    for finding, cure in proposed:
+        try:
+            after = examine(edited(rig, cure))
+        except OffpisteError:
+            continue
+        if not _is_among(finding, after):
+            firsts.append((cure, after))
     best, least = None, badness(left) - 2 * _LEAST_GAIN
     for cure, after in sorted(firsts, key=lambda first: badness(first[1]))[:_FEW]:
         cured = edited(rig, cure)

@@ -28,7 +28,7 @@ _MARGIN: Final = 2.0
 """Standard deviations by which it has to lie outside."""
 _RIGHT: Final = 0.5
 """A steering is right whose turning is off by less than this share of the other's, as logarithms."""
-_RANGES: Final = (0.25, 0.9)
+MAX_STEERS: Final = (0.25, 0.9)
 """Largest steering angles that vehicles have [rad]."""
 _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
@@ -90,7 +90,7 @@ def _contradiction(name: str, agreement: Agreement, rig: Rig) -> Finding:
     evidence += "as the angle says"
     angle, source = share * rig.vehicle.max_steer, rig.channels["steer"]
     cures = [Edit("vehicle.max_steer", rounded(angle)), Edit("channels.steer.scale", rounded(source.scale * share))]
-    if not _RANGES[0] < angle < _RANGES[1]:  # which no vehicle has: the command is in another unit
+    if not MAX_STEERS[0] < angle < MAX_STEERS[1]:  # which no vehicle has: the command is in another unit
         cures.reverse()
     remedy = "; or ".join(str(cure) for cure in cures)
     return Finding("warning", name, "does not fit the wheels' angle", evidence, remedy, 0.6, tuple((c,) for c in cures))
@@ -128,10 +128,10 @@ def _off(name: str, ratio: float, rig: Rig, *, both: bool) -> Finding:
     if name == "steer":
         command = ("", _other_command(rig, ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
-        if not _RANGES[0] < angle < _RANGES[1]:
-            ways = [unit, long, places, command, *([own] if angle < _RANGES[1] else [])]
-        else:
+        if MAX_STEERS[0] < angle < MAX_STEERS[1]:
             ways.append(command)
+        else:
+            ways = [unit, long, places, command, *([own] if angle < MAX_STEERS[1] else [])]
     likely = [(words, way) for words, way in ways if way is not None]
     remedy = "; or ".join(f"{words}{', '.join(map(str, way))}" for words, way in likely)
     cures = tuple(way for _, way in likely)

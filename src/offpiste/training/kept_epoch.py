@@ -6,8 +6,6 @@ from typing import Any, Final
 
 FEW_WINDOWS: Final = 200
 """Validation windows below which the choice of an epoch is a matter of chance: 200 overlapping ones are some 10 s."""
-
-
 _RECENT: Final = 3
 """Last epochs whose gain says whether a stage has converged."""
 _CONVERGED: Final = 0.01
