@@ -132,6 +132,17 @@ def test_an_array_of_commands_and_a_measured_angle_is_read_by_its_numbers() -> N
     assert rig.channels["steer_angle"].unit == "deg"
 
 
+@pytest.mark.parametrize("scatter", [0.0, 1.5])
+def test_a_command_and_a_measured_angle_in_rows_that_are_partly_empty(scatter: float) -> None:
+    """A table of two topics: the command in every second row, the angle in the others, which may follow less [deg]."""
+    time, columns = _actuators().data["actuators/Float32MultiArray"]
+    row, random = np.arange(len(time)), np.random.default_rng(0)
+    angle = columns["data[3]"] + scatter * random.standard_normal(len(time))
+    table = {"a": np.where(row % 2, np.nan, columns["data[2]"]), "b": np.where(row % 2, angle, np.nan)}
+    channels = _drafted(Typed({"odom": (TIME, ODOM), "vehicle/State": (time, table)})).channels
+    assert (channels["steer"].fields, channels["steer_angle"].fields) == (("a",), ("b",))
+
+
 def test_raw_numbers_of_an_array_get_the_range_that_loggers_write() -> None:
     log = _actuators()
     raw = parse_rig(draft_rig(log), where="draft")

@@ -6,7 +6,7 @@ from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.lost_throttle import check_lost_throttle
+from offpiste.inspection.lost_throttle import _push, check_lost_throttle
 from offpiste.inspection.pedals import pedal_fits
 from offpiste.logs.drive import drive_from_log
 
@@ -48,6 +48,17 @@ def test_zeros_through_which_the_vehicle_is_driven_on_are_named_with_what_was_pr
     )
     said = float(finding.evidence.split("that of ")[1].split(" ")[0])
     assert said == pytest.approx(PEDALS["throttle"][first : first + count].mean(), abs=0.15)
+
+
+def test_a_fit_by_sums_is_least_squares_of_the_rows_that_are_left() -> None:
+    drive = drive_from_log(CLEAN, rig())
+    path = driven_path(drive)
+    push = _push(pedal_fits(drive, path)["throttle"], drive, path)
+    for rows in (slice(0, 0), slice(300, 340), slice(1000, 1900)):
+        left = push.known.copy()
+        left[rows] = False
+        expected = np.linalg.lstsq(push.columns[left], push.gained[left], rcond=None)[0]
+        np.testing.assert_allclose(push.without(rows), expected, rtol=1e-6, atol=1e-9)
 
 
 def test_several_losses_are_counted() -> None:

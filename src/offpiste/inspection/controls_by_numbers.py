@@ -75,16 +75,16 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
             continue
         near = [(score, guess) for score, guess in scores if scores[0][0] - score < _CLEARER]
         if name == "steer" and len(near) == 2:
-            found |= _commanded_and_measured(near, log)
+            found |= _commanded_and_measured(near, log, rig)
         elif len(near) == 1:
             score, guess = near[0]
             found[name] = replace(guess, channel=name), score
     return found
 
 
-def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log) -> dict[str, tuple[Guess, float]]:
+def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
     """Two fields that are one steering: the earlier is its command, the later what was measured; nothing for others."""
-    samples = [log.read(guess.topic, guess.fields) for _, guess in pair]
+    samples = [channel for _, guess in pair if (channel := _read("steer", guess, log, rig)) is not None]
     start, end = max(s.time[0] for s in samples), min(s.time[-1] for s in samples)
     at = np.arange(start + _APART[-1], end - _APART[-1], 0.02)
     if len(at) < 100:
@@ -102,11 +102,9 @@ def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log) -> di
 
 def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: Path) -> float:
     """Correlation of the motion with a field as this control, later than it; 0 where it does not follow."""
-    source = ChannelSource(guess.fields, guess.topic)
-    trial = msgspec.structs.replace(rig, channels={**rig.channels, name: source})
-    try:
-        channel, _ = read_channel(log, trial, name, source)
-    except OffpisteError:
+    trial = _with(name, guess, rig)
+    channel = _read(name, guess, log, rig)
+    if channel is None:
         return 0.0
     if name == "steer":
         fitted = steering_fit(channel, path, trial, measured=False)
@@ -116,6 +114,21 @@ def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: Path) -> float:
     pressed = _pressed(channel)
     fit = None if pressed is None else pedal_fit(pressed, None, path, trial)
     return 0.0 if fit is None else _later(fit, name, sign=1 if name == "throttle" else -1)
+
+
+def _with(name: str, guess: Guess, rig: Rig) -> Rig:
+    """A rig that reads a field as this control."""
+    source = ChannelSource(guess.fields, guess.topic)
+    return msgspec.structs.replace(rig, channels={**rig.channels, name: source})
+
+
+def _read(name: str, guess: Guess, log: Log, rig: Rig) -> Channel | None:
+    """A field as this control, without what is not finite or out of order; None where nothing usable is left."""
+    trial = _with(name, guess, rig)
+    try:
+        return read_channel(log, trial, name, trial.channels[name])[0]
+    except OffpisteError:
+        return None
 
 
 def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bool:

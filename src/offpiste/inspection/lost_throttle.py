@@ -1,5 +1,6 @@
 """Check of a throttle that is zero while the vehicle is driven on, as one reads whose connection is lost."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -42,7 +43,8 @@ def check_lost_throttle(fit: LagFit, drive: Drive, path: Path) -> list[Finding]:
     Args:
         fit: of the throttle, by `pedals.pedal_fits`.
     """
-    runs = [run for run in _runs(drive.channels["throttle"]) if _is_lost(run, fit, drive, path)]
+    push = _push(fit, drive, path)
+    runs = [run for run in _runs(drive.channels["throttle"]) if _is_lost(run, push, drive, path)]
     if not runs:
         return []
     begin, lasts = np.array([(begin, end - begin) for begin, end in runs]).T
@@ -50,7 +52,7 @@ def check_lost_throttle(fit: LagFit, drive: Drive, path: Path) -> list[Finding]:
     start = begin[longest] - drive.channels["throttle"].time[0]
     times = "once" if len(runs) == 1 else f"{len(runs)} times, {lasts.sum():.1f} s in all"
     evidence = f"{times}, for {lasts[longest]:.1f} s from {start:.2f} s on, where the acceleration is that of "
-    evidence += f"{_pressed(*runs[longest], fit, drive, path)[0]:.2f} of full throttle"
+    evidence += f"{_pressed(*runs[longest], push, path)[0]:.2f} of full throttle"
     how = "no rig line fixes it: cut the log there, or leave the channel out"
     share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
     return [Finding("warning", "throttle", "is zero while the vehicle is driven on", evidence, how, share)]
@@ -65,8 +67,50 @@ def _runs(channel: Channel) -> list[tuple[float, float]]:
     return list(zip(begin[long], end[long], strict=True))
 
 
-def _is_lost(run: tuple[float, float], fit: LagFit, drive: Drive, path: Path) -> bool:
-    pressed, sigmas, usual = _pressed(*run, fit, drive, path)
+@dataclass(frozen=True)
+class _Push:
+    """What drives the vehicle on, for all runs alike.
+
+    Attributes:
+        lag: of the acceleration behind the throttle [s].
+        throttle: at the times of the path less this lag.
+        columns: what changes the speed; the throttle is the last.
+        gained: acceleration along the motion [m/s^2].
+        known: rows in which all of that is known.
+        braked: rows in which the brake acts.
+        normal, target: sums over the known rows of the columns' products with each other, and with what is gained.
+    """
+
+    lag: float
+    throttle: Float[np.ndarray, " n"]
+    columns: Float[np.ndarray, "n b"]
+    gained: Float[np.ndarray, " n"]
+    known: Bool[np.ndarray, " n"]
+    braked: Bool[np.ndarray, " n"]
+    normal: Float[np.ndarray, "b b"]
+    target: Float[np.ndarray, " b"]
+
+    def without(self, rows: slice) -> Float[np.ndarray, " b"]:
+        """Least squares over the known rows but these; by sums, as a long drive has hundreds of runs."""
+        left_out = self.columns[rows][self.known[rows]]
+        normal = self.normal - left_out.T @ left_out
+        target = self.target - left_out.T @ self.gained[rows][self.known[rows]]
+        return np.asarray(np.linalg.lstsq(normal, target, rcond=None)[0])
+
+
+def _push(fit: LagFit, drive: Drive, path: Path) -> _Push:
+    lag = float(LAGS[fit.best(*OWN_DELAY["throttle"], sign=1)])
+    throttle = sampled(drive.channels["throttle"], path.time - lag, drive.rig)
+    columns = np.column_stack((pedal_base(path, drive.channels.get("brake"), drive.rig), throttle))
+    gained = path.acceleration * np.sign(path.forward)
+    known = (path.speed > MOVING) & np.isfinite(gained) & np.isfinite(columns).all(axis=1)
+    rows = columns[known]
+    braked = _braked(drive, path)
+    return _Push(lag, throttle, columns, gained, known, braked, rows.T @ rows, rows.T @ gained[known])
+
+
+def _is_lost(run: tuple[float, float], push: _Push, drive: Drive, path: Path) -> bool:
+    pressed, sigmas, usual = _pressed(*run, push, path)
     if sigmas < _SURE or not _PRESSED * usual < pressed < _FULL:
         return False
     channel = drive.channels["throttle"]
@@ -75,30 +119,26 @@ def _is_lost(run: tuple[float, float], fit: LagFit, drive: Drive, path: Path) ->
     return bool(sigmas > _SURE_ALONE or beside.max() > _LEAP * pressed)
 
 
-def _pressed(begin: float, end: float, fit: LagFit, drive: Drive, path: Path) -> tuple[float, float, float]:
+def _pressed(begin: float, end: float, push: _Push, path: Path) -> tuple[float, float, float]:
     """The throttle that explains the motion within a run, its standard deviations, and what is usually pressed.
 
     Returns:
         Zeros where too little is known.
     """
-    lag = float(LAGS[fit.best(*OWN_DELAY["throttle"], sign=1)])
-    throttle = sampled(drive.channels["throttle"], path.time - lag, drive.rig)
-    columns = np.column_stack((pedal_base(path, drive.channels.get("brake"), drive.rig), throttle))
-    gained = path.acceleration * np.sign(path.forward)
-    known = (path.speed > MOVING) & np.isfinite(gained) & np.isfinite(columns).all(axis=1)
-    others = known & ((path.time < begin) | (path.time > end + 1.0))
-    within = known & (path.time > begin + lag + _SETTLED)
-    within &= path.time < end + lag - min(_SETTLED, (end - begin) / 3)
-    within &= ~_braked(drive, path)
-    if others.sum() < _ROWS or not _driven(within, path) or not (throttle[others] > 0).any():
+    near = slice(int(np.searchsorted(path.time, begin)), int(np.searchsorted(path.time, end + 1.0, side="right")))
+    others = push.known.copy()
+    others[near] = False
+    within = push.known & ~push.braked & (path.time > begin + push.lag + _SETTLED)
+    within &= path.time < end + push.lag - min(_SETTLED, (end - begin) / 3)
+    if others.sum() < _ROWS or not _driven(within, path) or not (push.throttle[others] > 0).any():
         return 0.0, 0.0, 0.0
-    solution = np.linalg.lstsq(columns[others], gained[others], rcond=None)[0]
+    solution = push.without(near)
     if solution[-1] <= 0:
         return 0.0, 0.0, 0.0
-    missed = gained - columns @ solution
+    missed = push.gained - push.columns @ solution
     stretches = _means(missed[others], min(int(within.sum()), round(_STRETCH / STEP)))
     more = float(missed[within].mean())
-    usual = float(np.median(throttle[others & (throttle > 0)]))
+    usual = float(np.median(push.throttle[others & (push.throttle > 0)]))
     return more / float(solution[-1]), more / float(np.sqrt(np.mean(stretches**2))), usual
 
 
