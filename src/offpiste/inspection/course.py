@@ -103,7 +103,7 @@ def readings(drive: Drive, path: Path) -> Iterator[Reading]:
         edits += [Edit("channels.yaw.unit", unit)] if unit else []
         difference = (np.pi / 2 - course if swap else course) - turned
         agreement = _agreement(difference, turned, moving, straight)
-        yield Reading(tuple(edits), agreement, *_offset(difference, straight))
+        yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving))
 
 
 def against_names(edits: Iterable[Edit], rig: Rig) -> float:
@@ -238,10 +238,13 @@ def _together(difference: Float[np.ndarray, " n"]) -> float:
     return float(np.sqrt(np.abs(np.nanmean(np.exp(2j * difference)))))
 
 
-def _offset(difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"]) -> tuple[float, float]:
+def _offset(
+    difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
+) -> tuple[float, float]:
     """Mean angle of some rows, and its standard deviation by a jackknife over blocks of 5 s [rad].
 
-    Angles are averaged modulo pi, as a vehicle that reverses at times goes where its tail points; most rows say which.
+    Angles are averaged modulo pi, as a vehicle that reverses at times goes where its tail points; most of the moving
+    rows say which.
     """
     at = np.flatnonzero(rows & np.isfinite(difference))
     if not len(at):
@@ -251,6 +254,6 @@ def _offset(difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"]) -
     total = np.sum(blocks)
     left_out = np.angle((total - np.array(blocks)) / total) / 2 if len(blocks) > 1 else np.zeros(1)
     mean = float(np.angle(total)) / 2
-    if np.cos(difference[at] - mean).sum() < 0:
+    if np.nansum(np.cos(difference[moving] - mean)) < 0:
         mean += np.pi if mean <= 0 else -np.pi
     return mean, jackknife(left_out)

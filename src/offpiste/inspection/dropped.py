@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.edits import Edit, rounded
@@ -37,12 +38,14 @@ def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
             continue
         reached = values[measured | ~outside]
         low, high = float(reached.min()), float(reached.max())
+        span = limits(name)
+        if span is not None:  # steps of a control may hide more of it
+            low, high = min(low, span[0]), max(high, span[1])
         room = (high - low) / 20
         edit = Edit(f"channels.{name}.valid", [rounded(low - room), rounded(high + room)])
-        evidence = f"{measured.sum()} of {len(values)} samples ({measured.mean():.1%}), between {low:.3g} and "
-        evidence += (
-            f"{high:.3g}, lie outside of {source.valid[0]:g} to {source.valid[1]:g} and continue their neighbours"
-        )
+        evidence = f"{measured.sum()} of {len(values)} samples ({measured.mean():.1%}), between "
+        evidence += f"{reached.min():.3g} and {reached.max():.3g}, lie outside of {source.valid[0]:g} to "
+        evidence += f"{source.valid[1]:g} and continue their neighbours"
         share = float(measured.mean())
         findings.append(Finding("warning", name, "valid drops measurements", evidence, str(edit), share, ((edit,),)))
     return findings

@@ -64,7 +64,9 @@ def examine(log: RememberedLog, rig: Rig | None, *, given: bool) -> Examination:
 def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], Path | None]:
     """Findings on the pose, and on channels against the driven path; and the path, where there is one."""
     pose = rig.channels["position"].topic
-    findings = check_spans(topics.inspected, pose, used=topics.given) if pose in topics.inspected else []
+    findings: list[Finding] = []
+    if pose in topics.inspected:
+        findings += check_spans(topics.inspected, pose, used=topics.given, channels=rig.channels)
     tilted = _check_orientation(topics.recorded, rig)
     findings += tilted
     try:

@@ -125,10 +125,20 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     away = np.abs(values - median_filter(values, 7, mode="mirror"))
     apart = away > _SPIKE * np.percentile(away, 95)
     # Many spikes would be part of what all values span: then what the others span counts.
-    spans = [np.ptp(np.percentile(usual, (0.5, 99.5))) for usual in (values, values[~apart]) if len(usual)]
-    found = [apart & (away > 0.5 * span) for span in spans]
-    spikes: Bool[np.ndarray, " n"] = next((each for each in found if each.any()), none)
+    spikes: Bool[np.ndarray, " n"] = none
+    for usual in (values, values[~apart]):
+        spikes = apart & (away > _half_span(usual))
+        if spikes.any():
+            break
+    # The largest hide the others.
+    while (more := apart & (away > _half_span(values[~spikes]))).sum() > spikes.sum():
+        spikes = more
     return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
+
+
+def _half_span(values: Float[np.ndarray, " n"]) -> float:
+    """Half of what the middle 99 % of some values span; infinite for none."""
+    return float(np.ptp(np.percentile(values, (0.5, 99.5)))) / 2 if len(values) else np.inf
 
 
 def place(topic: str, field: str) -> str:

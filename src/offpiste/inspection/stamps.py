@@ -1,6 +1,6 @@
 """Checks of stamps: rate, gaps, repeats, steps back, clocks that disagree."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -9,13 +9,15 @@ from jaxtyping import Float
 
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.channels import SECONDS, Clock
+from offpiste.rig.channels import SECONDS, ChannelSource, Clock
 from offpiste.rig.edits import Edit
 
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
 _RATES = (0.2, 20_000.0)
 """A vehicle's topic outside of these rates is stamped in another unit than seconds [Hz]."""
+_ZONE: Final = 900.0
+"""Time zones differ by multiples of a quarter of an hour [s]."""
 _APART = 0.5
 """Messages that arrive this much later after their header than others do have another clock [s]."""
 _RECEIVE: Final = Edit("clock.stamps", "receive")
@@ -132,33 +134,54 @@ def _merged(findings: list[Finding]) -> list[Finding]:
     ]
 
 
-def check_spans(recorded: dict[str, Recorded], pose: str, *, used: bool) -> list[Finding]:
-    """Topics that do not cover the time of the topic `pose`, and a pose that does not cover theirs."""
+def check_spans(
+    recorded: dict[str, Recorded], pose: str, *, used: bool, channels: Mapping[str, ChannelSource] | None = None
+) -> list[Finding]:
+    """Topics that do not cover the time of the topic `pose`, and a pose that does not cover theirs.
+
+    Args:
+        channels: of the rig, whose delays move the topics that they read.
+    """
+    channels = channels or {}
+    delays = {source.topic: source.delay for source in channels.values()}
+    span = _span(recorded[pose], delays.get(pose, 0.0))
+    others = {
+        name: _span(topic, delays.get(name, 0.0))
+        for name, topic in recorded.items()
+        if name != pose and np.isfinite(topic.time).sum() >= 3
+    }
     findings = []
-    span = _span(recorded[pose])
-    others = {n: _span(topic) for n, topic in recorded.items() if n != pose and np.isfinite(topic.time).sum() >= 3}
-    for name, (first, last) in others.items():
-        if last < span[0] or first > span[1]:
+    for name, own in others.items():
+        if own[1] < span[0] or own[0] > span[1]:
             other_clock = recorded[name].other is not None
+            cure = (_RECEIVE,) if other_clock else _other_clock(name, own[0] - span[0], channels)
             findings.append(
                 Finding(
                     "fatal" if used else "note",
                     name,
                     f"its clock does not overlap that of {pose}",
-                    f"{first:.2f} to {last:.2f} s against {span[0]:.2f} to {span[1]:.2f} s",
-                    str(_RECEIVE) if other_clock else "drop the topic, or fix its stamps",
+                    f"{own[0]:.2f} to {own[1]:.2f} s against {span[0]:.2f} to {span[1]:.2f} s",
+                    ", ".join(map(str, cure)) or "drop the topic, or fix its stamps",
                     1.0,
-                    ((_RECEIVE,),) if other_clock else (),
+                    (cure,) if cure else (),
                 )
             )
         else:
-            findings += _part_of(name, (first, last), span, pose, used=used)
+            findings += _part_of(name, own, span, pose, used=used)
     # Where several topics agree that the drive was longer, it is the pose that stops.
     if len(others) > 1:
         start, end = (float(np.median(edge)) for edge in zip(*others.values(), strict=True))
         if start <= span[1] and end >= span[0]:
             findings += _part_of(pose, span, (start, end), "the other topics", used=used)
     return findings
+
+
+def _other_clock(topic: str, apart: float, channels: Mapping[str, ChannelSource]) -> tuple[Edit, ...]:
+    """Delays that let a topic begin with the pose, or by whole quarters of an hour where it is in another time zone."""
+    zones = round(apart / _ZONE) * _ZONE
+    apart = zones if abs(apart - zones) < _LATE else apart
+    reading = {name: source for name, source in channels.items() if source.topic == topic}
+    return tuple(Edit(f"channels.{name}.delay", round(source.delay + apart, 3)) for name, source in reading.items())
 
 
 def _part_of(
@@ -175,8 +198,8 @@ def _part_of(
     return [Finding(severity, name, "starts late or stops early", evidence, how, share)]
 
 
-def _span(topic: Recorded) -> tuple[float, float]:
-    return (float(np.nanmin(topic.time)), float(np.nanmax(topic.time)))
+def _span(topic: Recorded, delay: float) -> tuple[float, float]:
+    return (float(np.nanmin(topic.time)) - delay, float(np.nanmax(topic.time)) - delay)
 
 
 def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:

@@ -125,6 +125,8 @@ def _off(name: str, ratio: float, rig: Rig, *, both: bool) -> Finding:
     long = (f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ", _other_wheelbase(rig, 1 / ratio))
     places = ("", _other_scale(rig, ratio) if both and unit[1] is None else None)
     ways = [unit, long, places, own] if both else [own, long, unit, places]
+    if not _is_shaped(rig.vehicle.wheelbase, rig):
+        ways.sort(key=lambda way: way is not long)
     if name == "steer":
         command = ("", _other_command(rig, ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
@@ -171,11 +173,15 @@ def _extrapolated_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
 
 def _other_wheelbase(rig: Rig, factor: float) -> Cure | None:
     """Wheel positions whose wheelbase is `factor` times as long; None where no vehicle has that shape."""
-    vehicle = rig.vehicle
-    if not _SHAPES[0] < factor * vehicle.wheelbase / max(vehicle.track, 1e-6) < _SHAPES[1]:
+    if not _is_shaped(factor * rig.vehicle.wheelbase, rig):
         return None
-    places = [[rounded(x * factor), y] for x, y in vehicle.wheel_positions]
+    places = [[rounded(x * factor), y] for x, y in rig.vehicle.wheel_positions]
     return (Edit("vehicle.wheel_positions", places),)
+
+
+def _is_shaped(wheelbase: float, rig: Rig) -> bool:
+    """Whether a vehicle of the rig's track may have this wheelbase."""
+    return _SHAPES[0] < wheelbase / max(rig.vehicle.track, 1e-6) < _SHAPES[1]
 
 
 def _other_unit(rig: Rig, ratio: float) -> Cure | None:
