@@ -122,6 +122,13 @@ def test_clocks_that_do_not_overlap() -> None:
     assert not found.usable
     assert found.findings[0].where == "steering"
     assert "overlap" in found.findings[0].what
+    assert found.cure == (Edit("channels.steer.delay", -1000.0), Edit("channels.steer_angle.delay", -1000.0))
+    assert inspect_log(CLEAN.restamp("steering", lambda t: t - 1000.0), edited(rig(), found.cure)).usable
+
+
+def test_a_clock_of_another_time_zone_is_moved_by_whole_quarters_of_an_hour() -> None:
+    found = inspect_log(CLEAN.restamp("steering", lambda t: t + 7200.0 + 0.7), rig())
+    assert Edit("channels.steer.delay", 7200.0) in found.findings[0].cures[0]
 
 
 def test_a_topic_that_stops_early() -> None:

@@ -61,4 +61,7 @@ class Train:
     def _say_next(self) -> None:
         from offpiste.progress import show
 
-        show(f"next: {join(['offpiste', 'evaluate', str(self.out), '--dataset', str(self.dataset)])}")
+        command = ["offpiste", "evaluate", str(self.out), "--dataset", str(self.dataset)]
+        if Path("report").exists():  # the default, which may hold another run's
+            command += ["--out", f"report-{self.out.name}"]
+        show(f"next: {join(command)}")

@@ -59,10 +59,11 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw", 1, r"(?<![a-z])theta$"),
     ("yaw", 2, r"(?<![a-z])phi$"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
-    ("steer_angle", 0, rf"(road_?wheel|front_?wheel|tyre|tire)_?{_ANGLE}"),
+    ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
+    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
 )

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
+from offpiste.inspection.draft_pose import COMMANDED
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedal_scale import is_signed, rests_high
@@ -66,10 +67,10 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
     for name in lacking:
         taken = {(guess.topic, guess.fields) for guess, _ in found.values()}
         left = [guess for guess in fields if (guess.topic, guess.fields) not in taken]
-        # Pedals lie where the steering does: elsewhere too much goes up and down with the speed.
+        # Pedals lie where the steering does, or are called a command: too much else goes up and down with the speed.
         if name != "steer":
             topics = {found["steer"][0].topic} if "steer" in found else set()
-            left = [guess for guess in left if guess.topic in topics]
+            left = [guess for guess in left if guess.topic in topics or COMMANDED.search(guess.topic)]
         scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in left), key=lambda pair: -pair[0])
         if not scores or scores[0][0] < _FOLLOWS[name]:
             continue

@@ -129,13 +129,17 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
 def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
     """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
     low, high = seen_range(values)
-    span = whole_range(values)
+    measured = bool(guess.unit) and channel_unit(channel, guess.unit) is None  # a pressure: no number of it is usual
+    span = None if measured else whole_range(values)
     if span == (0.0, 100.0):
         return ['unit = "percent"', "clip = [0.0, 1.0]"], f" and its numbers up to {high:.4g}: taken as percent"
     source = ChannelSource(guess.fields, guess.topic)
     edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
     lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
-    comment = f"; scaled from {low:.4g}..{high:.4g} to 0..1, the most that this log holds: is it fully pressed?"
+    comment = (
+        f"; scaled from {low:.4g}..{high:.4g}{measured and ' ' + guess.unit} to 0..1, the most that this log holds: "
+    )
+    comment += "is it fully pressed?"
     if span:
         comment = f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
     return [*lines, "clip = [0.0, 1.0]"], comment

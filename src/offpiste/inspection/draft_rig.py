@@ -111,6 +111,7 @@ def draft_rig(log: Log) -> str:
     rig = parse_rig(text, where="the drafted rig")
     if found := find_controls(log, _with_heading(log, rig)):
         rig = parse_rig(_text(log, _Seen(found=found)), where="the drafted rig")
+    rig = _with_heading(log, rig)
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False

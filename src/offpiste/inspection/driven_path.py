@@ -1,6 +1,6 @@
 """The driven path from the pose alone: the reference for all other channels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -67,6 +67,13 @@ class Path:
     def cruise(self) -> float:
         """The 95th percentile of the speed [m/s]: how fast this vehicle goes, whatever its size."""
         return float(np.nanpercentile(self.speed, 95)) if np.isfinite(self.speed).any() else 0.0
+
+    def longer_side(self, at: float) -> "Path":
+        """The part before or after a time, whichever is longer."""
+        row = int(np.searchsorted(self.time, at))
+        rows = slice(0, row) if row > len(self.time) - row else slice(row, None)
+        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)
 
 
 def driven_path(drive: Drive) -> Path:

@@ -11,7 +11,7 @@ from offpiste.inspection.driven_path import MOVING, Path, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
-from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit
+from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, leap_of
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.inspection.stamps import check_spans
 from offpiste.logs.drive import Drive, drive_from_log
@@ -78,7 +78,10 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     if unfit:
         return findings + unfit, path
     origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
-    posed = check_pose(drive, path, origin) + _check_heading(drive, path)
+    posed = check_pose(drive, path, origin)
+    if (leap := leap_of(path)) is not None:
+        path = path.longer_side(leap[0])  # what is beyond is not the vehicle's motion
+    posed += _check_heading(drive, path)
     findings += posed
     if is_fatal(tilted + posed):
         findings += check_control_channels(drive, path)

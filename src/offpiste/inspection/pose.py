@@ -24,10 +24,13 @@ _FASTEST: Final = 120.0
 """No ground vehicle is faster [m/s]."""
 _HARDEST: Final = 25.0
 """No ground vehicle keeps up a larger acceleration over half a second, in a twentieth of its driving [m/s^2]."""
-_BESIDE: Final = 1.0
-"""Length of the stretches before and after an instant whose velocities are compared [s] ..."""
-_BETWEEN: Final = 0.4
-"""... and of what lies between them: most of what a jump does to velocities."""
+_BESIDE: Final = (0.4, 1.0)
+"""Lengths of the stretches before and after an instant whose velocities are compared [s]: driving changes them little
+in a short time, and a jump for no long one ..."""
+_BETWEEN: Final = (0.2, 0.4)
+"""... and of what lies between them."""
+_OTHERS: Final = 3.0
+"""An instant stands out by this many times what 95 % of the others change."""
 _JUMP_TIME = 0.05
 """A jump is at least as long as the path driven in this time at cruising speed [s]."""
 
@@ -132,7 +135,9 @@ def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
     place = drive.channels["position"]
     seldom = check_repeats(drive, path) + check_seldom(drive)
     noise = [] if seldom else _noise(drive, path)
-    return check_faults(drive) + seldom + _jumps(place, path, origin) + _kicked(path, origin) + _level(place) + noise
+    return (
+        check_faults(drive) + seldom + _jumps(place, path, origin) + _check_leap(path, origin) + _level(place) + noise
+    )
 
 
 def check_faults(drive: Drive) -> list[Finding]:
@@ -220,19 +225,45 @@ def _jumping(
     )
 
 
-def _kicked(path: Path, origin: float) -> list[Finding]:
-    """A velocity that is another from one instant to the next, and stays: positions that run away."""
-    rows = round(_BESIDE / STEP)
-    apart = rows + round(_BETWEEN / STEP)
-    if len(path.time) < 2 * apart:
+def leap_of(path: Path) -> tuple[float, float, float] | None:
+    """When a velocity becomes another from one instant to the next, and stays: positions that run away.
+
+    Returns:
+        The time [s], and the speeds before and after it [m/s]; None where there is no such instant.
+    """
+    sides = [_beside(path, beside, between) for beside, between in zip(_BESIDE, _BETWEEN, strict=True)]
+    changes = [np.hypot(*(after - before).T) for before, after in sides]
+    change = np.nan_to_num(np.minimum(*changes))
+    known = np.isfinite(changes[0])
+    if not known.any():
+        return None
+    at = int(change.argmax())
+    # In feet or with a noisy pose all changes are large.
+    usual = float(np.percentile(changes[0][known], 95))
+    if not change[at] > max(_HARDEST * (_BESIDE[0] + _BETWEEN[0]), _OTHERS * usual):
+        return None
+    before, after = (float(np.hypot(*side[at])) for side in sides[-1])
+    return float(path.time[at]), before, after
+
+
+def _beside(path: Path, length: float, between: float) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Median velocities on both sides of each instant, NaN where a side is not whole."""
+    rows, gap = round(length / STEP), round(between / STEP / 2)
+    result = np.full((2, len(path.time), 2), np.nan)
+    if len(path.time) > 2 * (rows + gap):
+        median = np.median(np.lib.stride_tricks.sliding_window_view(path.velocity, rows, axis=0), axis=-1)
+        inner = slice(rows + gap, len(path.time) - rows - gap)
+        count = inner.stop - inner.start
+        result[0, inner], result[1, inner] = median[:count], median[rows + 2 * gap :][:count]
+    return result[0], result[1]
+
+
+def _check_leap(path: Path, origin: float) -> list[Finding]:
+    leap = leap_of(path)
+    if leap is None:
         return []
-    velocity = np.median(np.lib.stride_tricks.sliding_window_view(path.velocity, rows, axis=0), axis=-1)
-    change = np.hypot(*(velocity[apart:] - velocity[:-apart]).T)
-    if not np.nanmax(change, initial=0.0) > _HARDEST * apart * STEP:
-        return []
-    at = int(np.nanargmax(change))
-    before, after = (float(np.hypot(*velocity[row])) for row in (at, at + apart))
-    evidence = f"at {path.time[at + apart] - origin:.1f} s, from {before:.3g} to {after:.3g} m/s, and it stays so"
+    at, before, after = leap
+    evidence = f"at {at - origin:.1f} s, from {before:.3g} to {after:.3g} m/s, and it stays so"
     how = "no rig line fixes it: cut the log there, or take another pose"
     return [Finding("warning", "position", "changes its velocity in an instant", evidence, how, 0.7)]
 

@@ -8,7 +8,7 @@ from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.middle_ranges import steering_middle
-from offpiste.inspection.pedal_scale import rests_high, scaled_to_unit, whole_range
+from offpiste.inspection.pedal_scale import full_scale, is_signed, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
@@ -22,6 +22,9 @@ _CLIPPED, _CUT = 0.2, 0.05
 """Share of the samples that a rig may clip, of pedals, whose rest is clipped, and of controls with two ends."""
 _BEYOND = 0.025
 """Share of the range beyond its end from which a clipped control of two ends is cut off."""
+
+_SLACK = 1.1
+"""Largest value of a pedal from 0 to 1, with what noise adds."""
 
 PERIODS = (65536.0, 6553.6, 655.36)
 """Of 16-bit counters, whole or in tenths or hundredths."""
@@ -47,6 +50,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
             continue
         first, last = np.percentile(values, (0.5, 99.5))
         cure = _unwrapped(name, source, raw, (low - slack, high + slack)) or _of_whole_range(name, source, values, low)
+        cure = cure or (_both_ways(source, values, rig) if name == "throttle" and not source.clip else ())
         cure = cure or _cure(name, source, rig, (low, high), (float(first), float(last)))
         findings.append(
             Finding(
@@ -118,6 +122,26 @@ def _of_whole_range(name: str, source: ChannelSource, values: Float[np.ndarray, 
     if span is None or span[1] in _IN_A_UNIT:
         return ()
     return scaled_to_unit(name, source, span, turned=bool(span[0] < 0 and rests_high(values)))
+
+
+def _both_ways(source: ChannelSource, values: Float[np.ndarray, " n"], rig: Rig) -> tuple[Edit, ...]:
+    """The edits for a throttle that goes both ways from zero: what is below brakes, if no other channel does."""
+    if not is_signed(values):
+        return ()
+    largest = float(np.abs(np.percentile(values, (0.5, 99.5))).max())
+    factor = 1.0 if largest <= _SLACK else 1 / (full_scale(largest) or largest)
+    scaled = {key: rounded(factor * getattr(source, key)) for key in ("scale", "offset")}
+    cure = [Edit(f"channels.throttle.{key}", value) for key, value in scaled.items() if value != getattr(source, key)]
+    cure.append(Edit("channels.throttle.clip", [0.0, 1.0]))
+    if "brake" not in rig.channels:
+        brake = {"topic": source.topic, "fields": list(source.fields), "unit": source.unit, **scaled}
+        usual = ChannelSource(source.fields)
+        stated = {key: value for key, value in brake.items() if key == "topic" or value != getattr(usual, key)}
+        stated["fields"] = list(source.fields)
+        cure.append(Edit("channels.brake", {**stated, "sign": -source.sign, "clip": [0.0, 1.0]}))
+        if "brake" in rig.absent:
+            cure.append(Edit("absent", [channel for channel in rig.absent if channel != "brake"]))
+    return tuple(cure)
 
 
 def _cure(

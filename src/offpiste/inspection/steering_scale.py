@@ -30,6 +30,8 @@ _RIGHT: Final = 0.5
 """A steering is right whose turning is off by less than this share of the other's, as logarithms."""
 MAX_STEERS: Final = (0.25, 0.9)
 """Largest steering angles that vehicles have [rad]."""
+_AN_ANGLE: Final = 0.2
+"""A command that is off by what makes it an angle is one, within this share: tyres slip."""
 _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
 
@@ -181,7 +183,7 @@ def _other_wheelbase(rig: Rig, factor: float) -> Cure | None:
 
 def _is_shaped(wheelbase: float, rig: Rig) -> bool:
     """Whether a vehicle of the rig's track may have this wheelbase."""
-    return _SHAPES[0] < wheelbase / max(rig.vehicle.track, 1e-6) < _SHAPES[1]
+    return bool(_SHAPES[0] < wheelbase / max(rig.vehicle.track, 1e-6) < _SHAPES[1])
 
 
 def _other_unit(rig: Rig, ratio: float) -> Cure | None:
@@ -199,8 +201,12 @@ def _other_scale(rig: Rig, ratio: float) -> Cure | None:
 
 
 def _other_command(rig: Rig, factor: float) -> Cure:
-    """Commands `factor` times as large, with the zero where it is."""
+    """Commands `factor` times as large, with the zero where it is; angles of the road wheels where that explains it."""
     source = rig.channels["steer"]
+    for unit in ("rad", "deg"):
+        exact = unit_factor("steer_angle", unit) / rig.vehicle.max_steer / source.scale
+        if abs(np.log(factor / exact)) < _AN_ANGLE:
+            factor = exact
     edits = (Edit("channels.steer.scale", rounded(source.scale * factor)),)
     return edits if not source.offset else (*edits, Edit("channels.steer.offset", rounded(source.offset * factor)))
 

@@ -35,7 +35,7 @@ _SPELLINGS: Final[dict[str, str]] = {
 }
 """Units as rigs take them, and how logs spell them."""
 _OTHERS: Final = (
-    "m/s^2 m/s2 m/s² m/s/s m_s2 mps2 g rad/s^2 rad/s2 rad/s² deg/s^2 n nm n*m v mv a ma w pa kpa bar psi c °c hz"
+    "m/s^2 m/s2 m/s² m/s/s m_s2 mps2 g rad/s^2 rad/s2 rad/s² deg/s^2 n nm n*m v mv a ma w pa kpa mpa bar psi c °c hz"
 )
 """Units of what no channel holds."""
 

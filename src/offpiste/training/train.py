@@ -133,12 +133,13 @@ def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
     """Log what speaks against a dataset before time is spent on it; a fold is not to be split otherwise."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
-    if dataset.split.kind != "fold" and (line := split_warning(dataset)) is not None:
+    fold = dataset.split.kind == "fold"
+    if not fold and (line := split_warning(dataset)) is not None:
         logger.warning(line)
     elif len(validation) < FEW_WINDOWS:
         logger.warning(
             f"the validation part has only {len(validation)} windows, by which epochs are chosen: "
-            "extract more or longer drives, or choose another --split"
+            f"extract more or longer drives{'' if fold else ', or choose another --split'}"
         )
 
 
