@@ -156,7 +156,8 @@ def _explained(finding: Finding, patient: Patient) -> bool:
     """Whether one of the illnesses explains a finding."""
     places = [place for g in patient.illnesses for place in (*g.illness.places, *g.illness.consequences)]
     anything = bool(patient.illnesses) and finding.where in _ANYWHERE
-    return anything or points_to(finding, places, patient.case)
+    unpowered = finding.where == "controls" and not patient.healthy.has("throttle")  # by the logger, and true
+    return anything or unpowered or points_to(finding, places, patient.case)
 
 
 def _illness_score(

@@ -50,6 +50,14 @@ def test_a_turned_heading_of_a_vehicle_that_reverses_at_times_is_turned_back(deg
     assert edit.value == pytest.approx(-np.radians(degrees), abs=0.05)
 
 
+def test_a_vehicle_that_reverses_on_most_of_its_straights_is_not_turned() -> None:
+    path = driven_path(drive_from_log(CLEAN, rig()))
+    time, bends = CLEAN.data["odom"][0], np.abs(np.nan_to_num(path.yaw_rate))
+    straight = np.interp(time, path.time, bends) < np.quantile(bends, 0.4)
+    drive = drive_from_log(_turned(np.where(straight, np.pi, 0.0)), rig())
+    assert check_course(drive, driven_path(drive)) == []
+
+
 def test_a_drift_in_the_curves_is_no_fault() -> None:
     path = driven_path(drive_from_log(CLEAN, rig()))
     rate = np.interp(CLEAN.data["odom"][0], path.time, np.nan_to_num(path.yaw_rate))

@@ -7,7 +7,7 @@ from simulated import MemoryLog, drive_log, rig
 from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import RememberedLog, read_topics
-from offpiste.rig.edits import edited
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
 CLEAN = drive_log(seed=0)
@@ -46,3 +46,9 @@ def test_faults_are_rightly_dropped() -> None:
 
 def test_no_range_drops_nothing() -> None:
     assert _found(CLEAN, rig()) == []
+
+
+def test_a_control_is_widened_to_its_whole_range_since_steps_may_hide_more_of_it() -> None:
+    log = CLEAN.change("steering", "command", lambda x: np.where(x > 0.5, 1.0, x))  # a leap to the end
+    (finding,) = _found(log, _rig(-0.3, 0.5))
+    assert finding.cures == ((Edit("channels.steer.valid", [-1.1, 1.1]),),)

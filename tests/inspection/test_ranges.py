@@ -5,7 +5,8 @@ import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
-from offpiste.rig.edits import Edit
+from offpiste.logs.channel import read_channel
+from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seconds=60)
 
@@ -52,3 +53,25 @@ def test_a_steering_that_the_rig_cuts_off_is_named_and_one_at_its_ends_is_not():
     assert finding.severity == "warning"
     at_its_ends = CLEAN.change("steering", "command", lambda x: np.clip(1.4 * x / np.abs(x).max(), -1.01, 1.01))
     assert not [f for f in inspect_log(at_its_ends, clipped).findings if "clipped" in f.what]
+
+
+@pytest.mark.parametrize("full", [1.0, 100.0])
+def test_a_throttle_that_goes_below_zero_brakes_there(full):
+    pedals = CLEAN.data["pedals"][1]
+    one = CLEAN.change("pedals", "throttle", lambda throttle: full * (throttle - pedals["brake"]))
+    first = edited(rig(), [Edit("channels.brake", None), Edit("absent", [*rig().absent, "brake"])])
+    found = inspect_log(one, first)
+    assert Edit("channels.throttle.clip", [0.0, 1.0]) in found.cure
+    cured = edited(first, found.cure)
+    assert inspect_log(one, cured).cure == ()
+    assert "brake" not in cured.absent
+    both = pedals["throttle"] - pedals["brake"]
+    for name, sign in (("throttle", 1), ("brake", -1)):
+        read = read_channel(one, cured, name, cured.channels[name])[0].values[:, 0]
+        np.testing.assert_allclose(read, np.maximum(sign * both, 0), atol=0.02)
+
+
+def test_a_throttle_that_goes_below_zero_beside_a_brake_is_cut_there():
+    pedals = CLEAN.data["pedals"][1]
+    reversing = CLEAN.change("pedals", "throttle", lambda throttle: throttle - pedals["brake"])
+    assert inspect_log(reversing, rig()).cure == (Edit("channels.throttle.clip", [0.0, 1.0]),)

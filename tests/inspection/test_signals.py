@@ -109,6 +109,13 @@ def test_spikes_among_usual_values_get_no_range_that_would_leave_them() -> None:
     assert finding.remedy == "no range of valid values parts them from the others: take another field"
 
 
+def test_large_spikes_do_not_hide_smaller_ones() -> None:
+    values = np.sin(np.arange(2000) / 20)
+    large, small = np.arange(50, 1950, 130), np.arange(100, 1950, 130)
+    values[large], values[small] = 300.0, -6.0
+    assert np.flatnonzero(find_spikes(values)).tolist() == sorted([*large, *small])
+
+
 def test_a_range_for_spikes_of_one_component_holds_the_others_too() -> None:
     """One `valid` interval counts for all components, and the forward velocity is larger than the vertical one."""
     clean = drive_log(seconds=60)

@@ -6,6 +6,7 @@ from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.stamps import timing
+from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seconds=60)
 
@@ -122,7 +123,8 @@ def test_clocks_that_do_not_overlap() -> None:
     assert not found.usable
     assert found.findings[0].where == "steering"
     assert "overlap" in found.findings[0].what
-    assert found.cure == (Edit("channels.steer.delay", -1000.0), Edit("channels.steer_angle.delay", -1000.0))
+    assert [edit.key for edit in found.cure] == ["channels.steer.delay", "channels.steer_angle.delay"]
+    assert [edit.value for edit in found.cure] == pytest.approx([-1000.0, -1000.0], abs=0.02)
     assert inspect_log(CLEAN.restamp("steering", lambda t: t - 1000.0), edited(rig(), found.cure)).usable
 
 

@@ -166,3 +166,20 @@ def test_a_range_that_no_vehicle_has_speaks_for_another_wheelbase() -> None:
     ]
     found = np.ptp([x for x, _ in finding.cures[0][0].value])
     assert found == pytest.approx(np.ptp([x for x, _ in rig().vehicle.wheel_positions]), rel=0.1)
+
+
+def test_a_rig_of_no_vehicles_shape_has_the_wrong_wheelbase() -> None:
+    """2.5 m of wheelbase on 1.2 m of track; with 5 m, the wheels would still turn as far as some vehicle's."""
+    long = edited(rig(), [Edit("vehicle.wheel_positions", [[2 * x, y] for x, y in rig().vehicle.wheel_positions])])
+    drive = drive_from_log(drive_log(seed=0), long)
+    del drive.channels["steer_angle"]
+    path = driven_path(drive)
+    (finding,) = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
+    assert [cure[0].key for cure in finding.cures][:2] == ["vehicle.wheel_positions", "vehicle.max_steer"]
+
+
+def test_a_command_that_is_the_angle_of_the_wheels_gets_its_exact_scale() -> None:
+    without = edited(rig(), [Edit("channels.steer_angle", None), Edit("absent", [*rig().absent, "steer_angle"])])
+    log = drive_log(seed=0).change("steering", "command", lambda steer: MAX_STEER * steer)
+    (finding,) = (f for f in inspect_log(log, without).findings if f.severity == "warning")
+    assert finding.cures[0] == (Edit("channels.steer.scale", 1 / MAX_STEER),)

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from shlex import join
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,7 @@ from offpiste.cli.entry import COMMANDS
 from offpiste.progress import show
 
 if TYPE_CHECKING:
+    from offpiste.inspection.inspect import Inspection
     from offpiste.rig.rig import Rig
 
 
@@ -77,22 +79,25 @@ class Inspect:
             lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]
             print(*lines, sep="\n", file=sys.stderr)  # noqa: T201
         if not self.json:
-            show(self._next(path, usable=inspection.usable, cured=bool(inspection.cure)))
+            show(self._next(path, inspection))
         return 0 if inspection.usable else 1
 
-    def _next(self, log: str, *, usable: bool, cured: bool) -> str:
+    def _next(self, log: str, inspection: "Inspection") -> str:
         """The command that comes next, as a line to paste, and before it what to do first."""
         rig = str(self.write_rig) if self.write_rig else self.rig
-        again = join(["offpiste", "inspect", log, "--rig", rig or ""])
+        if not rig:
+            return "next: " + join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
+        again = ["offpiste", "inspect", log, "--rig", rig]
         if self.write_rig and not self.rig:
-            return f"first: give {rig} the numbers of your vehicle ([vehicle])\nnext: {again}"
-        if rig and usable and not (self.write_rig and cured):
-            return "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
-        if self.write_rig:
-            return f"next: {again}"
-        if rig and rig.endswith(".toml"):
-            return f"first: correct {rig} as said above\nnext: {again}"
-        return "next: " + join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
+            return f"first: give {rig} the numbers of your vehicle ([vehicle])\nnext: {join(again)}"
+        if inspection.cure:
+            return "next: " + join(again if self.write_rig else [*again, "--write-rig", _another(rig)])
+        if not inspection.usable:
+            return f"first: correct {rig} as said above\nnext: {join(again)}"
+        extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
+        if any(finding.severity == "warning" for finding in inspection.findings):
+            return f"first: mend what the warnings say, or leave it where the log has no better\n{extract}"
+        return extract
 
     def _survey(self, logs: list[str]) -> int:
         """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""
@@ -130,3 +135,9 @@ class Inspect:
         as_json = {"schema": 1, "mountings": [one.as_dict() for one in result]}
         show(dumps(as_json, indent=2) if self.json else render_mountings(result))
         return 1 if any(one.refused for one in result) else 0
+
+
+def _another(rig: str) -> str:
+    """A name for an edited rig beside it, which is not there yet."""
+    stem = Path(rig).stem if rig.endswith(".toml") else "my"
+    return next(name for n in count(2) if not Path(name := f"{stem}-{n}.toml").exists())

@@ -82,6 +82,7 @@ def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
 
 
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk")
+_PEDAL_ONLY: Final = re.compile(r"^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$")
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "odometry.npy": (
@@ -118,13 +119,18 @@ def guess_channels(log: Log) -> list[Guess]:
 
 
 def labels(topic: Topic) -> dict[str, Label]:
-    """Name and unit of each field of a topic; a message with a single number is named by its topic."""
+    """Name and unit of each field of a topic.
+
+    A message with a single number is named by its topic, and so is a pedal
+    of which the field does not say which it is.
+    """
     result = {}
     for name in topic.fields:
-        whole = topic.joints.get(name) or (f"{topic.name}/{name}" if len(topic.fields) <= 2 else name)
+        alone = len(topic.fields) <= 2 or _PEDAL_ONLY.search(name) is not None
+        whole = topic.joints.get(name) or (f"{topic.name}/{name}" if alone else name)
         label = parse_label(whole)
-        if not label.unit and (alone := _NUMBER_ONLY.search(label.name)):
-            label = parse_label(whole[: alone.start()])
+        if not label.unit and (number := _NUMBER_ONLY.search(label.name)):
+            label = parse_label(whole[: number.start()])
         result[name] = Label(label.name, topic.units.get(name, "") or label.unit)
     return result
 

@@ -31,6 +31,7 @@ from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
+_IN_HAND: Final = re.compile(r"steering_?wheel|hand_?wheel|(?<![a-z])swa?(?![a-z])", re.IGNORECASE)
 _PULSED: Final = re.compile(r"servo|pwm|pulse|(?<![a-z])(esc|rc)(?![a-z])", re.IGNORECASE)
 _SLACK: Final = 25.0
 """Pulses below the one at rest that are none of a brake [us]."""
@@ -99,7 +100,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     if stated and (channel not in ("throttle", "brake", "steer") or largest > 1.05):
         lines += stated
         comment += " and unit"
-    elif channel in ("throttle", "brake") and not (low >= -0.05 and 0.05 < high <= 1.05):
+    elif channel in ("throttle", "brake") and (_rests_above_zero(values) or not (low >= -0.05 and 0.05 < high <= 1.05)):
         pedal, words = _pedal(channel, guess, values)
         lines += pedal
         comment += words
@@ -126,6 +127,12 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     return Entry(guess, tuple(lines), comment)
 
 
+def _rests_above_zero(values: Float[np.ndarray, " n"]) -> bool:
+    """Whether a pedal within 0 to 1 is released well above 0."""
+    low, high = seen_range(values)
+    return rests_high(values) is False and low > 0.05 and high <= 1.05
+
+
 def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
     """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
     low, high = seen_range(values)
@@ -136,10 +143,8 @@ def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple
     source = ChannelSource(guess.fields, guess.topic)
     edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
     lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
-    comment = (
-        f"; scaled from {low:.4g}..{high:.4g}{measured and ' ' + guess.unit} to 0..1, the most that this log holds: "
-    )
-    comment += "is it fully pressed?"
+    seen = f"{low:.4g}..{high:.4g}" + (f" {guess.unit}" if measured else "")
+    comment = f"; scaled from {seen} to 0..1, the most that this log holds: is it fully pressed?"
     if span:
         comment = f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
     return [*lines, "clip = [0.0, 1.0]"], comment
@@ -229,6 +234,11 @@ def _is_angle(guess: Guess) -> bool:
     return guess.channel == "steer_angle" or bool(guess.unit and channel_unit("steer_angle", guess.unit) is not None)
 
 
+def _is_in_hand(guess: Guess) -> bool:
+    """Whether a name says that an angle is of the steering wheel."""
+    return any(_IN_HAND.search(name) for name in (guess.topic, *guess.fields))
+
+
 def _is_command(guess: Guess) -> bool:
     return any(COMMANDED.search(name) for name in (guess.topic, *guess.fields))
 
@@ -240,7 +250,9 @@ def _largest(values: Float[np.ndarray, " n"]) -> float:
 
 
 def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
-    """Factor to radians of an angle of the road wheels; 0 where it is too large to be one."""
+    """Factor to radians of an angle of the road wheels; 0 where it is too large to be one, or called another's."""
+    if _is_in_hand(guess):
+        return 0.0
     if guess.unit:
         factors = [unit_factor("steer_angle", channel_unit("steer_angle", guess.unit) or "")]
     else:

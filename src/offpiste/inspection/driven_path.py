@@ -1,6 +1,6 @@
 """The driven path from the pose alone: the reference for all other channels."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -72,8 +72,11 @@ class Path:
         """The part before or after a time, whichever is longer."""
         row = int(np.searchsorted(self.time, at))
         rows = slice(0, row) if row > len(self.time) - row else slice(row, None)
-        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        return replace(self, **arrays)
+        reverse = None if self.reverse is None else self.reverse[rows]
+        place, velocity, speed, forward = self.place[rows], self.velocity[rows], self.speed[rows], self.forward[rows]
+        yaw, yaw_rate, acceleration = self.yaw[rows], self.yaw_rate[rows], self.acceleration[rows]
+        turned = (yaw, yaw_rate, acceleration, self.slope[rows])
+        return Path(self.time[rows], place, velocity, speed, forward, *turned, self.window, reverse)
 
 
 def driven_path(drive: Drive) -> Path:

@@ -48,7 +48,7 @@ def check_steering(
         findings += _centre(name, fit, drive.rig)
     acting = {name: fit for name, fit in fits.items() if fit.has_effect and name not in cut}
     if measured:
-        return findings + check_scale(acting, None if cut else agreement(drive, path), drive.rig)
+        return findings + check_scale(acting, None if cut else agreement(drive, path), drive)
     return findings + [scale_note(name, fit, drive.rig) for name, fit in acting.items()]
 
 

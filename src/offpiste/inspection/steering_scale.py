@@ -8,6 +8,7 @@ import numpy as np
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.steering_agreement import Agreement
 from offpiste.inspection.steering_fit import SteeringFit, curvature_per_unit
+from offpiste.logs.drive import Drive
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, number, rounded
 from offpiste.rig.rig import Rig
@@ -36,7 +37,7 @@ _SHAPES: Final = (1.0, 2.8)
 """Wheelbases in tracks that vehicles have."""
 
 
-def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, rig: Rig) -> list[Finding]:
+def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, drive: Drive) -> list[Finding]:
     """Findings on the scale of `steer` and `steer_angle`: yaw rate over speed is tan(angle) / wheelbase without slip.
 
     Where the two contradict each other, one of them is blamed: the one that the turning fits less. The other may be
@@ -45,6 +46,7 @@ def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, ri
     Args:
         fits: of those that have an effect.
     """
+    rig = drive.rig
     suspect = _suspect(fits, rig) if agreement is not None and agreement.is_off else None
     findings = [_contradiction(suspect, agreement, rig)] if agreement is not None and suspect is not None else []
     both = agreement is not None and len(fits) == 2
@@ -55,7 +57,7 @@ def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, ri
         others = [_share(other, fits[other], rig) for other in fits if both and suspect is None and other != name]
         # Of two that agree with each other, one is not off where the other surely is not.
         if not any(share is not None and abs(np.log(share)) < _RIGHT * abs(np.log(ratio)) for share in others):
-            findings.append(_off(name, ratio, rig, both=both))
+            findings.append(_off(name, ratio, drive, both=both))
     return findings
 
 
@@ -108,12 +110,13 @@ def _angle_edit(factor: float, rig: Rig) -> Edit:
     return Edit("channels.steer_angle.scale", rounded(source.scale * factor))
 
 
-def _off(name: str, ratio: float, rig: Rig, *, both: bool) -> Finding:
+def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
     """The finding where the vehicle turns `ratio` times as much as the rig says.
 
     Args:
         both: whether command and measured angle have been compared with each other: then both are hardly wrong alike.
     """
+    rig = drive.rig
     evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
     angle = 0.0
     if name == "steer":
@@ -130,10 +133,14 @@ def _off(name: str, ratio: float, rig: Rig, *, both: bool) -> Finding:
     if not _is_shaped(rig.vehicle.wheelbase, rig):
         ways.sort(key=lambda way: way is not long)
     if name == "steer":
-        command = ("", _other_command(rig, ratio))
+        exact = _as_an_angle(rig, ratio)
+        command = ("", _other_command(rig, exact or ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
         if MAX_STEERS[0] < angle < MAX_STEERS[1]:
             ways.append(command)
+            reached = float(np.abs(drive.channels["steer"].values).max())
+            if exact and reached < (1 + _AN_ANGLE) / exact:  # nor does it ever go further than the wheels do
+                ways.insert(0, command)
         else:
             ways = [unit, long, places, command, *([own] if angle < MAX_STEERS[1] else [])]
     likely = [(words, way) for words, way in ways if way is not None]
@@ -201,14 +208,17 @@ def _other_scale(rig: Rig, ratio: float) -> Cure | None:
 
 
 def _other_command(rig: Rig, factor: float) -> Cure:
-    """Commands `factor` times as large, with the zero where it is; angles of the road wheels where that explains it."""
+    """Commands `factor` times as large, with the zero where it is."""
     source = rig.channels["steer"]
-    for unit in ("rad", "deg"):
-        exact = unit_factor("steer_angle", unit) / rig.vehicle.max_steer / source.scale
-        if abs(np.log(factor / exact)) < _AN_ANGLE:
-            factor = exact
     edits = (Edit("channels.steer.scale", rounded(source.scale * factor)),)
     return edits if not source.offset else (*edits, Edit("channels.steer.offset", rounded(source.offset * factor)))
+
+
+def _as_an_angle(rig: Rig, factor: float) -> float:
+    """The factor by which a command that is an angle of the road wheels is too small; 0 where `factor` is another."""
+    units = (unit_factor("steer_angle", unit) for unit in ("rad", "deg"))
+    exact = [unit / rig.vehicle.max_steer / rig.channels["steer"].scale for unit in units]
+    return next((one for one in exact if abs(np.log(factor / one)) < _AN_ANGLE), 0.0)
 
 
 def _is_of_an_angle(rig: Rig) -> bool:
