@@ -36,6 +36,30 @@ def test_each_command_leads_to_the_next(log: str, tmp_path: Path, capsys: pytest
     assert Path(dataset).is_dir()
 
 
+def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("inspect", log, "--write-rig", "my.toml") == 0
+    turned = Path("my.toml").read_text("utf-8").replace('fields = ["delta"]', 'fields = ["delta"]\nsign = -1')
+    Path("my.toml").write_text(turned.replace("GUESSED", "measured"), "utf-8")
+    capsys.readouterr()
+    assert run("inspect", log, "--rig", "my.toml") == 0
+    command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: "))
+    assert command[2:] == [log, "--rig", "my.toml", "--write-rig", "my-2.toml"]
+    assert run(*command[1:]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"next: offpiste inspect '{log}' --rig my-2.toml"
+
+    without = tmp_path / "without.csv"  # no throttle
+    without.write_text(Path(log).read_text("utf-8").replace("throttle", "battery"), "utf-8")
+    run("inspect", str(without), "--write-rig", "other.toml")
+    capsys.readouterr()
+    assert run("inspect", str(without), "--rig", "other.toml") == 0
+    first, following = capsys.readouterr().out.splitlines()[-2:]
+    assert first == "first: mend what the warnings say, or leave it where the log has no better"
+    assert following.startswith("next: offpiste extract")
+
+
 def test_json_is_nothing_but_json(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("inspect", log, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"]

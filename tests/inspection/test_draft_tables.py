@@ -156,6 +156,37 @@ def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
     assert rig.channels["steer"].scale == pytest.approx(1 / 400, rel=0.01)
 
 
+def test_a_steering_wheel_in_radians_is_no_road_wheel_in_degrees(tmp_path: Path) -> None:
+    rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_wheel_angle": ("angle", 8.2 / WIDEST)}))
+    assert "steer_angle" in rig.absent
+    assert rig.channels["steer"].scale == pytest.approx(1 / 8.2, rel=0.01)
+
+
+def test_without_an_angle_the_motion_gives_max_steer_also_beside_a_compass(tmp_path: Path) -> None:
+    compass = np.degrees(np.pi / 2 - DRIVEN["yaw"]) % 360
+    path = tmp_path / "drive.csv"
+    columns = np.column_stack([DRIVEN["t"], DRIVEN["x"], DRIVEN["y"], compass, DRIVEN["angle"] * 400 / WIDEST])
+    np.savetxt(path, columns, delimiter=",", header="t,east,north,heading_deg,steering_wheel_angle", comments="")
+    vehicle = drafted(path).vehicle
+    assert np.tan(vehicle.max_steer) / vehicle.wheelbase == pytest.approx(np.tan(WIDEST) / WHEELBASE, rel=0.1)
+
+
+def test_a_brake_pressure_is_no_percent(tmp_path: Path) -> None:
+    columns = {**POSE, "brake pressure (bar)": ("brake", 100), "throttle": ("throttle", 1), "steer": ("angle", 1)}
+    path = written(tmp_path / "drive.csv", columns)
+    brake = drafted(path).channels["brake"]
+    assert (brake.unit, brake.scale) == ("", pytest.approx(1 / 60, rel=0.01))
+    assert "scaled from 0..60 bar to 0..1, the most that this log holds" in draft_rig(open_log(path))
+
+
+def test_a_pedal_that_rests_above_zero_is_released_there(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    columns = np.column_stack([*(DRIVEN[name] for name in ("t", "x", "y", "yaw", "angle")), 0.15 + DRIVEN["brake"]])
+    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steer,brake_cmd", comments="")
+    values = drive_from_log(open_log(path), drafted(path)).channels["brake"].values[:, 0]
+    assert (values.min(), values.max()) == (pytest.approx(0.0, abs=0.01), pytest.approx(1.0, abs=0.01))
+
+
 def test_a_steering_wheel_that_is_once_turned_far_is_not_cut_off(tmp_path: Path) -> None:
     """A tight turn is rarer than one sample in a hundred; a spike is no turn."""
     turned = np.degrees(DRIVEN["angle"]) * 15 * np.where(np.abs(DRIVEN["t"] - 20.5) < 0.4, 2.0, 1.0)

@@ -212,3 +212,37 @@ def test_a_stick_that_drives_above_zero_and_brakes_below_is_found() -> None:
 def test_a_turn_rate_that_stands_alone_is_one(name: str) -> None:
     log = MemoryLog({"table": (TIME, {"a": TIME, name: ODOM["wz"], "b": TIME})})
     assert ("yaw_rate", (name,)) in {(guess.channel, guess.fields) for guess in guess_channels(log)}
+
+
+def test_an_effort_and_the_angle_of_the_front_wheels_are_commands() -> None:
+    time, pedals = CLEAN.data["pedals"]
+    steer_time, steering = CLEAN.data["steering"]
+    topics = {
+        "odom": (TIME, ODOM),
+        "base/effort_cmd": (time, {"data": pedals["throttle"] - pedals["brake"]}),
+        "base/front_angle_cmd": (steer_time, {"data": 0.4 * steering["command"]}),
+    }
+    rig = _drafted(Typed(topics))
+    assert rig.channels["throttle"].topic == rig.channels["brake"].topic == "base/effort_cmd"
+    assert (rig.channels["throttle"].sign, rig.channels["brake"].sign) == (1, -1)
+    assert rig.channels["steer"].topic == "base/front_angle_cmd"
+    assert rig.channels["steer"].scale * rig.vehicle.max_steer == pytest.approx(1, rel=1e-3)
+    assert "steer_angle" in rig.absent
+
+
+def test_a_pedal_whose_topic_says_which_it_is() -> None:
+    time, pedals = CLEAN.data["pedals"]
+    more = {"pedal_cmd_type": 2.0 + 0 * time, "enable": 1.0 + 0 * time, "count": np.arange(len(time)) % 256.0}
+    topics = {f"vehicle/{name}_cmd": (time, {"pedal_cmd": pedals[name], **more}) for name in ("throttle", "brake")}
+    channels = _drafted(Typed({"odom": (TIME, ODOM), **topics})).channels
+    for name in ("throttle", "brake"):
+        assert (channels[name].topic, channels[name].fields) == (f"vehicle/{name}_cmd", ("pedal_cmd",))
+
+
+def test_a_pedal_without_a_name_may_have_a_topic_of_its_own_that_is_called_a_command() -> None:
+    time, pedals = CLEAN.data["pedals"]
+    steer_time, steering = CLEAN.data["steering"]
+    topics = {"odom": (TIME, ODOM), "a_cmd": (time, {"data": pedals["throttle"] - pedals["brake"]})}
+    topics["b_cmd"] = (steer_time, {"data": steering["command"]})
+    channels = _drafted(Typed(topics)).channels
+    assert (channels["steer"].topic, channels["throttle"].topic) == ("b_cmd", "a_cmd")
