@@ -2,7 +2,7 @@
 
 import sys
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from shlex import join
 from typing import TYPE_CHECKING, Annotated
@@ -92,6 +92,8 @@ class Inspect:
             return f"first: give {rig} the numbers of your vehicle ([vehicle])\nnext: {join(again)}"
         if inspection.cure:
             return "next: " + join(again if self.write_rig else [*again, "--write-rig", _another(rig)])
+        if not inspection.usable and not rig.endswith(".toml"):  # a preset, which is copied to be edited
+            return "next: " + join([*again, "--write-rig", _another(rig)])
         if not inspection.usable:
             return f"first: correct {rig} as said above\nnext: {join(again)}"
         extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
@@ -138,6 +140,7 @@ class Inspect:
 
 
 def _another(rig: str) -> str:
-    """A name for an edited rig beside it, which is not there yet."""
-    stem = Path(rig).stem if rig.endswith(".toml") else "my"
-    return next(name for n in count(2) if not Path(name := f"{stem}-{n}.toml").exists())
+    """A name for an edited rig that is not there yet."""
+    path = Path(rig if rig.endswith(".toml") else "my.toml")
+    others = (path.with_name(f"{path.stem}-{number}.toml") for number in count(2))
+    return str(next(name for name in chain([path], others) if not name.exists()))

@@ -121,8 +121,7 @@ def guess_channels(log: Log) -> list[Guess]:
 def labels(topic: Topic) -> dict[str, Label]:
     """Name and unit of each field of a topic.
 
-    A message with a single number is named by its topic, and so is a pedal
-    of which the field does not say which it is.
+    A message with a single number is named by its topic, and so is a pedal of which the field does not say which it is.
     """
     result = {}
     for name in topic.fields:

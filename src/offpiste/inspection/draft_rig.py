@@ -26,6 +26,7 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Cure
 from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
@@ -109,9 +110,10 @@ def draft_rig(log: Log) -> str:
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
-    if found := find_controls(log, _with_heading(log, rig)):
+    heading = _heading_cure(log, rig)
+    if found := find_controls(log, edited(rig, heading)):
         rig = parse_rig(_text(log, _Seen(found=found)), where="the drafted rig")
-    rig = _with_heading(log, rig)
+    rig = edited(rig, heading)
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
@@ -122,14 +124,14 @@ def draft_rig(log: Log) -> str:
     return text if seen == _Seen() else _text(log, seen)
 
 
-def _with_heading(log: Log, rig: Rig) -> Rig:
-    """A rig whose heading follows the course, where one of its readings does: a compass counts clockwise."""
+def _heading_cure(log: Log, rig: Rig) -> Cure:
+    """Edits by which the heading follows the course, where it does not and some do: a compass counts clockwise."""
     try:
         drive = drive_from_log(log, rig)
         cures = [cure for finding in check_course(drive, driven_path(drive)) for cure in finding.cures[:1]]
-        return edited(rig, cures[0]) if cures else rig
+        return cures[0] if cures else ()
     except OffpisteError:
-        return rig
+        return ()
 
 
 def _text(log: Log, seen: _Seen) -> str:

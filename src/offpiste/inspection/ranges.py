@@ -134,11 +134,10 @@ def _both_ways(source: ChannelSource, values: Float[np.ndarray, " n"], rig: Rig)
     cure = [Edit(f"channels.throttle.{key}", value) for key, value in scaled.items() if value != getattr(source, key)]
     cure.append(Edit("channels.throttle.clip", [0.0, 1.0]))
     if "brake" not in rig.channels:
-        brake = {"topic": source.topic, "fields": list(source.fields), "unit": source.unit, **scaled}
-        usual = ChannelSource(source.fields)
-        stated = {key: value for key, value in brake.items() if key == "topic" or value != getattr(usual, key)}
-        stated["fields"] = list(source.fields)
-        cure.append(Edit("channels.brake", {**stated, "sign": -source.sign, "clip": [0.0, 1.0]}))
+        usual = msgspec.to_builtins(ChannelSource(source.fields))
+        brake = {**msgspec.to_builtins(source), **scaled, "sign": -source.sign, "clip": [0.0, 1.0]}
+        stated = {key: value for key, value in brake.items() if key in ("topic", "fields") or value != usual[key]}
+        cure.append(Edit("channels.brake", stated))
         if "brake" in rig.absent:
             cure.append(Edit("absent", [channel for channel in rig.absent if channel != "brake"]))
     return tuple(cure)
