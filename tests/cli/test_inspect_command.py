@@ -1,6 +1,7 @@
 """`offpiste inspect` names the command that comes next, and writes rigs to edit."""
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -85,3 +86,21 @@ def test_a_folder_of_logs_names_them(log: str, tmp_path: Path, capsys: pytest.Ca
     assert "a folder of logs: drive 0.csv, drive 1.csv" in error
     assert "and 2 more" in error
     assert error.rstrip().endswith(f"offpiste inspect {shlex.quote(str(tmp_path / 'drive 0.csv'))}")
+
+
+def test_an_extraction_with_another_rig_gets_another_name(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("inspect", log, "--write-rig", "my.toml")
+    (drafted,) = re.findall("mass = ([0-9.]+)", Path("my.toml").read_text("utf-8"))
+    run("extract", log, "--rig", "my.toml", "--out", "dataset.zarr")
+    proposed = []
+    for mass in (drafted, "901.0"):
+        Path("my.toml").write_text(
+            re.sub("mass = [0-9.]+", f"mass = {mass}", Path("my.toml").read_text("utf-8")), "utf-8"
+        )
+        capsys.readouterr()
+        run("inspect", log, "--rig", "my.toml")
+        proposed.append(shlex.split(capsys.readouterr().out.splitlines()[-1])[-1])
+    assert proposed == ["dataset.zarr", "dataset-2.zarr"]

@@ -156,6 +156,17 @@ def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
     assert rig.channels["steer"].scale == pytest.approx(1 / 400, rel=0.01)
 
 
+def test_a_height_of_one_letter_beside_places_of_a_grid(tmp_path: Path) -> None:
+    columns = {"t": ("t", 1), "x_utm": ("x", 1), "y_utm": ("y", 1), "z": ("zero", 1), "yaw": ("yaw", 1)}
+    assert drafted(written(tmp_path / "drive.csv", columns)).channels["position"].fields == ("x_utm", "y_utm", "z")
+
+
+@pytest.mark.parametrize("header", ["handwheel_deg", "hand_wheel_angle"])
+def test_a_hand_wheel_steers(tmp_path: Path, header: str) -> None:
+    rig = drafted(written(tmp_path / "drive.csv", {**POSE, header: ("angle", 460 / WIDEST)}))
+    assert rig.channels["steer"].scale == pytest.approx(1 / 460, rel=0.01)
+
+
 def test_a_steering_wheel_in_radians_is_no_road_wheel_in_degrees(tmp_path: Path) -> None:
     rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_wheel_angle": ("angle", 8.2 / WIDEST)}))
     assert "steer_angle" in rig.absent

@@ -5,7 +5,7 @@ import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.signals import find_spikes
+from offpiste.inspection.spikes import find_spikes
 from offpiste.inspection.wraps import find_wrap
 
 TIME = np.arange(0, 60, 0.02)

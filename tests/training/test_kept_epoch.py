@@ -1,5 +1,7 @@
 """The kept epoch: in words, with what speaks against it."""
 
+import json
+
 import pytest
 
 from offpiste.training.kept_epoch import KeptEpoch
@@ -28,8 +30,16 @@ def test_a_stage_of_one_epoch_is_not_doubted() -> None:
 
 
 def test_files_of_before_do_not_say_which_epoch() -> None:
-    assert KeptEpoch.of({"validation_loss": 0.5}, 3) == KeptEpoch(None, 3, 0.5)
-    assert KeptEpoch.of({"validation_loss": 0.5, "kept_epoch": 2}, 3) == KeptEpoch(2, 3, 0.5)
+    assert KeptEpoch.of({"validation_loss": 0.5}, 3) == KeptEpoch(None, 3, 0.5, 0.0)
+    assert KeptEpoch.of({"validation_loss": 0.5, "kept_epoch": 2}, 3) == KeptEpoch(2, 3, 0.5, 0.0)
+
+
+@pytest.mark.parametrize("losses", [[1.0, 0.5, 0.4999, 0.4998, 0.4997], [1.0, 0.9, 0.8, 0.7, 0.6], [1.0, 0.5]])
+def test_a_stage_that_is_read_back_is_doubted_as_it_was(losses: list[float]) -> None:
+    fresh = KeptEpoch.last_of(len(losses), losses, len(losses), losses[-1])
+    again = KeptEpoch.of(json.loads(json.dumps(fresh.about())), len(losses))
+    assert again == fresh
+    assert list(again.doubts("actuators")) == list(fresh.doubts("actuators"))
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ class Inspect:
             return "next: " + join([*again, "--write-rig", _another(rig)])
         if not inspection.usable:
             return f"first: correct {rig} as said above\nnext: {join(again)}"
-        extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", "dataset.zarr"])
+        extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", _dataset(rig)])
         if any(finding.severity == "warning" for finding in inspection.findings):
             return f"first: mend what the warnings say, or leave it where the log has no better\n{extract}"
         return extract
@@ -144,3 +144,18 @@ def _another(rig: str) -> str:
     path = Path(rig if rig.endswith(".toml") else "my.toml")
     others = (path.with_name(f"{path.stem}-{number}.toml") for number in count(2))
     return str(next(name for name in chain([path], others) if not name.exists()))
+
+
+def _dataset(rig: str) -> str:
+    """A name for a dataset that is not there yet, or was made with this rig."""
+    from offpiste.dataset.store import open_dataset
+    from offpiste.errors import OffpisteError
+    from offpiste.rig.rig import load_rig
+
+    for name in chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2))):
+        try:
+            if not Path(name).exists() or open_dataset(name).rig == load_rig(rig):
+                break
+        except OffpisteError:
+            continue
+    return name

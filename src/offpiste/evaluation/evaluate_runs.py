@@ -3,6 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from shlex import join
 
@@ -23,6 +24,8 @@ from offpiste.evaluation.result_rows import Start
 from offpiste.files import check_folder
 from offpiste.progress import track
 from offpiste.shipped import named, run_folder
+from offpiste.training.checkpoint import load_json
+from offpiste.training.config import TrainConfig
 from offpiste.training.fitness import differing_vehicle, refuse_seen, refuse_unfit
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run, load_run
@@ -105,8 +108,21 @@ def _folds(folder: Path, model: str, dataset: Path) -> str:
     """The command that tests a model on all of the driving; nothing for runs that are folds, or that ship."""
     if not folder.is_dir() or fold_folders(folder):
         return ""
-    more = ["--model", model, "--out", f"{folder}-folds", "--folds", "5"]
+    more = ["--model", model, "--out", f"{folder}-folds", "--folds", "5", *_settings(folder)]
     return f"; to test on all of the driving: {join(['offpiste', 'train', str(dataset), *more])}"
+
+
+def _settings(folder: Path) -> list[str]:
+    """The options of `train` that gave a run its settings, those of the loss's weights left out."""
+    path = folder / "config.json"
+    stated = load_json(path).get("train", {}) if path.exists() else {}
+    usual = TrainConfig(model=stated.get("model", ""))
+    options: list[str] = []
+    for one in fields(TrainConfig):
+        value = stated.get(one.name, getattr(usual, one.name))
+        if value != getattr(usual, one.name) and isinstance(value, str | int | float):
+            options += [f"--{one.name.replace('_', '-')}"] + ([] if value is True else [str(value)])
+    return options
 
 
 def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> tuple[str, ...]:

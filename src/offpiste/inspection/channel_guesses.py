@@ -61,6 +61,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
+    ("steer", 0, r"(?<![a-z])hand_?wheel(_?(angle|ang|pos(ition)?))?$"),
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
     ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
@@ -199,7 +200,7 @@ def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
                 yield guess
 
 
-_HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(alt|altitude|elevation|height)")
+_HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
 """What the height of a place is called whose east and north are called otherwise."""
 _GEOGRAPHIC: Final = tuple(
     re.compile(rf"(?<![a-z])({words})$")

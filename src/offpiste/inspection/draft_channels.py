@@ -22,7 +22,7 @@ from offpiste.inspection.pedal_scale import (
     seen_range,
     whole_range,
 )
-from offpiste.inspection.signals import find_spikes
+from offpiste.inspection.spikes import find_spikes
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log

@@ -5,6 +5,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.inspection.spikes import find_spikes
+
 _PULSES: Final = (900.0, 2100.0)
 """Widths of the pulses that servos and speed controllers take [us]."""
 _MIDDLE_PULSE: Final = 1500.0
@@ -42,7 +44,9 @@ def steering_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[fl
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
     seen = f"{low:.4g}..{high:.4g} seen"
     if are_pulses(values, named=named):
-        reach = float(np.abs(np.percentile(values, (0.1, 99.9)) - _MIDDLE_PULSE).max())
+        turned = values[~find_spikes(values)]
+        seen = f"{turned.min():.4g}..{turned.max():.4g} seen"
+        reach = float(np.abs(turned - _MIDDLE_PULSE).max())
         words = f"pulses, {_MIDDLE_PULSE:g} straight ahead and full lock {reach:.4g} from it; {seen}"
         return _MIDDLE_PULSE, reach, words
     median = float(np.median(values))

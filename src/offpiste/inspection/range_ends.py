@@ -83,11 +83,12 @@ def limit_of(values: Float[np.ndarray, " n"]) -> Limit | None:
 def _finding(name: str, limits: list[Limit], drive: Drive) -> Finding:
     value, presses = max(limit.value for limit in limits), sum(limit.presses for limit in limits)
     source = drive.rig.channels[name]
-    edit = Edit(f"channels.{name}.scale", rounded(source.scale / value))
+    scaled = (("scale", source.scale / value), ("offset", source.offset / value))
+    edits = ", ".join(str(Edit(f"channels.{name}.{key}", rounded(entry))) for key, entry in scaled if entry)
     what = "ends short of its range: it is cut off, or in another scale"
     at = " and ".join(f"{limit.value:.3g}" for limit in limits)
     evidence = f"{presses} times it ends at exactly {at}, coming from less, and never goes further: the range is 1"
-    how = f"record its whole range; or {edit} if that is full {name}"
+    how = f"record its whole range; or {edits} if that is full {name}"
     # Whoever automates a vehicle holds its brake at one value.
     severity: Severity = "note" if name == "brake" else "warning"
     return Finding(severity, name, what, evidence, how, 0.5)

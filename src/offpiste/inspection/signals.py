@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.ndimage import median_filter
 
 from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.spikes import MAX_SPIKES, find_spikes
 from offpiste.inspection.wraps import find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
 from offpiste.logs.empty_rows import between_samples
@@ -17,10 +18,6 @@ from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_c
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
-_SPIKE = 8.0
-"""A spike stands out from its neighbours by this many times what 95 % of the samples do."""
-_MAX_SPIKES = 0.02
-"""More than this share of the samples are no isolated spikes."""
 _MOST_LEFT = 0.5
 """A range of valid values that leaves more than this share of the spikes is no remedy."""
 
@@ -113,34 +110,6 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     return findings + _dead(dead, rig)
 
 
-def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Samples that leave their neighbours for one or two samples and come back; values are finite.
-
-    They stand out from the running median of seven by `_SPIKE` times what 95 % of the samples do, and by more than
-    half of what the middle 99 % of all values span, or of the others: bumps and switched signals do not.
-    """
-    none = np.zeros(len(values), dtype=bool)
-    if len(values) < 50 or len(np.unique(values[:: max(len(values) // 1000, 1)])) <= 4:
-        return none
-    away = np.abs(values - median_filter(values, 7, mode="mirror"))
-    apart = away > _SPIKE * np.percentile(away, 95)
-    # Many spikes would be part of what all values span: then what the others span counts.
-    spikes: Bool[np.ndarray, " n"] = none
-    for usual in (values, values[~apart]):
-        spikes = apart & (away > _half_span(usual))
-        if spikes.any():
-            break
-    # The largest hide the others.
-    while (more := apart & (away > _half_span(values[~spikes]))).sum() > spikes.sum():
-        spikes = more
-    return spikes if 0 < spikes.mean() <= _MAX_SPIKES else none
-
-
-def _half_span(values: Float[np.ndarray, " n"]) -> float:
-    """Half of what the middle 99 % of some values span; infinite for none."""
-    return float(np.ptp(np.percentile(values, (0.5, 99.5)))) / 2 if len(values) else np.inf
-
-
 def place(topic: str, field: str) -> str:
     """A topic's field for people: `controls[1]`, `/odom pose.position.x`, a table's column by its name."""
     if not topic:
@@ -203,7 +172,7 @@ def _spiked(signal: Signal) -> list[Finding]:
     inside = int(((at >= low) & (at <= high)).sum())
     remedy, cures = signal.cure("valid", [rounded(low), rounded(high)])
     lost = float(np.mean((usual < low) | (usual > high)))
-    if inside > _MOST_LEFT * len(at) or lost > _MAX_SPIKES:
+    if inside > _MOST_LEFT * len(at) or lost > MAX_SPIKES:
         remedy, cures, inside = "no range of valid values parts them from the others: take another field", (), 0
     return [
         Finding(

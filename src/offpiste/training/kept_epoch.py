@@ -22,7 +22,7 @@ class KeptEpoch:
         epoch: its number from 1; 0: the weights that the stage began with. None of runs that did not note it.
         epochs: of the stage.
         validation_loss: of that epoch; None of runs that did not note it.
-        gained: share of the validation loss that the last epochs took off; None where it is not known.
+        gained: share of the validation loss that the last epochs took off; None where there were too few to say.
     """
 
     epoch: int | None
@@ -32,9 +32,14 @@ class KeptEpoch:
 
     @classmethod
     def of(cls, about: dict[str, Any], epochs: int) -> "KeptEpoch":
-        """From what a stage's file says beside its weights."""
-        epoch, loss = about.get("kept_epoch"), about.get("validation_loss")
-        return cls(None if epoch is None else int(epoch), epochs, None if loss is None else float(loss))
+        """From what a stage's file says beside its weights; without a gain, as files of before, it is not doubted."""
+        epoch, loss, gained = about.get("kept_epoch"), about.get("validation_loss"), about.get("gained", 0.0)
+        return cls(
+            None if epoch is None else int(epoch),
+            epochs,
+            None if loss is None else float(loss),
+            None if gained is None else float(gained),
+        )
 
     @classmethod
     def last_of(cls, epoch: int | None, losses: Sequence[float], epochs: int, best: float) -> "KeptEpoch":
@@ -44,7 +49,7 @@ class KeptEpoch:
 
     def about(self) -> dict[str, Any]:
         """What a stage's file says beside its weights."""
-        return {"validation_loss": self.validation_loss, "kept_epoch": self.epoch}
+        return {"validation_loss": self.validation_loss, "kept_epoch": self.epoch, "gained": self.gained}
 
     def line(self, stage: str) -> str:
         """In words."""
