@@ -346,3 +346,13 @@ def test_a_size_of_no_vehicle_is_another_unit(tmp_path: Path) -> None:
     assert inspection.cure == (Edit("vehicle.wheel_positions", [[x / 100, y / 100] for x, y in places]),)
     left = inspect_log(open_log(path), edited(rig, inspection.cure)).findings
     assert [finding.what for finding in left] == ["there is no throttle"]
+
+
+def test_slip_does_not_make_the_drafted_wheelbase_longer(tmp_path: Path) -> None:
+    """A vehicle that turns less the faster it goes: at 5 m/s by a fifth."""
+    path, slip = tmp_path / "drive.csv", 1 + 0.01 * DRIVEN["speed"] ** 2
+    yaw = np.cumsum(DRIVEN["yaw_rate"] / slip) * 0.05
+    x, y = (np.cumsum(DRIVEN["speed"] * along(yaw)) * 0.05 for along in (np.cos, np.sin))
+    columns = np.column_stack([DRIVEN["t"], x, y, yaw, DRIVEN["angle"]])
+    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steering_angle_rad", comments="")
+    assert drafted(path).vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.05)

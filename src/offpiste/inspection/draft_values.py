@@ -52,6 +52,10 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
     if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
         return 0.0
     wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
+    fit = steering_fits(drive, path, measured=False).get("steer_angle")
+    without_slip = None if fit is None else fit.extrapolated
+    if without_slip is not None and without_slip.strength > _CLEAR:  # which makes wheelbases look longer
+        wheelbase = min(wheelbase, abs(float(without_slip.gain[0])))
     return wheelbase if _WHEELBASES[0] < wheelbase < _WHEELBASES[1] else 0.0
 
 
