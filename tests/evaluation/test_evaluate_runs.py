@@ -1,12 +1,15 @@
 """What `evaluate` proposes where a test part is too short for an interval."""
 
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 
 import tyro
 
 from offpiste.cli.train import Train
 from offpiste.evaluation.evaluate_runs import _folds
+from offpiste.training.checkpoint import save_json
+from offpiste.training.config import TrainConfig
 
 
 def test_all_of_the_driving_is_tested_by_a_command_that_can_be_pasted(tmp_path: Path) -> None:
@@ -18,6 +21,13 @@ def test_all_of_the_driving_is_tested_by_a_command_that_can_be_pasted(tmp_path: 
     train = tyro.cli(Train, args=rest)
     assert (train.dataset, train.out, train.folds) == (Path("data set.zarr"), tmp_path / "my run-folds", 5)
     assert train.train.model == "parametric"
+
+
+def test_folds_are_trained_with_the_settings_of_the_run(tmp_path: Path) -> None:
+    settings = TrainConfig(model="b", epochs=7, refit_constants=True, min_speed=0.0, seed=3)
+    save_json(tmp_path / "config.json", {"train": asdict(settings)})
+    line = _folds(tmp_path, "b", Path("data.zarr")).partition("driving: ")[2]
+    assert tyro.cli(Train, args=shlex.split(line)[2:]).train == settings
 
 
 def test_folds_and_models_that_ship_are_not_trained_again(tmp_path: Path) -> None:

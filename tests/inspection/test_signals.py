@@ -5,7 +5,6 @@ import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.spikes import find_spikes
 from offpiste.inspection.wraps import find_wrap
 
 TIME = np.arange(0, 60, 0.02)
@@ -45,28 +44,6 @@ def test_a_pedal_that_idles_below_zero_wraps_most_of_the_time() -> None:
 )
 def test_what_is_no_wrap(values: np.ndarray) -> None:
     assert find_wrap(values) is None
-
-
-def test_spikes_are_found_where_they_are() -> None:
-    values = SMOOTH.copy()
-    at = [100, 900, 901, 2500]
-    values[at] = 5000, -4000, -3500, 900
-    assert np.flatnonzero(find_spikes(values)).tolist() == at
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        SMOOTH,
-        np.where(np.sin(5 * TIME) > 0.9, 1.0, 0.0),
-        np.random.default_rng(2).standard_normal(3000) ** 3,
-        np.round(SMOOTH / 20),
-        np.clip(np.sin(20 * TIME), 0.9, 1),
-    ],
-    ids=["smooth", "switch", "rough ground", "quantised", "bumps"],
-)
-def test_what_is_no_spike(values: np.ndarray) -> None:
-    assert not find_spikes(values).any()
 
 
 def test_nan_and_infinity_are_counted() -> None:
@@ -109,13 +86,6 @@ def test_spikes_among_usual_values_get_no_range_that_would_leave_them() -> None:
     assert finding.remedy == "no range of valid values parts them from the others: take another field"
 
 
-def test_large_spikes_do_not_hide_smaller_ones() -> None:
-    values = np.sin(np.arange(2000) / 20)
-    large, small = np.arange(50, 1950, 130), np.arange(100, 1950, 130)
-    values[large], values[small] = 300.0, -6.0
-    assert np.flatnonzero(find_spikes(values)).tolist() == sorted([*large, *small])
-
-
 def test_a_range_for_spikes_of_one_component_holds_the_others_too() -> None:
     """One `valid` interval counts for all components, and the forward velocity is larger than the vertical one."""
     clean = drive_log(seconds=60)
@@ -124,10 +94,3 @@ def test_a_range_for_spikes_of_one_component_holds_the_others_too() -> None:
     low, high = finding.cures[0][0].value
     forward = clean.data["odom"][1]["vx"]
     assert low < forward.min() <= forward.max() < high < 60.0
-
-
-@pytest.mark.parametrize("at", [0, -1])
-def test_the_first_and_the_last_sample_may_be_spikes(at: int) -> None:
-    values = np.sin(np.arange(500) / 20)
-    values[at] = 30.0
-    assert np.flatnonzero(find_spikes(values)).tolist() == [at % 500]
