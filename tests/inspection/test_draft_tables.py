@@ -182,6 +182,16 @@ def test_without_an_angle_the_motion_gives_max_steer_also_beside_a_compass(tmp_p
     assert np.tan(vehicle.max_steer) / vehicle.wheelbase == pytest.approx(np.tan(WIDEST) / WHEELBASE, rel=0.1)
 
 
+def test_a_pedal_in_percent_that_is_hardly_ever_pressed_is_in_percent(tmp_path: Path) -> None:
+    path, drive = tmp_path / "drive.csv", driven(200.0)
+    brake = 12.7 * np.clip(1 - np.abs(drive["t"] - 20) / 0.4, 0, 1)  # once
+    columns = np.column_stack([*(drive[name] for name in ("t", "x", "y", "yaw", "angle")), brake])
+    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steer,brake_pedal_pct", comments="")
+    rig = drafted(path)
+    assert rig.channels["brake"].unit == "percent"
+    assert not [f for f in inspect_log(open_log(path), rig).findings if "spikes" in f.what]
+
+
 def test_a_brake_pressure_is_no_percent(tmp_path: Path) -> None:
     columns = {**POSE, "brake pressure (bar)": ("brake", 100), "throttle": ("throttle", 1), "steer": ("angle", 1)}
     path = written(tmp_path / "drive.csv", columns)

@@ -97,7 +97,9 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     low, high = np.percentile(values, (0.5, 99.5))
     largest = max(-low, high)
     stated = unit_line(channel, guess)
-    if stated and (channel not in ("throttle", "brake", "steer") or largest > 1.05):
+    # A pedal may hardly ever be pressed.
+    reached = max(largest, held_range(values)[1]) if channel in ("throttle", "brake") else largest
+    if stated and (channel not in ("throttle", "brake", "steer") or reached > 1.05):
         lines += stated
         comment += " and unit"
     elif channel in ("throttle", "brake") and (_rests_above_zero(values) or not (low >= -0.05 and 0.05 < high <= 1.05)):
