@@ -32,13 +32,23 @@ def test_stretches_show_the_delay(by: float) -> None:
     assert uneven_delay("steer", delays) == []
 
 
-@pytest.mark.parametrize("drift", [0.5, -0.5])
-def test_a_clock_that_drifts_is_named_with_its_change(drift: float) -> None:
+def _drifting(first: float, last: float) -> MemoryLog:
+    """The log with its command late by `first` at its beginning and by `last` at its end [s]."""
     time, _ = CLEAN.data["steering"]
-    (finding,) = changing_delay("steer", _delays(_late(drift * (time - time[0]) / np.ptp(time))))
+    return _late(np.interp(time, time[[0, -1]], (first, last)))
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.3, -0.2), (0.0, -1.0)])
+def test_a_clock_that_drifts_is_named_with_its_change(first: float, last: float) -> None:
+    (finding,) = changing_delay("steer", _delays(_drifting(first, last)))
     assert (finding.severity, finding.what) == ("warning", "has a clock that drifts")
     said = float(finding.evidence.split("and ")[1].split(" s")[0])
-    assert said == pytest.approx(-drift, abs=0.12)
+    assert said == pytest.approx(first - last, abs=0.12)
+
+
+def test_a_vehicle_that_only_turns_later_and_later_may_be_slow_itself() -> None:
+    (finding,) = changing_delay("steer", _delays(_drifting(-0.1, -0.6)))
+    assert (finding.severity, finding.what) == ("note", "has a clock that drifts")
 
 
 def test_a_copy_that_is_late_by_turns_has_a_delay_that_changes() -> None:
