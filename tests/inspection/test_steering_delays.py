@@ -38,12 +38,12 @@ def _drifting(first: float, last: float) -> MemoryLog:
     return _late(np.interp(time, time[[0, -1]], (first, last)))
 
 
-@pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.3, -0.2), (0.0, -1.0)])
+@pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.3, -0.2), (0.0, -1.2)])
 def test_a_clock_that_drifts_is_named_with_its_change(first: float, last: float) -> None:
     (finding,) = changing_delay("steer", _delays(_drifting(first, last)))
     assert (finding.severity, finding.what) == ("warning", "has a clock that drifts")
     said = float(finding.evidence.split("and ")[1].split(" s")[0])
-    assert said == pytest.approx(first - last, abs=0.12)
+    assert said == pytest.approx(first - last, rel=0.2)
 
 
 def test_a_vehicle_that_only_turns_later_and_later_may_be_slow_itself() -> None:
