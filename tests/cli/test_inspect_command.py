@@ -57,7 +57,7 @@ def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
     capsys.readouterr()
     assert run("inspect", str(without), "--rig", "other.toml") == 0
     first, following = capsys.readouterr().out.splitlines()[-2:]
-    assert first == "first: mend what the warnings say, or leave it where the log has no better"
+    assert first == "first: fix what the warnings say, or leave it where the log has no better"
     assert following.startswith("next: offpiste extract")
 
 

@@ -98,7 +98,7 @@ class Inspect:
             return f"first: correct {rig} as said above\nnext: {join(again)}"
         extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", _dataset(rig)])
         if any(finding.severity == "warning" for finding in inspection.findings):
-            return f"first: mend what the warnings say, or leave it where the log has no better\n{extract}"
+            return f"first: fix what the warnings say, or leave it where the log has no better\n{extract}"
         return extract
 
     def _survey(self, logs: list[str]) -> int:

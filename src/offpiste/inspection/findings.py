@@ -1,7 +1,7 @@
 """Findings: what an inspection reports about a log, and how to fix it."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from offpiste.rig.edits import Edit
@@ -47,3 +47,22 @@ def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 def is_fatal(findings: Iterable[Finding]) -> bool:
     """Whether one of the findings makes a log unusable."""
     return any(finding.severity == "fatal" for finding in findings)
+
+
+def merged(findings: list[Finding]) -> list[Finding]:
+    """Notes that say the same of several topics become one."""
+    together: dict[tuple[str, str], list[Finding]] = {}
+    for finding in findings:
+        key = (finding.what, finding.remedy) if finding.severity == "note" else (finding.where, finding.what)
+        together.setdefault(key, []).append(finding)
+    return [
+        group[0]
+        if len(group) == 1
+        else replace(
+            group[0],
+            where=", ".join(f.where for f in group),
+            evidence="; ".join(f"{f.where} {f.evidence}" for f in group),
+            score=max(f.score for f in group),
+        )
+        for group in together.values()
+    ]

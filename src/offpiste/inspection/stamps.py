@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import Finding, Severity, merged
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.rig.channels import SECONDS, ChannelSource, Clock
 from offpiste.rig.edits import Edit
@@ -112,26 +112,7 @@ def check_stamps(recorded: dict[str, Recorded], clock: Clock, *, used: Collectio
         seen = timing(topic.time, max_gap=clock.max_gap)
         message = _order(where, topic, seen, origin, clock) + _intervals(where, seen, origin, clock, used=name in used)
         findings += message if name in used else [replace(f, severity="note") for f in message]
-    return _merged(findings) + _clocks(recorded, clock)
-
-
-def _merged(findings: list[Finding]) -> list[Finding]:
-    """Notes that say the same of several topics become one."""
-    together: dict[tuple[str, str], list[Finding]] = {}
-    for finding in findings:
-        key = (finding.what, finding.remedy) if finding.severity == "note" else (finding.where, finding.what)
-        together.setdefault(key, []).append(finding)
-    return [
-        group[0]
-        if len(group) == 1
-        else replace(
-            group[0],
-            where=", ".join(f.where for f in group),
-            evidence="; ".join(f"{f.where} {f.evidence}" for f in group),
-            score=max(f.score for f in group),
-        )
-        for group in together.values()
-    ]
+    return merged(findings) + _clocks(recorded, clock)
 
 
 def check_spans(
