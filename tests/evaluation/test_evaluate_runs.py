@@ -9,7 +9,7 @@ import tyro
 from offpiste.cli.train import Train
 from offpiste.evaluation.evaluate_runs import _folds
 from offpiste.training.checkpoint import save_json
-from offpiste.training.config import TrainConfig
+from offpiste.training.config import TrainConfig, Weights
 
 
 def test_all_of_the_driving_is_tested_by_a_command_that_can_be_pasted(tmp_path: Path) -> None:
@@ -24,7 +24,8 @@ def test_all_of_the_driving_is_tested_by_a_command_that_can_be_pasted(tmp_path: 
 
 
 def test_folds_are_trained_with_the_settings_of_the_run(tmp_path: Path) -> None:
-    settings = TrainConfig(model="b", epochs=7, refit_constants=True, min_speed=0.0, seed=3)
+    weights = Weights(yaw=0.5)
+    settings = TrainConfig(model="b", epochs=7, refit_constants=True, min_speed=0.0, weights=weights, seed=3)
     save_json(tmp_path / "config.json", {"train": asdict(settings)})
     line = _folds(tmp_path, "b", Path("data.zarr")).partition("driving: ")[2]
     assert tyro.cli(Train, args=shlex.split(line)[2:]).train == settings

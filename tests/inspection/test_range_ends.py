@@ -72,3 +72,9 @@ def test_no_control_of_a_recorded_drive_ends_short_of_its_range(data_folder: Pat
     assert len(recorded) == 15
     drives = [(path, drive_from_log(open_log(path), load_rig(name))) for path, name in recorded]
     assert [path.name for path, drive in drives if check_range_ends(drive)] == []
+
+
+def test_a_scale_is_offered_with_the_offset_that_keeps_zero_where_it_is() -> None:
+    log = FULL.change("pedals", "throttle", lambda values: 1500 + 100 * values)
+    (finding,) = _found(log, ('fields = ["throttle"]', 'fields = ["throttle"]\nscale = 0.0025\noffset = -3.75'))
+    assert "channels.throttle.scale = 0.01, channels.throttle.offset = -15.0" in finding.remedy

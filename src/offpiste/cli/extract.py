@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from offpiste.cli.again import command_line
 from offpiste.cli.entry import COMMANDS
+from offpiste.command_line import command_line
 from offpiste.conventions import PERCEPTION_LATENCY
 from offpiste.progress import show
 

@@ -92,9 +92,9 @@ class Inspect:
             return f"first: give {rig} the numbers of your vehicle ([vehicle])\nnext: {join(again)}"
         if inspection.cure:
             return "next: " + join(again if self.write_rig else [*again, "--write-rig", _another(rig)])
-        if not inspection.usable and not rig.endswith(".toml"):  # a preset, which is copied to be edited
-            return "next: " + join([*again, "--write-rig", _another(rig)])
         if not inspection.usable:
+            if not rig.endswith(".toml"):  # a preset, which is copied to be edited
+                return "next: " + join([*again, "--write-rig", _another(rig)])
             return f"first: correct {rig} as said above\nnext: {join(again)}"
         extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", _dataset(rig)])
         if any(finding.severity == "warning" for finding in inspection.findings):
@@ -148,14 +148,17 @@ def _another(rig: str) -> str:
 
 def _dataset(rig: str) -> str:
     """A name for a dataset that is not there yet, or was made with this rig."""
-    from offpiste.dataset.store import open_dataset
+    names = chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2)))
+    return next(name for name in names if not Path(name).exists() or _is_of(name, rig))
+
+
+def _is_of(dataset: str, rig: str) -> bool:
+    """Whether a dataset can be read, and was made with a rig."""
+    from offpiste.dataset.store import open_dataset  # takes a second, and is needed where there is one
     from offpiste.errors import OffpisteError
     from offpiste.rig.rig import load_rig
 
-    for name in chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2))):
-        try:
-            if not Path(name).exists() or open_dataset(name).rig == load_rig(rig):
-                break
-        except OffpisteError:
-            continue
-    return name
+    try:
+        return open_dataset(dataset).rig == load_rig(rig)
+    except OffpisteError:
+        return False

@@ -3,12 +3,13 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from shlex import join
 
+import msgspec
 import numpy as np
 
+from offpiste.command_line import options
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
@@ -108,21 +109,18 @@ def _folds(folder: Path, model: str, dataset: Path) -> str:
     """The command that tests a model on all of the driving; nothing for runs that are folds, or that ship."""
     if not folder.is_dir() or fold_folders(folder):
         return ""
-    more = ["--model", model, "--out", f"{folder}-folds", "--folds", "5", *_settings(folder)]
+    settings = options(_settings(folder), model=model)
+    more = ["--out", f"{folder}-folds", "--folds", "5", *settings]
     return f"; to test on all of the driving: {join(['offpiste', 'train', str(dataset), *more])}"
 
 
-def _settings(folder: Path) -> list[str]:
-    """The options of `train` that gave a run its settings, those of the loss's weights left out."""
+def _settings(folder: Path) -> TrainConfig:
+    """Those that a run was trained with; the usual ones where it does not say."""
     path = folder / "config.json"
-    stated = load_json(path).get("train", {}) if path.exists() else {}
-    usual = TrainConfig(model=stated.get("model", ""))
-    options: list[str] = []
-    for one in fields(TrainConfig):
-        value = stated.get(one.name, getattr(usual, one.name))
-        if value != getattr(usual, one.name) and isinstance(value, str | int | float):
-            options += [f"--{one.name.replace('_', '-')}"] + ([] if value is True else [str(value)])
-    return options
+    try:
+        return msgspec.convert(load_json(path)["train"], TrainConfig) if path.exists() else TrainConfig()
+    except (KeyError, msgspec.ValidationError) as error:
+        raise RunError(f"has no settings of a training ({error})", where=path, how="train again") from error
 
 
 def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> tuple[str, ...]:

@@ -84,6 +84,7 @@ def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
 
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk")
 _PEDAL_ONLY: Final = re.compile(r"^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$")
+"""Fields that do not say which pedal they are of."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "odometry.npy": (
@@ -126,8 +127,8 @@ def labels(topic: Topic) -> dict[str, Label]:
     """
     result = {}
     for name in topic.fields:
-        alone = len(topic.fields) <= 2 or _PEDAL_ONLY.search(name) is not None
-        whole = topic.joints.get(name) or (f"{topic.name}/{name}" if alone else name)
+        by_topic = len(topic.fields) <= 2 or _PEDAL_ONLY.search(name) is not None
+        whole = topic.joints.get(name) or (f"{topic.name}/{name}" if by_topic else name)
         label = parse_label(whole)
         if not label.unit and (number := _NUMBER_ONLY.search(label.name)):
             label = parse_label(whole[: number.start()])

@@ -22,8 +22,7 @@ from offpiste.inspection.pedal_scale import (
     seen_range,
     whole_range,
 )
-from offpiste.inspection.spikes import find_spikes
-from offpiste.inspection.wraps import find_wrap
+from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ChannelSource, unit_factor
@@ -32,6 +31,7 @@ from offpiste.rig.labels import channel_unit
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 _IN_HAND: Final = re.compile(r"steering_?wheel|hand_?wheel|(?<![a-z])swa?(?![a-z])", re.IGNORECASE)
+"""Names of the steering wheel, in the driver's hands."""
 _PULSED: Final = re.compile(r"servo|pwm|pulse|(?<![a-z])(esc|rc)(?![a-z])", re.IGNORECASE)
 _SLACK: Final = 25.0
 """Pulses below the one at rest that are none of a brake [us]."""

@@ -1,6 +1,6 @@
 """The driven path from the pose alone: the reference for all other channels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -69,14 +69,22 @@ class Path:
         return float(np.nanpercentile(self.speed, 95)) if np.isfinite(self.speed).any() else 0.0
 
     def longer_side(self, at: float) -> "Path":
-        """The part before or after a time, whichever is longer."""
+        """The part before or after a time [s], whichever is longer."""
         row = int(np.searchsorted(self.time, at))
         rows = slice(0, row) if row > len(self.time) - row else slice(row, None)
-        reverse = None if self.reverse is None else self.reverse[rows]
-        place, velocity, speed, forward = self.place[rows], self.velocity[rows], self.speed[rows], self.forward[rows]
-        yaw, yaw_rate, acceleration = self.yaw[rows], self.yaw_rate[rows], self.acceleration[rows]
-        turned = (yaw, yaw_rate, acceleration, self.slope[rows])
-        return Path(self.time[rows], place, velocity, speed, forward, *turned, self.window, reverse)
+        return replace(
+            self,
+            time=self.time[rows],
+            place=self.place[rows],
+            velocity=self.velocity[rows],
+            speed=self.speed[rows],
+            forward=self.forward[rows],
+            yaw=self.yaw[rows],
+            yaw_rate=self.yaw_rate[rows],
+            acceleration=self.acceleration[rows],
+            slope=self.slope[rows],
+            reverse=None if self.reverse is None else self.reverse[rows],
+        )
 
 
 def driven_path(drive: Drive) -> Path:

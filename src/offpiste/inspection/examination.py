@@ -80,7 +80,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
     posed = check_pose(drive, path, origin)
     if (leap := leap_of(path)) is not None:
-        path = path.longer_side(leap[0])  # what is beyond is not the vehicle's motion
+        path = path.longer_side(leap.time)  # what is beyond is not the vehicle's motion
     posed += _check_heading(drive, path)
     findings += posed
     if is_fatal(tilted + posed):

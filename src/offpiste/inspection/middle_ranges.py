@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.spikes import find_spikes
+from offpiste.inspection.signal_faults import find_spikes
 
 _PULSES: Final = (900.0, 2100.0)
 """Widths of the pulses that servos and speed controllers take [us]."""

@@ -1,5 +1,6 @@
 """Checks of the pose: order of the quaternion, which way is up, jumps, units."""
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -225,12 +226,22 @@ def _jumping(
     )
 
 
-def leap_of(path: Path) -> tuple[float, float, float] | None:
-    """When a velocity becomes another from one instant to the next, and stays: positions that run away.
+@dataclass(frozen=True)
+class Leap:
+    """An instant in which the velocity becomes another, and stays.
 
-    Returns:
-        The time [s], and the speeds before and after it [m/s]; None where there is no such instant.
+    Attributes:
+        time: [s].
+        before, after: speeds [m/s].
     """
+
+    time: float
+    before: float
+    after: float
+
+
+def leap_of(path: Path) -> Leap | None:
+    """Where positions run away: the largest leap of the velocity; None where it may be driven."""
     sides = [_beside(path, beside, between) for beside, between in zip(_BESIDE, _BETWEEN, strict=True)]
     changes = [np.hypot(*(after - before).T) for before, after in sides]
     change = np.nan_to_num(np.minimum(*changes))
@@ -243,11 +254,16 @@ def leap_of(path: Path) -> tuple[float, float, float] | None:
     if not change[at] > max(_HARDEST * (_BESIDE[0] + _BETWEEN[0]), _OTHERS * usual):
         return None
     before, after = (float(np.hypot(*side[at])) for side in sides[-1])
-    return float(path.time[at]), before, after
+    return Leap(float(path.time[at]), before, after)
 
 
 def _beside(path: Path, length: float, between: float) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """Median velocities on both sides of each instant, NaN where a side is not whole."""
+    """Median velocities before and after each instant [m/s], NaN where a side is not whole.
+
+    Args:
+        length: of a side [s].
+        between: what is left out between them [s].
+    """
     rows, gap = round(length / STEP), round(between / STEP / 2)
     result = np.full((2, len(path.time), 2), np.nan)
     if len(path.time) > 2 * (rows + gap):
@@ -262,8 +278,7 @@ def _check_leap(path: Path, origin: float) -> list[Finding]:
     leap = leap_of(path)
     if leap is None:
         return []
-    at, before, after = leap
-    evidence = f"at {at - origin:.1f} s, from {before:.3g} to {after:.3g} m/s, and it stays so"
+    evidence = f"at {leap.time - origin:.1f} s, from {leap.before:.3g} to {leap.after:.3g} m/s, and it stays so"
     how = "no rig line fixes it: cut the log there, or take another pose"
     return [Finding("warning", "position", "changes its velocity in an instant", evidence, how, 0.7)]
 

@@ -10,6 +10,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.middle_ranges import steering_middle
 from offpiste.inspection.pedal_scale import full_scale, is_signed, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.signal_faults import PERIODS
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded
@@ -25,9 +26,6 @@ _BEYOND = 0.025
 
 _SLACK = 1.1
 """Largest value of a pedal from 0 to 1, with what noise adds."""
-
-PERIODS = (65536.0, 6553.6, 655.36)
-"""Of 16-bit counters, whole or in tenths or hundredths."""
 
 
 def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:

@@ -10,8 +10,7 @@ from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.ranges import limits
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.spikes import MAX_SPIKES, find_spikes
-from offpiste.inspection.wraps import find_wrap
+from offpiste.inspection.signal_faults import MAX_SPIKES, find_spikes, find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
 from offpiste.logs.empty_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor

@@ -27,7 +27,7 @@ _SEVERAL: Final = 8
 _DRIFT: Final = 0.15
 """Change of the delay over the drive that is surely exceeded [s]; of 60 healthy channels none exceeds 0.08."""
 _SLOWER: Final = 0.8
-"""Change of the delay that a vehicle's own steering does not make [s]; of 549 healthy logs one makes 0.54."""
+"""Change of the delay that a vehicle's own steering does not make [s]; the largest of healthy logs is 0.54."""
 _WIDE: Final = (0.35, 25.0, -0.2)
 """Width of the delays (10 to 90 %) that is a change [s], and how early the motion comes [s] in this share [%] then: a
 vehicle does not turn before it is steered."""

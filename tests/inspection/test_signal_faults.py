@@ -1,9 +1,9 @@
-"""Isolated spikes, and signals that only look like some."""
+"""Faults within single signals, and signals that only look like them."""
 
 import numpy as np
 import pytest
 
-from offpiste.inspection.spikes import find_spikes
+from offpiste.inspection.signal_faults import find_spikes, find_wrap
 
 TIME = np.arange(0, 60, 0.02)
 SMOOTH = 150 + 100 * np.sin(TIME) + np.random.default_rng(0).standard_normal(len(TIME))
@@ -53,3 +53,38 @@ def test_dips_among_usual_values_are_no_spikes_beside_large_ones() -> None:
     dips = np.flatnonzero(SMOOTH > 245)[::12]
     values[dips] -= 130.0
     assert np.flatnonzero(find_spikes(values)).tolist() == at.tolist()
+
+
+@pytest.mark.parametrize(("period", "scale"), [(65536.0, 100.0), (6553.6, 10.0), (655.36, 1.0)])
+def test_wraps_of_sixteen_bits_in_runs(period: float, scale: float) -> None:
+    counts = np.round((SMOOTH - 80) * scale) / 10
+    wrap = find_wrap(np.where(counts < 0, counts + period, counts))
+    assert wrap is not None
+    assert wrap.period == period
+    assert counts.max() < wrap.above < counts.min() + period
+
+
+def test_a_pedal_that_idles_below_zero_wraps_most_of_the_time() -> None:
+    rng = np.random.default_rng(2)
+    pressed = np.clip(3000 * np.sin(TIME / 5), 0, None) * (np.sin(TIME / 3) > 0.6)
+    counts = np.round(pressed - 150 + 40 * rng.standard_normal(len(TIME)))
+    assert (counts < 0).mean() > 0.7
+    wrap = find_wrap(np.where(counts < 0, counts + 65536, counts) / 10)
+    assert wrap is not None
+    assert wrap.period == 6553.6
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.where(np.random.default_rng(3).random(3000) < 0.02, 0.0, 6550.0 + SMOOTH / 100),
+        SMOOTH,
+        np.linspace(0, 65535, 3000),
+        np.where(np.sin(TIME) > 0, 6500.0, 0.0),
+        np.abs(SMOOTH) * 40,
+        np.random.default_rng(1).uniform(0, 6553, 3000),
+    ],
+    ids=["dropouts", "smooth", "counter", "switch", "engine", "noise"],
+)
+def test_what_is_no_wrap(values: np.ndarray) -> None:
+    assert find_wrap(values) is None

@@ -1,4 +1,4 @@
-"""Isolated spikes: samples that leave their neighbours and come back."""
+"""Faults within single signals: isolated spikes, and 16-bit counters below zero."""
 
 from typing import Final
 
@@ -6,8 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
+from offpiste.rig.channels import Wrap
+
 _SPIKE: Final = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
+PERIODS: Final = (65536.0, 6553.6, 655.36)
+"""Of 16-bit counters, whole or in tenths or hundredths."""
 MAX_SPIKES: Final = 0.02
 """More than this share of the samples are no isolated spikes."""
 
@@ -38,6 +42,33 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     return spikes if 0 < spikes.mean() <= MAX_SPIKES else none
 
 
+def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
+    """Wrap of a 16-bit counter below zero; None where there is none.
+
+    Its values keep to two bands with most of the period empty between them, none exceeds the period, and less a period
+    the upper band continues the lower one. Either may hold most of the samples. Values are finite.
+    """
+    high = float(raw.max())
+    for period in PERIODS:
+        if not 0.9 * period < high <= period or raw.min() < -0.01 * period:
+            continue
+        ordered = np.sort(raw)
+        space = np.diff(ordered)
+        widest = int(space.argmax())
+        if space[widest] < 0.5 * period:
+            continue
+        lower, upper = ordered[: widest + 1], ordered[widest + 1 :] - period
+        spread = np.ptp(lower) > 0 and len(lower) > max(10, 0.002 * len(raw))
+        if spread and abs(upper[0]) <= max(2 * np.ptp(lower), 0.05 * period) and lower[0] - upper[-1] < 0.02 * period:
+            return Wrap(above=_round(ordered[widest] + space[widest] / 2), period=period)
+    return None
+
+
 def _half_span(values: Float[np.ndarray, " n"]) -> float:
     """Half of what the middle 99 % of some values span; infinite for none."""
     return float(np.ptp(np.percentile(values, (0.5, 99.5)))) / 2 if len(values) else np.inf
+
+
+def _round(value: float) -> float:
+    """Two digits: a threshold in the middle of nowhere needs no more."""
+    return float(f"{value:.2g}")

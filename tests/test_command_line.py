@@ -5,8 +5,8 @@ from pathlib import Path
 
 import tyro
 
-from offpiste.cli.again import command_line
 from offpiste.cli.extract import Extract
+from offpiste.command_line import command_line
 
 
 def _parsed(line: str) -> Extract:
