@@ -61,6 +61,14 @@ def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
     assert following.startswith("next: offpiste extract")
 
 
+def test_a_preset_of_another_vehicle_leads_to_a_first_rig(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("inspect", log, "--rig", "tartandrive2") == 1
+    assert capsys.readouterr().out.splitlines()[-1] == f"next: offpiste inspect '{log}' --write-rig my.toml"
+
+
 def test_json_is_nothing_but_json(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("inspect", log, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"]

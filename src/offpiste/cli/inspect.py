@@ -93,8 +93,8 @@ class Inspect:
         if inspection.cure:
             return "next: " + join(again if self.write_rig else [*again, "--write-rig", _another(rig)])
         if not inspection.usable:
-            if not rig.endswith(".toml"):  # a preset, which is copied to be edited
-                return "next: " + join([*again, "--write-rig", _another(rig)])
+            if not rig.endswith(".toml"):  # a preset, of another vehicle
+                return "next: " + join(["offpiste", "inspect", log, "--write-rig", _another(rig)])
             return f"first: correct {rig} as said above\nnext: {join(again)}"
         extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", _dataset(rig)])
         if any(finding.severity == "warning" for finding in inspection.findings):
