@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 import factories
 from offpiste.rig.rig import Rig, parse_rig
@@ -130,6 +131,21 @@ def drive_log(seconds: float = 90.0, seed: int = 0) -> MemoryLog:
             "wheels": (stamps[::2], {"rear": v[::2] / 0.04 + 2 * random.standard_normal(len(v[::2]))}),
         }
     )
+
+
+def steered(log: MemoryLog, command: np.ndarray, *, follows: float) -> MemoryLog:
+    """A log driven with another steering, at its speeds, by wheels that follow in `follows` seconds (first order)."""
+    stamps, columns = log.data["steering"]
+    step = float(np.median(np.diff(stamps)))
+    wheels = lfilter([step / follows], [1, step / follows - 1], command) if follows else command
+    time, odom = log.data["odom"]
+    rate = odom["vx"] * np.tan(MAX_STEER * np.interp(time, stamps, wheels)) / WHEELBASE
+    step = float(np.median(np.diff(time)))
+    yaw = np.cumsum(rate) * step
+    x, y = np.cumsum(odom["vx"] * np.cos(yaw)) * step, np.cumsum(odom["vx"] * np.sin(yaw)) * step
+    moved = odom | {"x": x, "y": y, "wz": rate, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
+    steering = columns | {"command": command, "angle": MAX_STEER * wheels}
+    return MemoryLog({**log.data, "odom": (time, moved), "steering": (stamps, steering)})
 
 
 def _wander(random: np.random.Generator, time: np.ndarray, period: float) -> np.ndarray:

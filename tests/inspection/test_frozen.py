@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import drive_log, rig
+from simulated import drive_log, rig, steered
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.frozen import check_frozen
@@ -106,3 +106,15 @@ def test_a_steering_that_is_held_while_the_vehicle_drives_straight_may_be_the_dr
     inside = (path.time > time[first]) & (path.time < time[first + count])
     straight = replace(path, yaw_rate=np.where(inside, 0.1, path.yaw_rate))
     assert check_frozen(drive, straight) == []
+
+
+def test_a_lock_that_is_held_from_the_other_one_on_does_not_hang() -> None:
+    """The vehicle turns the old way until the wheels have followed; then evenly, as the driver holds it."""
+    time, columns = CLEAN.data["steering"]
+    now = time - time[len(time) // 2]
+    swung = np.where((now > -2.5) & (now <= 0), -1.0, np.where((now > 0) & (now < 6.5), 1.0, columns["command"]))
+    drive = drive_from_log(steered(CLEAN, swung, follows=0.3), rig())
+    path = driven_path(drive)
+    turned = np.std(path.yaw_rate[np.abs(path.time - time[len(time) // 2] - 3.25) < 3.25])
+    assert turned > 0.7 * np.sqrt(np.mean(path.yaw_rate**2))  # at first sight it turns to and fro
+    assert [finding.where for finding in check_frozen(drive, path)] == []

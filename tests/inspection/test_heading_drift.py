@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, rig, steered
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
@@ -73,6 +73,19 @@ def test_a_heading_that_wanders_about_the_course_does_not_drift() -> None:
     time, _ = CLEAN.data["odom"]
     assert _found(np.radians(4.0) * np.sin(2 * np.pi * (time - time[0]) / 20)) == []
     assert _found(np.full(len(time), 0.05)) == []
+
+
+def test_tyres_that_slip_in_right_curves_first_and_left_ones_then_do_not_drift() -> None:
+    time, columns = CLEAN.data["steering"]
+    curves = 0.15 * columns["command"] + np.where(time < np.median(time), -0.4, 0.4)
+    turned = steered(CLEAN, curves, follows=0.0)
+    _, odom = turned.data["odom"]
+    slip = -0.06 * odom["vx"] * odom["wz"]
+    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"])) - slip
+    slid = turned.change("odom", "qz", lambda _: np.sin(yaw / 2)).change("odom", "qw", lambda _: np.cos(yaw / 2))
+    drive = drive_from_log(slid, rig())
+    assert np.ptp(slip) > np.radians(8)
+    assert check_heading_drift(drive, driven_path(drive)) == []
 
 
 @pytest.mark.parametrize(("noise", "found"), [(0.005, False), (0.05, True)])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, WHEELBASE, MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, rig, steered
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
@@ -35,18 +35,21 @@ def test_a_yaw_rate_that_is_cut_off_is_named() -> None:
 def test_full_lock_is_no_cut() -> None:
     """The wheels stop where the command does: the vehicle turns no further."""
     limit = 0.5
-    time, columns = CLEAN.data["steering"]
+    _, columns = CLEAN.data["steering"]
     command = np.clip(columns["command"], -limit, limit)
-    odom_time, odom = CLEAN.data["odom"]
-    v = np.interp(odom_time, odom_time, odom["vx"])
-    rate = v * np.tan(MAX_STEER * np.interp(odom_time, time, command)) / WHEELBASE
-    yaw = np.cumsum(rate) * 0.02
-    x, y = np.cumsum(v * np.cos(yaw)) * 0.02, np.cumsum(v * np.sin(yaw)) * 0.02
-    columns = odom | {"x": x, "y": y, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
-    log = MemoryLog({**CLEAN.data, "odom": (odom_time, columns)})
-    log = log.change("steering", "command", lambda _: command)
     assert np.mean(np.abs(command) >= limit) > 0.02
-    assert _found(log) == []
+    assert _found(steered(CLEAN, command, follows=0.0)) == []
+
+
+@pytest.mark.parametrize(("largest", "found"), [(1.0, []), (0.7, ["steer"])])
+def test_slow_wheels_turn_furthest_where_full_lock_is_held(largest: float, found: list[str]) -> None:
+    """A command that ends at 1 has no more to give; one that ends below may be cut off."""
+    random = np.random.default_rng(3)
+    stamps, _ = CLEAN.data["steering"]
+    held = np.repeat(random.choice([-1.0, 1.0], 200), 12)[: len(stamps) // 5]
+    quick = 0.97 * np.sin(0.25 * np.arange(len(stamps) - len(held)))
+    command = largest * np.concatenate((held, quick))
+    assert [f.where for f in _found(steered(CLEAN, command, follows=0.15))] == found
 
 
 def test_a_clean_log_is_not_cut_off() -> None:

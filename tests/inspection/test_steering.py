@@ -6,8 +6,9 @@ from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.lags import LagFit
 from offpiste.inspection.steering import check_steering
-from offpiste.inspection.steering_fit import steering_fit, steering_fits
+from offpiste.inspection.steering_fit import SteeringFit, steering_fit, steering_fits
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
@@ -183,3 +184,16 @@ def test_a_command_that_is_the_angle_of_the_wheels_gets_its_exact_scale() -> Non
     log = drive_log(seed=0).change("steering", "command", lambda steer: MAX_STEER * steer)
     (finding,) = (f for f in inspect_log(log, without).findings if f.severity == "warning")
     assert finding.cures[0] == (Edit("channels.steer.scale", 1 / MAX_STEER),)
+
+
+@pytest.mark.parametrize(("steady", "sign"), [(0.98, 1), (0.6, -1)])
+def test_who_goes_where_he_steers_does_not_drift(steady: float, sign: int) -> None:
+    """What the steering changes about the turning decides about a drift, in which drivers countersteer."""
+    lags = np.arange(-0.1, 0.11, 0.05)
+
+    def fit(r: float) -> LagFit:
+        ones = np.ones((10, len(lags)))
+        return LagFit(lags, r * ones[0], r * ones[0], 1000, r * ones, r * ones)
+
+    turned = fit(-0.31)
+    assert SteeringFit(fit(steady), turned, fit(steady), fit(steady), None, 0.0, np.inf).sign == sign

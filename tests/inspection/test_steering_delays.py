@@ -65,6 +65,12 @@ def test_few_early_stretches_do_not_count() -> None:
     assert uneven_delay("steer", mostly_usual) == []
 
 
+def test_one_event_that_two_stretches_share_does_not_count() -> None:
+    usual = [0.09, 0.1, 0.1, 0.11, 0.13, 0.14, 0.15]
+    assert uneven_delay("steer", WindowDelays(np.arange(9.0), np.array([-1.29, -1.2, *usual]))) == []
+    assert len(uneven_delay("steer", WindowDelays(np.arange(10.0), np.array([-1.29, -1.2, -1.3, *usual])))) == 1
+
+
 def test_a_slight_change_counts_where_most_are_early() -> None:
     delays = WindowDelays(np.arange(10.0), np.array([0.05, -0.2, 0.0, -0.25, 0.1, -0.2, 0.0, -0.1, 0.1, -0.2]))
     (finding,) = uneven_delay("steer", delays)

@@ -16,6 +16,8 @@ _STEERINGS: Final = ("steer", "steer_angle")
 _STRAIGHT, _TURNED = 0.15, 0.7
 """Standard deviation of the yaw rate in a run over its RMS in the drive: up to which a held steering may be the
 driver's, and from which the vehicle turns to and fro."""
+_SETTLES: Final = 1.0
+"""Time in which the turning follows a steering that begins to be held [s]."""
 _CONTROLS: Final = ("steer", "throttle", "brake")
 """A driver holds them for some seconds now and then."""
 _LEAST, _LEAST_OF_HEADINGS, _LEAST_OF_CONTROLS = 3.0, 0.4, 4.7
@@ -63,7 +65,9 @@ def _frozen(
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
     # Of other channels the turning says nothing: not a number is neither straight nor turned.
-    turned = _turned(path, begin, end) if channel.name in _STEERINGS else np.full(len(begin), np.nan)
+    turned = np.full(len(begin), np.nan)
+    if channel.name in _STEERINGS:
+        turned = _turned(path, np.minimum(begin + _SETTLES, end), end)
     straight, turns = turned <= _STRAIGHT, turned > _TURNED
     moves = (~_rests(channel)[first] | turns) & (_moving(path, begin) | _moving(path, end))
     if moves.sum() < 50:

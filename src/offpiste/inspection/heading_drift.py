@@ -33,7 +33,9 @@ def check_heading_drift(drive: Drive, path: Path) -> list[Finding]:
         return []
     elapsed = path.time - path.time[0]
     away = course_minus_heading(path)
-    fit = fit_lags(away, np.ones((len(away), 1)), elapsed[None], np.zeros(1), rows)
+    # Tyres slip to one side in left curves and to the other in right ones, of which a drive may have more at its end.
+    slip = np.column_stack((np.ones(len(away)), path.yaw_rate, path.forward * path.yaw_rate))
+    fit = fit_lags(away, slip, elapsed[None], np.zeros(1), rows)
     if fit is None or len(fit.gain_left_out) < _BLOCKS:
         return []
     lasts = float(np.ptp(path.time[rows]))

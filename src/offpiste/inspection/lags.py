@@ -24,6 +24,8 @@ _CLEARER: Final = 0.03
 """A lag outside of the vehicle's own must explain this much more of the variance than the best one inside."""
 _LATE_CLEARER, _LATE_GAIN = 0.2, 0.1
 """Correlation that must be added, and variance that must be explained, where the motion comes late."""
+_OUTSIDE: Final = 0.05
+"""How far a lag must be beyond the vehicle's own [s]: the step of those tried; poses are as late as that, too."""
 SURE: Final = 3.0
 """Standard deviations at which a difference is sure."""
 _OUTLIER: Final = 4.0
@@ -72,6 +74,15 @@ class LagFit:
     def r_sigma(self, index: int) -> float:
         """Standard deviation of the correlation at an index."""
         return jackknife(self.left_out[:, index])
+
+    def gained(self, index: int, other: int) -> tuple[float, float]:
+        """How much more of the variance one lag explains than another, by the same sign, and its standard deviation."""
+        sign = np.sign(self.r[index])
+
+        def more(r: np.ndarray) -> np.ndarray:
+            return np.asarray(r[..., index] ** 2 - np.maximum(sign * r[..., other], 0.0) ** 2)
+
+        return float(more(self.r)), jackknife(more(self.left_out))
 
     def gain_sigma(self, index: int) -> float:
         """Standard deviation of the gain at an index."""
@@ -221,17 +232,17 @@ def check_delay(
         sign: of the right effect; 0: either.
     """
     best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
-    gained = fit.r[best] ** 2 - max(fit.r[inside] * (sign or np.sign(fit.r[best])), 0.0) ** 2
+    gained, gained_sigma = fit.gained(best, inside)
     # A best lag at the end of those tried is no maximum: slow signals fit anywhere.
     # Drifts and spinning wheels answer late by themselves, weakly; motion before its cause has no such excuse.
     late = fit.lags[best] > own[1]
     if abs(fit.r[best]) < (clear + _LATE_CLEARER if late else clear) or gained < (_LATE_GAIN if late else _CLEARER):
         return []
-    if best in (0, len(fit.lags) - 1):
+    if best in (0, len(fit.lags) - 1) or gained < SURE * gained_sigma:
         return []
     lag, sigma = fit.delay(best)
     outside = max(own[0] - lag, lag - own[1])
-    if outside < max(SURE * sigma, 0.02):
+    if outside < max(SURE * sigma, _OUTSIDE):
         return []
     evidence = f"the motion is {abs(lag):.2f} ± {sigma:.2f} s {'before' if lag < 0 else 'after'} it: "
     evidence += f"R2 {fit.r[best] ** 2:.2f} there and {fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"

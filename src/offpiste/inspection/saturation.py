@@ -19,6 +19,8 @@ _NEAR: Final = 0.98
 """Share of the largest value from which a row counts as one at the end."""
 _FURTHER: Final = 0.1
 """The vehicle turns this much more there than the other rows foretell; at full lock it turns less, as tyres slip."""
+_FURTHER_AT_LOCK: Final = 0.5
+"""The same where a command ends at 1, its natural end: wheels that follow slowly turn furthest where it is held."""
 
 
 def check_saturation(drive: Drive, path: Path) -> list[Finding]:
@@ -35,7 +37,8 @@ def check_saturation(drive: Drive, path: Path) -> list[Finding]:
         if piled < _PILED or size.max() == 0:
             continue
         further, sigma = _further(channel, path, drive.rig)
-        if further < _FURTHER + SURE * sigma:
+        at_lock = name == "steer" and np.isclose(size.max(), 1.0, rtol=1e-3)
+        if further < (_FURTHER_AT_LOCK if at_lock else _FURTHER) + SURE * sigma:
             continue
         evidence = f"{piled:.0%} of its samples are {size.max():.3g}, and there the vehicle turns {1 + further:.1f} ± "
         evidence += f"{sigma:.1f} times as much as its other samples foretell"

@@ -22,6 +22,8 @@ _FITS: Final = 0.85
 """Correlation of the turning with the steering in a stretch, at least."""
 _FEW: Final = 5
 """Stretches that show a change ..."""
+_EARLY: Final = 3
+"""Stretches in which the motion comes first, at least: one event lies in two that overlap."""
 _SEVERAL: Final = 8
 """... and a slight one."""
 _DRIFT: Final = 0.15
@@ -103,7 +105,8 @@ def uneven_delay(name: str, delays: WindowDelays) -> list[Finding]:
 
 def _uneven(name: str, delays: WindowDelays, spread: float, share: float, before: float) -> list[Finding]:
     low, high = np.percentile(delays.delay, (10, 90))
-    if high - low < spread or np.percentile(delays.delay, share) > before:
+    first = int((delays.delay <= before).sum())
+    if high - low < spread or first < max(_EARLY, share / 100 * len(delays.delay)):
         return []
     how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
     return [Finding("warning", name, "has a delay that changes", delays.words, how + " with [alignment]", 0.9)]

@@ -26,6 +26,8 @@ _AHEAD: Final = 0.2
 _STEADY_EFFECT: Final = 0.5
 DYNAMIC_EFFECT: Final = 0.3
 """Correlations above which there is an effect."""
+_NO_DRIFT: Final = 0.95
+"""Correlation of the steady fit above which the vehicle goes where it is steered."""
 _SMOOTHINGS: Final = (2, 4, 6)
 """Tried lags over which the steering is averaged for its scale: actuators follow quick steering in part only."""
 _GRIPPING: Final = 3.0
@@ -64,9 +66,9 @@ class SteeringFit:
 
     @property
     def sign(self) -> int:
-        """Sign of the effect, 0 where it is not clear: the dynamic fit decides if the two differ."""
+        """Sign of the effect, 0 where it is not clear: where the two differ, the dynamic fit decides about a drift."""
         steady, dynamic = (_sure_sign(fit) for fit in (self.steady, self.dynamic))
-        if steady == dynamic or not dynamic:
+        if steady == dynamic or not dynamic or (steady and self.steady.strength > _NO_DRIFT):
             return steady
         return dynamic if self.dynamic.strength >= DYNAMIC_EFFECT else 0
 
