@@ -1,6 +1,7 @@
 """The commands on a small simulated log: exit codes, messages, files."""
 
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -41,6 +42,22 @@ def test_train_ends_with_the_next_command(folder: Path, capsys: pytest.CaptureFi
     dataset, out = str(folder / "dataset.zarr"), str(folder / "b")
     assert run("train", dataset, "--out", out, *QUICK, "--resume") == 0
     assert capsys.readouterr().out.endswith(f"next: offpiste evaluate {out} --dataset {dataset}\n")
+
+
+def test_a_training_that_had_not_converged_says_how_to_go_on(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset, out = str(folder / "dataset.zarr"), str(tmp_path / "physics")
+    quick = [*QUICK, "--model", "parametric", "--epochs", "2", "--constants-learning-rate", "1e-3", "--seed", "3"]
+    assert run("train", dataset, "--out", out, *quick) == 0
+    said = capsys.readouterr().out
+    assert "parametric is fitted as a whole: --epochs count, and --bicycle-epochs do not" in said
+    (line,) = (line for line in said.splitlines() if line.startswith("not converged yet"))
+    again = shlex.split(line.partition(": ")[2])
+    assert again[:5] == ["offpiste", "train", dataset, "--out", f"{out}-longer"]
+    assert (again[again.index("--epochs") + 1], again[again.index("--seed") + 1]) == ("4", "3")
+    assert "--actuator-epochs" in again  # as given: a single epoch says nothing
+    assert run(*again[1:]) == 0
 
 
 def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -179,11 +179,11 @@ def test_a_rig_of_no_vehicles_shape_has_the_wrong_wheelbase() -> None:
     assert [cure[0].key for cure in finding.cures][:2] == ["vehicle.wheel_positions", "vehicle.max_steer"]
 
 
-def test_a_command_that_is_the_angle_of_the_wheels_gets_its_exact_scale() -> None:
+def test_a_command_that_is_the_angle_of_the_wheels_is_read_as_one() -> None:
     without = edited(rig(), [Edit("channels.steer_angle", None), Edit("absent", [*rig().absent, "steer_angle"])])
     log = drive_log(seed=0).change("steering", "command", lambda steer: MAX_STEER * steer)
     (finding,) = (f for f in inspect_log(log, without).findings if f.severity == "warning")
-    assert finding.cures[0] == (Edit("channels.steer.scale", 1 / MAX_STEER),)
+    assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
 
 
 @pytest.mark.parametrize(("steady", "sign"), [(0.98, 1), (0.6, -1)])

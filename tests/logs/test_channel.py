@@ -52,6 +52,16 @@ def test_values_are_unwrapped_scaled_shifted_signed_and_converted_in_this_order(
     np.testing.assert_allclose(convert("steer_angle", source, raw)[:, 0], np.deg2rad([-100.0, 10.0]))
 
 
+@pytest.mark.parametrize("max_steer", [0.2, 0.5])
+def test_a_steering_command_that_is_an_angle_is_over_the_largest_one(max_steer):
+    angles = np.array([-10.0, 0.0, 5.0])
+    log = MemoryLog(wheel=(np.arange(3.0), {"angle": angles}))
+    rig = small_rig()
+    rig = msgspec.structs.replace(rig, vehicle=msgspec.structs.replace(rig.vehicle, max_steer=max_steer))
+    steer, _ = read_channel(log, rig, "steer", ChannelSource(fields=("angle",), topic="wheel", unit="deg"))
+    np.testing.assert_allclose(steer.values[:, 0] * max_steer, np.deg2rad(angles))
+
+
 def geared(recorded, **source):
     log = MemoryLog(box=(np.arange(len(recorded), dtype=float), {"x": np.asarray(recorded, float)}))
     return read_channel(log, small_rig(), "gear", ChannelSource(fields=("x",), topic="box", **source))[0].values[:, 0]

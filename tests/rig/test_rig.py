@@ -28,7 +28,10 @@ WRONG = {
     "three wheels": (edited(", [0.0, -0.6]]", "]"), r"wheel_positions"),
     "unknown channel": (edited("[channels.brake]", "[channels.break]"), r"unknown channel 'break'.*brake"),
     "wrong number of fields": (edited('["x", "y", "z"]', '["x"]'), r"channels\.position\.fields has 1 .* 2 or 3"),
-    "wrong unit": (RIG + 'unit = "m/s"\n', r"unit 'm/s' does not measure steer; use one of: 1, percent"),
+    "wrong unit": (
+        RIG + 'unit = "m/s"\n',
+        r"does not measure steer; use one of: 1, percent, .* rad, deg",
+    ),
     "no frame": (RIG + GYRO, r"channels\.angular_velocity\.frame is missing.*world.*body"),
     "unknown frame": (RIG + GYRO + 'frame = "map"\n', r"map"),
     "sign of two": (RIG + "sign = 2\n", r"sign"),
@@ -117,3 +120,5 @@ def test_units_are_converted_to_si():
     assert unit_factor("engine_rpm", "rad/s") * 2 * np.pi / 60 * 1000 == pytest.approx(1)
     assert unit_factor("throttle", "percent") == pytest.approx(0.01)
     assert unit_factor("position", "") == 1
+    assert unit_factor("steer", "deg", 0.5) == pytest.approx(np.pi / 180 / 0.5)
+    assert unit_factor("steer", "", 0.5) == unit_factor("steer", "1", 0.5) == 1

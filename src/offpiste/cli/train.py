@@ -1,7 +1,7 @@
 """`offpiste train`."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shlex import join
 from typing import Annotated
@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.command_line import options
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
 
@@ -59,9 +60,28 @@ class Train:
         return 0
 
     def _say_next(self) -> None:
+        """The command that evaluates the run, and before it the one that trains on where a stage had not converged."""
         from offpiste.progress import show
 
+        if (again := self._with_more_epochs()) is not None:
+            show(f"not converged yet; with twice the epochs: {again}")
         command = ["offpiste", "evaluate", str(self.out), "--dataset", str(self.dataset)]
         if Path("report").exists():  # the default, which may hold another run's
             command += ["--out", f"report-{self.out.name}"]
         show(f"next: {join(command)}")
+
+    def _with_more_epochs(self) -> str | None:
+        """The same training with twice the epochs of all stages that had not converged; None where all have."""
+        from offpiste.training.kept_epoch import SETTINGS
+        from offpiste.training.run import kept_epochs
+        from offpiste.training.train import fold_folders
+
+        runs = fold_folders(self.out) if self.folds else [self.out]
+        stages = {stage for run in runs for stage, kept in kept_epochs(run).items() if not kept.has_converged}
+        if not stages or self.ddp:
+            return None
+        more = {SETTINGS[stage]: 2 * getattr(self.train, SETTINGS[stage]) for stage in stages}
+        command = ["offpiste", "train", str(self.dataset), "--out", f"{self.out}-longer"]
+        command += options(replace(self.train, **more))
+        command += ["--folds", str(self.folds)] if self.folds else []
+        return join([*command, "--tensorboard"] if self.tensorboard else command)

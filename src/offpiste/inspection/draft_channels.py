@@ -226,8 +226,9 @@ def _steering(scalars: Scalars) -> dict[str, Entry]:
 def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:
     """A steering command from an angle: 1 at its largest, which is the vehicle's `max_steer`."""
     max_angle = float(f"{_largest(values) * factor:.4g}")
-    lines = (f"scale = {number(factor / max_angle)}", "clip = [-1.0, 1.0]")
-    comment = f"GUESSED: an angle over max_steer, {'1' if factor == 1 else f'{factor:.4g}'} / {max_angle:g}"
+    unit = channel_unit("steer_angle", guess.unit) if guess.unit else "rad" if factor == 1 else "deg"
+    lines = (f'unit = "{unit or "rad"}"', "clip = [-1.0, 1.0]")
+    comment = "GUESSED: an angle of the road wheels, which is divided by max_steer"
     comment += "; no command is recorded, and the angle stands for it" if measured else ""
     return Entry(guess, lines, comment, max_angle)
 

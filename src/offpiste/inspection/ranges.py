@@ -37,7 +37,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if source is None or r is None or source.fields[0] not in r.fields:
             continue
         raw = r.values[:, [r.fields.index(source.fields[0])]]
-        values = _before_clip(name, source, raw)
+        values = _before_clip(name, rig, raw)
         if len(values) < 20:
             continue
         slack = (0.1 if low == 0 or not source.clip else _BEYOND) * (high - low)
@@ -47,7 +47,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if outside <= (0.005 if not source.clip else _CLIPPED if low == 0 else _CUT):
             continue
         first, last = np.percentile(values, (0.5, 99.5))
-        cure = _unwrapped(name, source, raw, (low - slack, high + slack)) or _of_whole_range(name, source, values, low)
+        cure = _unwrapped(name, rig, raw, (low - slack, high + slack)) or _of_whole_range(name, source, values, low)
         cure = cure or (_both_ways(source, values, rig) if name == "throttle" and not source.clip else ())
         cure = cure or _cure(name, source, rig, (low, high), (float(first), float(last)))
         findings.append(
@@ -77,17 +77,21 @@ def _limits() -> list[tuple[str, float, float]]:
     return controls + actuators
 
 
-def _before_clip(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, " m"]:
-    values: np.ndarray = convert(name, msgspec.structs.replace(source, clip=None), raw)[:, 0]
+def _before_clip(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, " m"]:
+    source = rig.channels[name]
+    values: np.ndarray = _unclipped(name, rig, raw)[:, 0]
     values = values[np.abs(np.nan_to_num(values, nan=np.inf)) <= largest(name)]
     if source.valid is not None:
         values = values[(values >= source.valid[0]) & (values <= source.valid[1])]
     return values
 
 
-def _unwrapped(
-    name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"], fits: tuple[float, float]
-) -> tuple[Edit, ...]:
+def _unclipped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "n 1"]:
+    source = msgspec.structs.replace(rig.channels[name], clip=None)
+    return convert(name, source, raw, rig.vehicle.max_steer)
+
+
+def _unwrapped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"], fits: tuple[float, float]) -> tuple[Edit, ...]:
     """The edit that undoes the wrap of a counter that stays below zero all the time; empty where that does not fit.
 
     Args:
@@ -95,9 +99,9 @@ def _unwrapped(
     """
     low, high = np.percentile(raw[np.isfinite(raw)], (0.5, 99.5))
     for period in PERIODS:
-        if source.wrap is not None or not 0.9 * period < low <= high <= period:
+        if rig.channels[name].wrap is not None or not 0.9 * period < low <= high <= period:
             continue
-        values = convert(name, msgspec.structs.replace(source, clip=None), np.array([[low], [high]]) - period)
+        values = _unclipped(name, rig, np.array([[low], [high]]) - period)
         if (values >= fits[0]).all() and (values <= fits[1]).all():
             return (Edit(f"channels.{name}.wrap", {"above": period / 2, "period": period}),)
     return ()

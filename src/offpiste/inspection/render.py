@@ -71,6 +71,8 @@ def _verdict(inspection: Inspection) -> Text:
     count = {s: sum(f.severity == s for f in inspection.findings) for s in _STYLE}
     message = ", ".join(f"{n} {name}{'s' if n > 1 and name != 'fatal' else ''}" for name, n in count.items() if n)
     verdict = "usable for training" if inspection.usable else "NOT usable for training"
+    if not inspection.usable and all(finding.cures for finding in inspection.findings if finding.severity == "fatal"):
+        verdict += " until cured as said above"
     return Text(
         f"\n{verdict}" + (f" ({message})" if message else ""), style="bold green" if inspection.usable else "bold red"
     )

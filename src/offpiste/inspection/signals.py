@@ -70,13 +70,13 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         if r is None or not set(source.fields) <= set(r.fields):
             continue
         columns = r.values[:, [r.fields.index(f) for f in source.fields]]
-        converted = _valid(convert(name, source, columns), source)
+        converted = _valid(convert(name, source, columns, rig.vehicle.max_steer), source)
         raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields):
             where = f"{name} ({place(source.topic, field)})"
             # Of geographic places, two are degrees and the height is not.
             unit = "m" if source.unit == GEOGRAPHIC and i > 1 else source.unit
-            most = largest(name) / abs(source.scale * unit_factor(name, unit) or 1.0)
+            most = largest(name) / abs(source.scale * unit_factor(name, unit, rig.vehicle.max_steer) or 1.0)
             beside = _usual(np.delete(converted, i, axis=1))
             signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most, beside))
     return signals

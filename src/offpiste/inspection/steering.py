@@ -106,7 +106,7 @@ def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     if fit.gripping.strength < _CLEAR or not off_centre:
         return []
     source = rig.channels[name]
-    per_unit = source.sign * unit_factor(name, source.unit)
+    per_unit = source.sign * unit_factor(name, source.unit, rig.vehicle.max_steer)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - fit.centre / per_unit))
     evidence = f"the vehicle goes straight at {fit.centre:.3f} ± {fit.centre_sigma:.3f}"
     return [Finding("warning", name, "is not zero straight ahead", evidence, str(edit), 0.5, ((edit,),))]

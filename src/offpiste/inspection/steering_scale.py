@@ -9,7 +9,7 @@ from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.steering_agreement import Agreement
 from offpiste.inspection.steering_fit import SteeringFit, curvature_per_unit
 from offpiste.logs.drive import Drive
-from offpiste.rig.channels import GEOGRAPHIC, unit_factor
+from offpiste.rig.channels import ANGLES, GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, number, rounded
 from offpiste.rig.rig import Rig
 
@@ -133,13 +133,13 @@ def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
     if not _is_shaped(rig.vehicle.wheelbase, rig):
         ways.sort(key=lambda way: way is not long)
     if name == "steer":
-        exact = _as_an_angle(rig, ratio)
-        command = ("", _other_command(rig, exact or ratio))
+        angle_of = _as_an_angle(rig, ratio)
+        command = ("", angle_of[0] if angle_of else _other_command(rig, ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
         if MAX_STEERS[0] < angle < MAX_STEERS[1]:
             ways.append(command)
             reached = float(np.abs(drive.channels["steer"].values).max())
-            if exact and reached < (1 + _AN_ANGLE) / exact:  # nor does it ever go further than the wheels do
+            if angle_of and reached < (1 + _AN_ANGLE) / angle_of[1]:  # nor does it ever go further than the wheels do
                 ways.insert(0, command)
         else:
             ways = [unit, long, places, command, *([own] if angle < MAX_STEERS[1] else [])]
@@ -214,17 +214,23 @@ def _other_command(rig: Rig, factor: float) -> Cure:
     return edits if not source.offset else (*edits, Edit("channels.steer.offset", rounded(source.offset * factor)))
 
 
-def _as_an_angle(rig: Rig, factor: float) -> float:
-    """The factor by which a command that is an angle of the road wheels is too small; 0 where `factor` is another."""
-    units = (unit_factor("steer_angle", unit) for unit in ("rad", "deg"))
-    exact = [unit / rig.vehicle.max_steer / rig.channels["steer"].scale for unit in units]
-    return next((one for one in exact if abs(np.log(factor / one)) < _AN_ANGLE), 0.0)
+def _as_an_angle(rig: Rig, factor: float) -> tuple[Cure, float] | None:
+    """The edits for a command that is an angle of the road wheels, and their factor; None where `factor` is another."""
+    source = rig.channels["steer"]
+    for unit in ("rad", "deg") if not source.unit else ():
+        exact = unit_factor("steer", unit, rig.vehicle.max_steer) / source.scale
+        if abs(np.log(factor / exact)) < _AN_ANGLE:
+            back = [Edit(f"channels.steer.{key}", usual) for key, usual in (("scale", 1.0), ("offset", 0.0))
+                    if getattr(source, key) != usual]  # fmt: skip
+            return (Edit("channels.steer.unit", unit), *back), exact
+    return None
 
 
 def _is_of_an_angle(rig: Rig) -> bool:
-    """Whether the command is recorded as an angle of the road wheels, which the rig divides by `max_steer`."""
-    scaled = rig.channels["steer"].scale * rig.vehicle.max_steer
-    return any(abs(scaled / unit_factor("steer_angle", unit) - 1) < 0.02 for unit in ("rad", "deg"))
+    """Whether the command is recorded as an angle of the road wheels, by its unit or a scale of 1 / `max_steer`."""
+    source = rig.channels["steer"]
+    scaled = source.scale * rig.vehicle.max_steer
+    return source.unit in ANGLES or any(abs(scaled / ANGLES[unit] - 1) < 0.02 for unit in ("rad", "deg"))
 
 
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
@@ -234,7 +240,7 @@ def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     wheelbase = rig.vehicle.wheelbase
     remedy = "none, if it is an angle of the road wheels in the unit that the rig says: then compare with "
     if name == "steer_angle":
-        remedy += "1 / wheelbase"
+        remedy += "1 / wheelbase, less a fifth or so for slip"
     elif _is_of_an_angle(rig):
         remedy += "tan(max_steer) / wheelbase, less a fifth or so for slip"
     else:

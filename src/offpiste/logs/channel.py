@@ -103,7 +103,7 @@ def read_numbered_channel(
     samples = log.read(source.topic, source.fields, stamps=rig.clock.stamps)
     order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
     in_order = Samples(samples.time[order], samples.values[order])
-    channel, numbers, notes = _clean(name, source, in_order, log.path)
+    channel, numbers, notes = _clean(name, source, in_order, log.path, rig.vehicle.max_steer)
     if rig.motion.axes != "z up":
         channel = dataclasses.replace(channel, values=to_z_up(name, source, channel.values, rig.motion.axes))
     return channel, order[numbers], notes
@@ -115,10 +115,10 @@ def largest(channel: str) -> float:
 
 
 def _clean(
-    name: str, source: ChannelSource, samples: Samples, path: Path
+    name: str, source: ChannelSource, samples: Samples, path: Path, max_steer: float
 ) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
     # Clipped last: an infinite or invalid value is a fault to drop, not a value at the limit.
-    values = convert(name, msgspec.structs.replace(source, clip=None), samples.values)
+    values = convert(name, msgspec.structs.replace(source, clip=None), samples.values, max_steer)
     time = samples.time - source.delay
     notes = []
 
@@ -186,8 +186,13 @@ def unwrapped(values: Float[np.ndarray, "*n"], wrap: Wrap) -> Float[np.ndarray, 
     return np.where(values > wrap.above, values - wrap.period, values)
 
 
-def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+def convert(
+    name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"], max_steer: float = 0.0
+) -> Float[np.ndarray, "n k"]:
     """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them.
+
+    Args:
+        max_steer: of the rig [rad], for steering commands that are angles.
 
     Raises:
         RigError: `source.values` lacks a number of the log.
@@ -200,7 +205,7 @@ def convert(name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"]) -> 
     if source.wrap is not None:
         values = unwrapped(values, source.wrap)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
-        values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit)
+        values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit, max_steer)
         if (control := control_of(name)) is not None and control.discrete:
             values = np.clip(np.round(values), control.low, control.high)
     return values if source.clip is None else np.clip(values, *source.clip)

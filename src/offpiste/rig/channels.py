@@ -26,6 +26,9 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 """Factors from the units a log may use to the one offpiste uses (the key)."""
 
+ANGLES: Final[Mapping[str, float]] = _UNITS["rad"]
+"""Units of angles, in which a steering command may be recorded as well (`unit_factor`)."""
+
 OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "position": ("m", (2, 3)),
     "orientation": ("1", (4,)),
@@ -129,21 +132,24 @@ def _recorded(key: str) -> float:
         raise RigError(f"values has a key '{key}' that is no recorded number", how=how) from None
 
 
-def unit_factor(channel: str, unit: str) -> float:
+def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
     """Factor from a log's unit to offpiste's unit of this channel; an empty unit means offpiste's own.
+
+    Args:
+        max_steer: of the rig [rad], over which a steering command is that is an angle of the road wheels.
 
     Raises:
         RigError: the unit does not measure this channel.
     """
+    if channel == "steer" and max_steer > 0 and unit in ANGLES:
+        return ANGLES[unit] / max_steer
     own = known_channels()[channel][0]
     known = _UNITS.get(own, {own: 1.0})
     if unit and unit not in known:
         how = f"use one of: {', '.join(known)}"
-        if channel == "steer" and unit in _UNITS["rad"]:
-            factor = f"{_UNITS['rad'][unit]:.4g} / max_steer" if unit != "rad" else "1 / max_steer"
-            how = (
-                f"of an angle of the road wheels in {unit} write channels.steer.scale = {factor} (as a number) instead"
-            )
+        if channel == "steer":
+            angle = "give vehicle.max_steer, over which an angle of the road wheels is" if unit in ANGLES else ""
+            how = angle or f"{how}; or, of an angle of the road wheels, {', '.join(ANGLES)}"
         raise RigError(f"unit '{unit}' does not measure {channel}", how=how)
     return known[unit or own]
 
@@ -159,8 +165,11 @@ def undeclared(given: Collection[str]) -> list[str]:
     return [name for name in names if name not in given]
 
 
-def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str]) -> None:
+def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str], max_steer: float) -> None:
     """Refuse unknown, contradicting and missing channels.
+
+    Args:
+        max_steer: of the rig [rad].
 
     Raises:
         RigError: which channel, and how to fix it.
@@ -175,7 +184,7 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
                 f"channels.{name}.fields has {len(source.fields)} entries",
                 how=f"it takes {' or '.join(map(str, widths))}",
             )
-        unit_factor(name, source.unit)
+        unit_factor(name, source.unit, max_steer)
         if source.meanings() and len(source.fields) != 1:
             raise RigError(f"channels.{name}.values needs a single field", how="remove it")
         if name in ("linear_velocity", "angular_velocity") and not source.frame:

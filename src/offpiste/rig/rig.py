@@ -195,7 +195,7 @@ def check_rig(rig: Rig) -> None:
     Raises:
         RigError: which entry, and how to fix it.
     """
-    check_channels(rig.channels, rig.absent)
+    check_channels(rig.channels, rig.absent, rig.vehicle.max_steer)
     for key, number in (
         ("clock.max_gap", rig.clock.max_gap),
         ("motion.window", rig.motion.window),

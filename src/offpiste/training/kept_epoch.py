@@ -10,8 +10,8 @@ _RECENT: Final = 3
 """Last epochs whose gain says whether a stage has converged."""
 _CONVERGED: Final = 0.01
 """Share of the validation loss that they take off, below which it has."""
-_OPTIONS: Final = {"actuators": "--actuator-epochs", "bicycle": "--bicycle-epochs"}
-"""What sets the epochs of a stage; `--epochs` those of the model's."""
+SETTINGS: Final = {"actuators": "actuator_epochs", "bicycle": "bicycle_epochs", "model": "epochs"}
+"""Settings that give the stages their epochs."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,12 @@ class KeptEpoch:
         before = min(losses[:-_RECENT], default=None)
         return cls(epoch, epochs, best, None if not before else max(1 - best / before, 0.0))
 
+    @property
+    def has_converged(self) -> bool:
+        """Whether another epoch was better than the last, or the last ones hardly better than those before."""
+        gains = self.gained is None or self.gained > _CONVERGED
+        return not (self.epoch == self.epochs > 1 and gains)
+
     def about(self) -> dict[str, Any]:
         """What a stage's file says beside its weights."""
         return {"validation_loss": self.validation_loss, "kept_epoch": self.epoch, "gained": self.gained}
@@ -62,11 +68,10 @@ class KeptEpoch:
 
     def doubts(self, stage: str) -> Iterator[str]:
         """What speaks against it."""
-        gains = self.gained is None or self.gained > _CONVERGED
-        if self.epoch == self.epochs > 1 and gains:
+        if not self.has_converged:
             yield (
                 f"{stage}: the kept epoch is the last one: it may not have converged; train again, into another --out, "
-                f"with more than {self.epochs} {_OPTIONS.get(stage, '--epochs')}"
+                f"with more than {self.epochs} --{SETTINGS[stage].replace('_', '-')}"
             )
         elif self.epoch == 1 and self.epochs > 1:
             yield (

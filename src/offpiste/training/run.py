@@ -225,6 +225,11 @@ def save_run(
     save_json(folder / "model.json", about)
 
 
+def kept_epochs(folder: Path) -> dict[str, KeptEpoch]:
+    """The epoch that each stage of a finished run kept, by stage."""
+    return {stage: KeptEpoch(**kept) for stage, kept in load_json(folder / "model.json").get("kept", {}).items()}
+
+
 def seen_stretches(dataset: Dataset) -> list[tuple[str, float, float]]:
     """(drive, first, last) stretches of time [s] in the parts that training and validation read."""
     stretches = []

@@ -79,7 +79,7 @@ def train(
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
     record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
     if group.writes:
-        _warn_beforehand(dataset, validation)
+        _warn_beforehand(dataset, validation, config, dynamics)
     kept: dict[str, KeptEpoch] = {}
 
     def keep(name: str, epoch: KeptEpoch) -> None:
@@ -129,10 +129,12 @@ def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
         logger.warning(doubt)
 
 
-def _warn_beforehand(dataset: Dataset, validation: Windows) -> None:
+def _warn_beforehand(dataset: Dataset, validation: Windows, config: TrainConfig, dynamics: Dynamics) -> None:
     """Log what speaks against a dataset before time is spent on it; a fold is not to be split otherwise."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
+    if dynamics.physics() is None and config.bicycle_epochs != TrainConfig.bicycle_epochs:
+        logger.warning(f"{config.model} is fitted as a whole: --epochs count, and --bicycle-epochs do not")
     fold = dataset.split.kind == "fold"
     if not fold and (line := split_warning(dataset)) is not None:
         logger.warning(line)
