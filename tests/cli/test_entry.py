@@ -57,7 +57,19 @@ def test_a_training_that_had_not_converged_says_how_to_go_on(
     assert again[:5] == ["offpiste", "train", dataset, "--out", f"{out}-longer"]
     assert (again[again.index("--epochs") + 1], again[again.index("--seed") + 1]) == ("4", "3")
     assert "--actuator-epochs" in again  # as given: a single epoch says nothing
+    (helps,) = (line for line in said.splitlines() if line.startswith("whether a network helps: "))
+    assert shlex.split(helps)[4:] == ["offpiste", "train", dataset, "--out", str(tmp_path / "b"), *_options(*again[5:])]
     assert run(*again[1:]) == 0
+    compared = capsys.readouterr().out.splitlines()[-1]
+    assert compared.startswith(f"next: offpiste evaluate {out}-longer {out} --dataset {dataset}")
+
+
+def _options(*given: str) -> list[str]:
+    """The options of the training before, of the model that is the default."""
+    words = list(given)
+    del words[words.index("--model") : words.index("--model") + 2]
+    words[words.index("--epochs") + 1] = "2"
+    return words
 
 
 def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

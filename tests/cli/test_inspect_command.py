@@ -56,7 +56,8 @@ def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
     run("inspect", str(without), "--write-rig", "other.toml")
     capsys.readouterr()
     assert run("inspect", str(without), "--rig", "other.toml") == 0
-    first, following = capsys.readouterr().out.splitlines()[-2:]
+    vehicle, first, following = capsys.readouterr().out.splitlines()[-3:]
+    assert vehicle.startswith("first: give other.toml the numbers of your vehicle")
     assert first == "first: fix what the warnings say, or leave it where the log has no better"
     assert following.startswith("next: offpiste extract")
 
@@ -67,6 +68,28 @@ def test_a_preset_of_another_vehicle_leads_to_a_first_rig(
     monkeypatch.chdir(tmp_path)
     assert run("inspect", log, "--rig", "tartandrive2") == 1
     assert capsys.readouterr().out.splitlines()[-1] == f"next: offpiste inspect '{log}' --write-rig my.toml"
+
+
+def test_a_time_that_no_name_shows_is_named(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its steps are too uneven to be known by them."""
+    monkeypatch.chdir(tmp_path)
+    header, *rows = Path(log).read_text("utf-8").splitlines()
+    assert header.startswith("t,")
+    kept = [row for number, row in enumerate(rows) if number % 7 not in (2, 3, 5)]
+    Path("odd.csv").write_text("\n".join([f"moment{header[1:]}", *kept]) + "\n", "utf-8")
+    assert run("inspect", "odd.csv") == 1
+    assert "no column looks like time; name it: `inspect --time COLUMN`" in capsys.readouterr().err
+    assert run("inspect", "odd.csv", "--time", "moment") == 0
+    following = capsys.readouterr().out.splitlines()[-1]
+    assert following == "next: offpiste inspect odd.csv --time moment --write-rig my.toml"
+    assert run(*shlex.split(following)[2:]) == 0
+    assert 'column = "moment"' in Path("my.toml").read_text("utf-8")
+    assert run("inspect", "odd.csv", "--rig", "my.toml") == 0
+    capsys.readouterr()
+    assert run("inspect", "odd.csv", "--time", "moment", "--rig", "my.toml") == 1
+    assert "--time is for one log without a rig" in capsys.readouterr().err
 
 
 def test_json_is_nothing_but_json(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -191,6 +191,17 @@ def test_a_pedal_in_percent_that_is_hardly_ever_pressed_is_in_percent(tmp_path: 
     assert not [f for f in inspect_log(open_log(path), rig).findings if "spikes" in f.what]
 
 
+def test_a_brake_pressure_beside_a_command_is_the_actuator(tmp_path: Path) -> None:
+    """Whatever its unit; where it is the only brake, it stands for the command."""
+    columns = {**POSE, "throttle": ("throttle", 1), "brake_cmd": ("brake", 1), "brake_pressure": ("brake", 8.5)}
+    channels = drafted(written(tmp_path / "drive.csv", columns)).channels
+    assert channels["brake"].fields == ("brake_cmd",)
+    pressure = channels["brake_pressure"]
+    assert (pressure.fields, pressure.clip) == (("brake_pressure",), (0.0, 1.0))
+    largest = 8.5 * DRIVEN["brake"].max()
+    assert pressure.scale == pytest.approx(1 / largest, rel=0.02)
+
+
 def test_a_brake_pressure_is_no_percent(tmp_path: Path) -> None:
     columns = {**POSE, "brake pressure (bar)": ("brake", 100), "throttle": ("throttle", 1), "steer": ("angle", 1)}
     path = written(tmp_path / "drive.csv", columns)

@@ -184,6 +184,16 @@ def test_pulses_of_a_servo_and_a_speed_controller() -> None:
     assert (servo.scale, servo.offset) == (pytest.approx(1 / reach, rel=1e-3), pytest.approx(-1500 / reach, rel=1e-3))
 
 
+@pytest.mark.parametrize(("trim", "sign"), [(0.0, 1.0), (-13.0, -1.0), (31.0, 1.0)])
+def test_a_trimmed_servo_goes_straight_where_the_motion_says(trim: float, sign: float) -> None:
+    time, steering = CLEAN.data["steering"]
+    pulses = np.round(1500 + trim + sign * 400 * steering["command"] / np.abs(steering["command"]).max())
+    servo = _drafted(Typed({"odom": (TIME, ODOM), "servo": (time, {"servo_us": pulses})})).channels["steer"]
+    assert -servo.offset / servo.scale == pytest.approx(1500 + trim, abs=3)
+    reach = np.abs(pulses - 1500 - trim).max()
+    assert 1 / servo.scale == pytest.approx(reach, abs=4)
+
+
 def test_a_vehicle_that_turns_tightly_is_drafted_small() -> None:
     small = MemoryLog(CLEAN.data)
     for axis in "xyz":

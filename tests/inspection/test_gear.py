@@ -7,6 +7,7 @@ import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from factories import MemoryLog as Plain
+from offpiste.inspection import gear
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import draft_channels
 from offpiste.inspection.driven_path import Path, driven_path
@@ -66,6 +67,18 @@ def test_a_gear_that_goes_with_the_motion_is_right_and_one_that_does_not_is_foun
     assert edit.value == {"1": -1.0, "3": 1.0}
     cured = drive_from_log(log, edited(rig(GEAR), [edit]))
     assert check_gear(cured, driven_path(cured), recorded) == []
+
+
+def test_a_reverse_that_is_seldom_engaged_is_found_too_and_rolling_back_is_healthy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(gear, "_SHARE", 0.2)
+    log = _with_gear(_reversing(FORWARD, 12.0, 17.0), 12.0, 17.0, 3.0, 1.0)
+    (finding,) = check_gear(*_read(log, GEAR))
+    assert finding.score < 0.2
+    assert finding.cures[0][0].value == {"1": -1.0, "3": 1.0}
+    rolled = log.change("box", "selected", lambda selected: np.full_like(selected, 3.0))
+    assert check_gear(*_read(rolled, GEAR)) == []
 
 
 def test_the_course_of_a_vehicle_in_reverse_is_not_a_turned_heading() -> None:

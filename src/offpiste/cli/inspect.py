@@ -27,6 +27,8 @@ class Inspect:
     give a row each."""
     rig: str | None = None
     """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
+    time: str = ""
+    """Column that holds a table's time [s], where its name does not say so; a rig says it by `clock.column`."""
     write_rig: Path | None = None
     """Write a rig to a new file: the given one, or a first one for this log, with all remedies applied."""
     estimate_mountings: bool = False
@@ -47,6 +49,8 @@ class Inspect:
         logs = [str(log) for log in expanded(self.logs)]
         if not logs:
             raise LogError("no log is given", how="name one or more logs")
+        if self.time and (self.rig or len(logs) > 1):
+            raise LogError("--time is for one log without a rig", how="a rig says it by clock.column")
         if len(logs) > 1:
             return self._survey(logs)
         if self.estimate_mountings:
@@ -62,13 +66,14 @@ class Inspect:
         from offpiste.inspection.render import render
         from offpiste.logs import open_log
         from offpiste.object_store import brought
+        from offpiste.rig.channels import Clock
         from offpiste.rig.edits import edited_text
         from offpiste.rig.rig import rig_text
 
         if self.write_rig:
             refuse_existing(self.write_rig)
         with brought(path) as here:
-            log = open_log(here, clock=rig.clock if rig else None)
+            log = open_log(here, clock=rig.clock if rig else Clock(column=self.time))
             inspection = replace(inspect_log(log, rig, sensors=True), log=path)
             text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""
         show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
@@ -84,12 +89,16 @@ class Inspect:
 
     def _next(self, log: str, inspection: "Inspection") -> str:
         """The command that comes next, as a line to paste, and before it what to do first."""
+        from offpiste.inspection.draft_values import DRAFTED
+
         rig = str(self.write_rig) if self.write_rig else self.rig
         if not rig:
-            return "next: " + join(["offpiste", "inspect", log, "--write-rig", "my.toml"])
+            time = ["--time", self.time] if self.time else []
+            return "next: " + join(["offpiste", "inspect", log, *time, "--write-rig", "my.toml"])
         again = ["offpiste", "inspect", log, "--rig", rig]
+        vehicle = f"give {rig} the numbers of your vehicle ([vehicle]), and answer what its comments ask"
         if self.write_rig and not self.rig:
-            return f"first: give {rig} the numbers of your vehicle ([vehicle])\nnext: {join(again)}"
+            return f"first: {vehicle}\nnext: {join(again)}"
         if inspection.cure:
             return "next: " + join(again if self.write_rig else [*again, "--write-rig", _another(rig)])
         if not inspection.usable:
@@ -97,9 +106,10 @@ class Inspect:
                 return "next: " + join(["offpiste", "inspect", log, "--write-rig", _another(rig)])
             return f"first: correct {rig} as said above\nnext: {join(again)}"
         extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", _dataset(rig)])
+        before = [vehicle] if any(finding.what == DRAFTED for finding in inspection.findings) else []
         if any(finding.severity == "warning" for finding in inspection.findings):
-            return f"first: fix what the warnings say, or leave it where the log has no better\n{extract}"
-        return extract
+            before.append("fix what the warnings say, or leave it where the log has no better")
+        return "\n".join([*(f"first: {what}" for what in before), extract])
 
     def _survey(self, logs: list[str]) -> int:
         """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""

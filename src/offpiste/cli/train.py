@@ -13,6 +13,9 @@ from offpiste.command_line import options
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
 
+_COMPARED = 3
+"""Other runs that the next command names, at most."""
+
 
 @COMMANDS.register("train")
 @dataclass(frozen=True)
@@ -65,10 +68,28 @@ class Train:
 
         if (again := self._with_more_epochs()) is not None:
             show(f"not converged yet; with twice the epochs: {again}")
-        command = ["offpiste", "evaluate", str(self.out), "--dataset", str(self.dataset)]
+        if not self.folds and (network := self._with_a_network()) is not None:
+            show(f"whether a network helps: {network}")
+        command = ["offpiste", "evaluate", str(self.out), *self._beside(), "--dataset", str(self.dataset)]
         if Path("report").exists():  # the default, which may hold another run's
             command += ["--out", f"report-{self.out.name}"]
         show(f"next: {join(command)}")
+
+    def _with_a_network(self) -> str | None:
+        """The training of `b` beside a model of physics alone; None where there is one, or this has networks."""
+        out = self.out.with_name("b")
+        if self.train.model != "parametric" or out.exists():
+            return None
+        command = ["offpiste", "train", str(self.dataset), "--out", str(out)]
+        return join([*command, *options(replace(self.train, model="b"))])
+
+    def _beside(self) -> list[str]:
+        """Runs of the same dataset in the same folder, which a report compares with this one."""
+        from offpiste.training.run import trained_on
+
+        others = sorted(path for path in self.out.resolve().parent.iterdir() if (path / "model.json").exists())
+        mine = [path for path in others if path != self.out.resolve() and trained_on(path, self.dataset)]
+        return [str(self.out.with_name(path.name)) for path in mine[:_COMPARED]]
 
     def _with_more_epochs(self) -> str | None:
         """The same training with twice the epochs of all stages that had not converged; None where all have."""

@@ -58,6 +58,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])theta$"),
     ("yaw", 2, r"(?<![a-z])phi$"),
+    ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
@@ -163,8 +164,9 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
 
 
 def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, rank: int = 0) -> Guess | None:
-    """A guess, unless the unit measures something else; pedals and steering may be recorded in any."""
-    if channel_unit(channel, label.unit) is None and channel not in {control.name for control in all_controls()}:
+    """A guess, unless the unit measures something else; pedals, steering and pressures may be recorded in any."""
+    in_any = {"brake_pressure", *(control.name for control in all_controls())}
+    if channel_unit(channel, label.unit) is None and channel not in in_any:
         return None
     return Guess(channel, topic.name, fields, label.unit, rank)
 

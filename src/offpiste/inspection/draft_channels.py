@@ -49,12 +49,15 @@ Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
 """Guesses of channels of one number, and their values."""
 
 
-def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) -> dict[str, Entry]:
+def draft_channels(
+    log: Log, frame: str, found: Found = MappingProxyType({}), straight: float | None = None
+) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
     Args:
         frame: of the linear velocity.
         found: controls that no name shows.
+        straight: recorded steering at which the vehicle goes straight, where the motion shows it.
     """
     guesses = guess_channels(log)
     entries = draft_pose(log, guesses, frame)
@@ -76,8 +79,10 @@ def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) ->
     for channel, (guess, _) in found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
             scalars[channel] = guess, values[:, 0]
+    if "brake" not in scalars and "brake_pressure" in scalars:
+        scalars["brake"] = scalars.pop("brake_pressure")  # which stands for the command
     plain = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= plain | _signed_pedal(scalars) | _steering(scalars)
+    entries |= plain | _signed_pedal(scalars) | _steering(scalars, straight)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
@@ -86,7 +91,7 @@ def draft_channels(log: Log, frame: str, found: Found = MappingProxyType({})) ->
     return entries
 
 
-def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entry:
+def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straight: float | None = None) -> Entry:
     """Scale and wrap from the numbers: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
     lines: list[str] = []
     comment = "GUESSED by its name"
@@ -98,15 +103,20 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> Entr
     largest = max(-low, high)
     stated = unit_line(channel, guess)
     # A pedal may hardly ever be pressed.
-    reached = max(largest, held_range(values)[1]) if channel in ("throttle", "brake") else largest
-    if stated and (channel not in ("throttle", "brake", "steer") or reached > 1.05):
+    pressed = ("throttle", "brake", "brake_pressure")
+    reached = max(largest, held_range(values)[1]) if channel in pressed else largest
+    if stated and (channel not in (*pressed, "steer") or reached > 1.05):
         lines += stated
         comment += " and unit"
-    elif channel in ("throttle", "brake") and (_rests_above_zero(values) or not (low >= -0.05 and 0.05 < high <= 1.05)):
+    elif channel in pressed and (_rests_above_zero(values) or not (low >= -0.05 and 0.05 < high <= 1.05)):
         pedal, words = _pedal(channel, guess, values)
         lines += pedal
         comment += words
-    elif channel == "steer" and largest > 1.05 and (around := steering_middle(values, named=_are_named_pulses(guess))):
+    elif (
+        channel == "steer"
+        and largest > 1.05
+        and (around := steering_middle(values, _are_named_pulses(guess), straight))
+    ):
         middle, reach, words = around
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]
         comment += f" and numbers: {words}"
@@ -138,15 +148,17 @@ def _rests_above_zero(values: Float[np.ndarray, " n"]) -> bool:
 def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
     """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
     low, high = seen_range(values)
-    measured = bool(guess.unit) and channel_unit(channel, guess.unit) is None  # a pressure: no number of it is usual
+    # Of a pressure no number is usual.
+    measured = guess.channel == "brake_pressure" or bool(guess.unit and channel_unit(channel, guess.unit) is None)
     span = None if measured else whole_range(values)
     if span == (0.0, 100.0):
         return ['unit = "percent"', "clip = [0.0, 1.0]"], f" and its numbers up to {high:.4g}: taken as percent"
     source = ChannelSource(guess.fields, guess.topic)
     edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
     lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
-    seen = f"{low:.4g}..{high:.4g}" + (f" {guess.unit}" if measured else "")
-    comment = f"; scaled from {seen} to 0..1, the most that this log holds: is it fully pressed?"
+    seen = f"{low:.4g}..{high:.4g} {guess.unit if measured else ''}".rstrip()
+    fully = "is that full braking?" if guess.channel == "brake_pressure" else "is it fully pressed?"
+    comment = f"; scaled from {seen} to 0..1, the most that this log holds: {fully}"
     if span:
         comment = f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
     return [*lines, "clip = [0.0, 1.0]"], comment
@@ -182,7 +194,8 @@ def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool)
     whole = FULL_PULSE - rest
     both = rest - low > _SLACK
     lines = (f"scale = {number(1 / whole)}", f"offset = {number(-rest / whole)}")
-    words = f"GUESSED by its name and numbers: pulses, released at {rest:g}, {low:.4g}..{high:.4g} seen"
+    words = f"GUESSED by its name and numbers: pulses, released at {rest:g}, {low:.4g}..{high:.4g} seen: "
+    words += f"is full throttle {FULL_PULSE:g}?"
     entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), words)}
     if alone and both:
         entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words + "; what is below it brakes")
@@ -194,7 +207,7 @@ def _are_named_pulses(guess: Guess) -> bool:
     return guess.unit == "us" or any(_PULSED.search(name) for name in (guess.topic, *guess.fields))
 
 
-def _steering(scalars: Scalars) -> dict[str, Entry]:
+def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
     """Commands and angles of the steering: an angle that is the only steering stands for its command, too."""
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
     if angle is not None and not _angle_factor(*angle):  # of the steering wheel
@@ -209,7 +222,7 @@ def _steering(scalars: Scalars) -> dict[str, Entry]:
     if commanded:
         entries["steer"] = _from_angle(*command, commanded, measured=command is angle)
     else:
-        entries["steer"] = _scalar("steer", *command)
+        entries["steer"] = _scalar("steer", *command, straight)
     if angle is not None:
         factor = _angle_factor(*angle)
         unit = channel_unit("steer_angle", angle[0].unit) if angle[0].unit else "deg" if factor != 1 else ""

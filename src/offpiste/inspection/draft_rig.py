@@ -23,6 +23,7 @@ from offpiste.inspection.draft_values import (
     WHEELS,
     estimated_max_steer,
     estimated_wheelbase,
+    steering_straight,
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
@@ -73,6 +74,7 @@ class _Seen:
         max_steer: [rad], or 0; of the rig's wheelbase.
         assumed: whether the wheelbase is one at which a usual `max_steer` turns the vehicle as it does.
         found: controls that only the motion shows, with its correlation.
+        straight: recorded steering at which the vehicle goes straight; None where its middle is no guess.
     """
 
     frame: str = "unknown"
@@ -80,6 +82,7 @@ class _Seen:
     max_steer: float = 0.0
     assumed: bool = False
     found: Found = field(default_factory=dict)
+    straight: float | None = None
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -120,7 +123,7 @@ def draft_rig(log: Log) -> str:
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
-    seen = _Seen(frame, wheelbase, max_steer, assumed, found)
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig))
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -135,7 +138,7 @@ def _heading_cure(log: Log, rig: Rig) -> Cure:
 
 
 def _text(log: Log, seen: _Seen) -> str:
-    entries = draft_channels(log, seen.frame, seen.found)
+    entries = draft_channels(log, seen.frame, seen.found, seen.straight)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
         raise LogError(
             "no topic looks like a pose (position and heading)",

@@ -22,6 +22,8 @@ SMALL_CAR: Final = WHEELS[0][0] - WHEELS[2][0]
 """Its wheelbase [m]; the masses of vehicles go with the cube of theirs."""
 GUESSED: Final = "GUESSED"
 """What `vehicle.source` begins with until it names a source."""
+DRAFTED: Final = "mass and wheel positions are still those of the draft"
+"""What is found until then."""
 _WHEELBASES: Final = (0.05, 8.0)
 """Wheelbases that a vehicle can have [m]."""
 _DENSITIES: Final = (2.0, 5000.0)
@@ -30,6 +32,8 @@ _UNITS: Final = ("cm", "mm", "ft")
 """What wheel positions may be in by mistake."""
 _CLEAR: Final = 0.8
 """Least correlation of the yaw rate with what speed and steering angle make of it."""
+_CENTRE: Final = 0.01
+"""Steering at which a vehicle goes straight that is another middle than the usual one, and how sure it must be."""
 
 
 def estimated_wheelbase(log: Log, rig: Rig) -> float:
@@ -84,6 +88,18 @@ def _driven(log: Log, rig: Rig) -> tuple[Drive, Path] | None:
         return None
 
 
+def steering_straight(log: Log, rig: Rig) -> float | None:
+    """Recorded steering at which the vehicle goes straight, where its middle is a guess; None where it is not clear."""
+    source = rig.channels.get("steer")
+    driven = None if source is None or not source.offset else _driven(log, rig)
+    fit = None if driven is None else steering_fits(*driven, measured=False).get("steer")
+    if source is None or fit is None or fit.gripping.strength < _CLEAR:
+        return None
+    if not fit.centre_sigma < _CENTRE < abs(fit.centre):  # the usual middle may be right
+        return None
+    return (source.sign * fit.centre - source.offset) / source.scale
+
+
 def wheels_of(wheelbase: float) -> tuple[tuple[float, float], ...]:
     """Wheels of a small car, scaled to a wheelbase [m]."""
     scale = wheelbase / SMALL_CAR
@@ -98,7 +114,7 @@ def check_draft_values(rig: Rig) -> list[Finding]:
         return []
     evidence = f"{' and '.join(left)}; vehicle.source: {vehicle.source or 'none'}"
     remedy = "measure them, correct [vehicle], and say in vehicle.source where the numbers come from"
-    return [Finding("note", "vehicle", "mass and wheel positions are still those of the draft", evidence, remedy, 0.5)]
+    return [Finding("note", "vehicle", DRAFTED, evidence, remedy, 0.5)]
 
 
 def check_size(rig: Rig) -> list[Finding]:

@@ -21,6 +21,8 @@ _SHARE: Final = 0.1
 """Share of the motion against the gear from which the gear is wrong; vehicles roll back now and then."""
 _LEAST_AGAINST: Final = 3.0
 """The same in time [s]."""
+_MOSTLY: Final = 0.7
+"""Share of the motion with one recorded value from which it is wrong, however seldom it is engaged."""
 _MOST_GEARS: Final = 16
 """A field with more values is no gear."""
 
@@ -34,9 +36,10 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
     with np.errstate(invalid="ignore"):
         against = moving & (gear * path.forward < 0)
     share = float(against.sum() / max(moving.sum(), 1))
-    if share < _SHARE or against.sum() * STEP < _LEAST_AGAINST:
+    raw = _raw(drive, path, recorded)
+    if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not _one_is_wrong(raw, against, moving)):
         return []
-    cure = _meanings(drive, path, moving, recorded)
+    cure = _meanings(drive, path, moving, raw)
     evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
     how = ", ".join(map(str, cure)) or "give `values` for what is recorded, or leave the channel out"
     return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
@@ -72,26 +75,40 @@ def _moving(path: Path) -> Bool[np.ndarray, " n"]:
         return np.asarray(np.abs(path.forward) > max(MOVING, 0.1 * path.cruise))
 
 
+def _one_is_wrong(
+    raw: Float[np.ndarray, " n"], against: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
+) -> bool:
+    """Whether the vehicle mostly moves against one of the recorded values: reverse, counted as the first gear."""
+    shares = ((np.sum(against & (raw == value)), np.sum(moving & (raw == value))) for value in _gears(raw))
+    return any(STEP * wrong >= _LEAST_AGAINST and wrong > _MOSTLY * moved for wrong, moved in shares)
+
+
 def _meanings(
-    drive: Drive, path: Path, moving: Bool[np.ndarray, " n"], recorded: Mapping[str, Recorded]
+    drive: Drive, path: Path, moving: Bool[np.ndarray, " n"], raw: Float[np.ndarray, " n"]
 ) -> tuple[Edit, ...]:
     """The edit that gives each recorded value the gear in which the vehicle moves meanwhile; empty where none fits."""
     source = drive.rig.channels["gear"]
-    r = recorded.get(source.topic)
-    if r is None or source.fields[0] not in r.fields or (source.scale, source.offset) != (1.0, 0.0):
-        return ()
-    raw = _raw(r, source.fields[0], path.time + source.delay)
-    there = np.unique(raw[np.isfinite(raw)])
-    if not 1 < len(there) <= _MOST_GEARS:
+    there = _gears(raw)
+    if len(there) < 2 or (source.scale, source.offset) != (1.0, 0.0):
         return ()
     values = {f"{value:g}": source.sign * _way(path.forward[moving & (raw == value)]) for value in there}
     return (Edit("channels.gear.values", values),) if len(set(values.values())) > 1 else ()
 
 
-def _raw(r: Recorded, field: str, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """A field as recorded, held from each sample on."""
-    index = np.searchsorted(r.time, at, side="right") - 1
-    return np.asarray(r.values[np.clip(index, 0, len(r.time) - 1), r.fields.index(field)])
+def _raw(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> Float[np.ndarray, " n"]:
+    """The gear as recorded, held from each sample on; NaN where the log lacks it."""
+    source = drive.rig.channels["gear"]
+    r = recorded.get(source.topic)
+    if r is None or source.fields[0] not in r.fields:
+        return np.full(len(path.time), np.nan)
+    index = np.searchsorted(r.time, path.time + source.delay, side="right") - 1
+    return np.asarray(r.values[np.clip(index, 0, len(r.time) - 1), r.fields.index(source.fields[0])])
+
+
+def _gears(raw: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
+    """The values there are; none where they are too many for gears."""
+    there = np.unique(raw[np.isfinite(raw)])
+    return there if len(there) <= _MOST_GEARS else there[:0]
 
 
 def _way(forward: Float[np.ndarray, " n"]) -> float:

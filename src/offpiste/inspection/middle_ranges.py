@@ -34,13 +34,27 @@ def are_pulses(values: Float[np.ndarray, " n"], *, named: bool) -> bool:
     return bool(inside and (named or low < _MIDDLE_PULSE - 20 < _MIDDLE_PULSE + 20 < high))
 
 
-def steering_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[float, float, str] | None:
+def steering_middle(
+    values: Float[np.ndarray, " n"], named: bool, straight: float | None = None
+) -> tuple[float, float, str] | None:
     """Number straight ahead, that of full lock beyond it, and why; None for numbers on both sides of zero.
 
     Args:
         values: as recorded, finite.
         named: whether unit or name say that they are pulses.
+        straight: number at which the vehicle goes straight, where the motion shows it: servos are trimmed.
     """
+    around = _usual_middle(values, named)
+    if around is None or straight is None:
+        return around
+    turned = values[~find_spikes(values)]
+    reach = float(np.abs(turned - straight).max())
+    seen = f"{turned.min():.4g}..{turned.max():.4g} seen"
+    return straight, reach, f"by the motion {straight:.4g} straight ahead, and full lock {reach:.4g} from it; {seen}"
+
+
+def _usual_middle(values: Float[np.ndarray, " n"], named: bool) -> tuple[float, float, str] | None:
+    """The same by the numbers alone."""
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
     seen = f"{low:.4g}..{high:.4g} seen"
     if are_pulses(values, named=named):

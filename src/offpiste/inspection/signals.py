@@ -127,8 +127,10 @@ def _not_finite(signal: Signal) -> list[Finding]:
     share = float(bad.sum() / count)
     how = "nothing where the rest is enough: those samples are dropped on reading"
     name = signal.key.removeprefix("channels.")
-    if share >= 0.5:
-        how = f'declare it absent: absent = ["{name or "..."}"]'
+    if not name:
+        how = "nothing: no channel reads it"
+    elif share >= 0.5:
+        how = f'declare it absent: absent = ["{name}"]'
         if name in (*POSE, "steer"):
             how = "take another field; where the rest comes often enough, nothing: those samples are dropped on reading"
     at = np.flatnonzero(bad)

@@ -236,7 +236,8 @@ def _is_of_an_angle(rig: Rig) -> bool:
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     """The scale of the steering where the wheelbase is a guess."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
-    evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}: a radius of {1 / curvature:.1f} m at {name} = 1"
+    evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}"
+    evidence += f": a radius of {1 / curvature:.1f} m at steer = 1" if name == "steer" else ", in rad"
     wheelbase = rig.vehicle.wheelbase
     remedy = "none, if it is an angle of the road wheels in the unit that the rig says: then compare with "
     if name == "steer_angle":

@@ -153,7 +153,8 @@ def _clean(
         raise LogError(
             f"{name}: {len(forward) - len(time)} of {len(forward)} stamps repeat or go back",
             where=path,
-            how='the clock is broken; try clock.stamps = "receive", or cut the log',
+            how='the clock is broken: take another clock.column of a table, try clock.stamps = "receive" of a bag, or '
+            "cut the log",
         )
     if len(time) < 2:
         raise RigError(

@@ -225,6 +225,14 @@ def save_run(
     save_json(folder / "model.json", about)
 
 
+def trained_on(folder: Path, dataset: Path) -> bool:
+    """Whether a finished run was trained on a dataset."""
+    try:
+        return bool(load_json(folder / "model.json").get("dataset") == str(dataset.resolve()))
+    except RunError:
+        return False
+
+
 def kept_epochs(folder: Path) -> dict[str, KeptEpoch]:
     """The epoch that each stage of a finished run kept, by stage."""
     return {stage: KeptEpoch(**kept) for stage, kept in load_json(folder / "model.json").get("kept", {}).items()}

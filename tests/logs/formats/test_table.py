@@ -67,7 +67,21 @@ def test_dart_has_two_columns_of_time(data_folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["t", "T", "time", "Time [s]", "timestamp", "stamp_n", "sec", "secs", "t [s]", "field.header.timestamp", "%time"],
+    [
+        "t",
+        "T",
+        "time",
+        "Time [s]",
+        "timestamp",
+        "stamp_n",
+        "sec",
+        "secs",
+        "t [s]",
+        "field.header.timestamp",
+        "%time",
+        "gps_tow",
+        "iTOW",
+    ],
 )
 def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
     log = table(tmp_path, f"throttle,section,steer,{name}\n9,9,9,1\n9,9,9,2\n")
@@ -76,11 +90,18 @@ def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
 
 
 def test_no_time(tmp_path: Path) -> None:
-    log = table(tmp_path, "throttle,steer\n1,2\n")
-    assert log.topics[""].fields == ("throttle", "steer")
-    message = r"drive\.csv: no column looks like time; set clock\.column in the rig to one of: throttle, steer"
+    message = r"drive\.csv: no column looks like time; name it: `inspect --time COLUMN`, .*; there are throttle, steer"
     with pytest.raises(LogError, match=message):
-        log.read("", ["steer"])
+        table(tmp_path, "throttle,steer\n1,2\n")
+
+
+def test_a_clock_without_a_name_rises_evenly_and_a_count_of_rows_is_none(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{0.02 * k + 0.001 * (k % 3):.3f},{k * k % 7}\n" for k in range(50))
+    log = table(tmp_path, f"row,gnss,steer\n{rows}")
+    assert log.clock.column == "gnss"
+    assert log.warnings == ("'gnss' is taken for time, by its even steps",)
+    with pytest.raises(LogError, match="no column looks like time"):
+        table(tmp_path, "row,steer\n" + "".join(f"{k},{k * k % 7}\n" for k in range(50)))
 
 
 def test_clock_column_and_unit(tmp_path: Path) -> None:

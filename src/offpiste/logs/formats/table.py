@@ -17,7 +17,9 @@ from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_of
 
-_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time")
+_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch)(?![a-z])")
+_EVENLY = 0.2
+"""Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 
 
@@ -54,7 +56,10 @@ class TableLog(Log):
         self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
         self._clock = clock_column or self._guess_clock(notes)
-        if self._clock and self._clock not in self._table.column_names:
+        if not self._clock:
+            how = "name it: `inspect --time COLUMN`, or clock.column in a rig"
+            raise LogError("no column looks like time", where=path, how=f"{how}; there are {self._listing()}")
+        if self._clock not in self._table.column_names:
             raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {self._listing()}")
         if not clock_unit and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
@@ -83,9 +88,6 @@ class TableLog(Log):
         return Clock(column=self._clock, unit=self._unit_of_stamps(self._clock))  # type: ignore[arg-type]
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
-        if not self._clock:
-            how = f"set clock.column in the rig to one of: {self._listing()}"
-            raise LogError("no column looks like time", where=self.path, how=how)
         values = np.empty((topic.count, len(fields)))
         for column, field in enumerate(fields):
             values[:, column] = self._numbers(field)
@@ -109,11 +111,22 @@ class TableLog(Log):
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
+        if not names and (even := [name for name in self._columns if self._rises_evenly(name)]):
+            notes.append(f"'{even[0]}' is taken for time, by its even steps")
+            return even[0]
         if len(names) < 2:
             return "".join(names)
         guess: str = max(names, key=lambda name: self._share_rising(name))
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
+
+    def _rises_evenly(self, name: str) -> bool:
+        """Whether numbers rise like a clock, and not like a count of rows."""
+        if self._table.num_rows < 10 or self._share_rising(name) < 0.99:
+            return False
+        steps = np.diff(self._numbers(name))
+        low, middle, high = np.percentile(steps, (5, 50, 95))
+        return bool(high - low < _EVENLY * middle and not (steps == 1).all())
 
     def _unit_of_stamps(self, name: str) -> str:
         return self._unit or time_unit(self._units.get(name, "")) or "s"
@@ -192,13 +205,8 @@ def _has_time_unit(kind: pa.DataType) -> bool:
 
 def _is_readable(kind: pa.DataType) -> bool:
     types = pa.types
-    return bool(
-        types.is_integer(kind)
-        or types.is_floating(kind)
-        or types.is_boolean(kind)
-        or types.is_decimal(kind)
-        or _has_time_unit(kind)
-    )
+    kinds = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, _has_time_unit)
+    return any(is_one(kind) for is_one in kinds)
 
 
 def _read_parquet(path: Path) -> pa.Table:
