@@ -61,7 +61,12 @@ def test_a_training_that_had_not_converged_says_how_to_go_on(
     assert shlex.split(helps)[4:] == ["offpiste", "train", dataset, "--out", str(tmp_path / "b"), *_options(*again[5:])]
     assert run(*again[1:]) == 0
     compared = capsys.readouterr().out.splitlines()[-1]
-    assert compared.startswith(f"next: offpiste evaluate {out}-longer {out} --dataset {dataset}")
+    assert compared.startswith(f"next: offpiste evaluate {out}-longer --dataset {dataset}")
+    assert run("train", dataset, "--out", str(tmp_path / "b"), *QUICK) == 0
+    compared = capsys.readouterr().out.splitlines()[-1]
+    assert compared.startswith(f"next: offpiste evaluate {tmp_path / 'b'} {out} --dataset {dataset}")
+    monkeypatch.chdir(tmp_path)
+    assert run(*shlex.split(compared)[2:]) == 0
 
 
 def _options(*given: str) -> list[str]:

@@ -191,6 +191,19 @@ def test_a_pedal_in_percent_that_is_hardly_ever_pressed_is_in_percent(tmp_path: 
     assert not [f for f in inspect_log(open_log(path), rig).findings if "spikes" in f.what]
 
 
+def test_latitudes_stay_latitudes_beside_a_compass(tmp_path: Path) -> None:
+    """Longitudes in their place would fit as well, in a world that is distorted and seen in a mirror."""
+    path = tmp_path / "drive.csv"
+    degrees = np.stack((47.0 + DRIVEN["y"] / 111_195, 8.0 + DRIVEN["x"] / (111_195 * np.cos(np.radians(47.0)))))
+    compass = np.degrees(np.pi / 2 - DRIVEN["yaw"])
+    columns = np.column_stack((DRIVEN["t"], *degrees, compass, DRIVEN["angle"]))
+    np.savetxt(path, columns, delimiter=",", header="t,lat,lon,heading,steer", comments="", fmt="%.9f")
+    findings = inspect_log(open_log(path)).findings
+    (heading,) = (finding for finding in findings if finding.severity == "fatal")
+    assert "it counts clockwise" in heading.what
+    assert {edit.key for edit in heading.cures[0]} == {"channels.yaw.sign", "channels.yaw.offset"}
+
+
 def test_a_brake_pressure_beside_a_command_is_the_actuator(tmp_path: Path) -> None:
     """Whatever its unit; where it is the only brake, it stands for the command."""
     columns = {**POSE, "throttle": ("throttle", 1), "brake_cmd": ("brake", 1), "brake_pressure": ("brake", 8.5)}

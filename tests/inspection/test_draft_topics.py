@@ -64,7 +64,15 @@ def test_rates_of_an_imu_stand_beside_a_pose_that_has_none() -> None:
 
 @pytest.mark.parametrize(
     ("field", "channel"),
-    [("thr_pct", "throttle"), ("brk_pct", "brake"), ("str_cmd", "steer"), ("commands/servo/position", "steer")],
+    [
+        ("thr_pct", "throttle"),
+        ("brk_pct", "brake"),
+        ("str_cmd", "steer"),
+        ("commands/servo/position", "steer"),
+        ("tps", "throttle"),
+        ("p_brake_f", "brake_pressure"),
+        ("brake_pressure", "brake_pressure"),
+    ],
 )
 def test_short_names_of_loggers(field: str, channel: str) -> None:
     log = MemoryLog({"table": (TIME, {"a": TIME, field: np.sin(TIME), "b": TIME})})
@@ -238,6 +246,39 @@ def test_an_effort_and_the_angle_of_the_front_wheels_are_commands() -> None:
     assert rig.channels["steer"].topic == "base/front_angle_cmd"
     assert rig.channels["steer"].unit == "rad"
     assert "steer_angle" in rig.absent
+
+
+@pytest.mark.parametrize("commanded", [True, False])
+def test_the_position_of_a_steering_beside_its_command_is_measured(commanded: bool) -> None:
+    time, steering = CLEAN.data["steering"]
+    topics = {"odom": (TIME, ODOM), "servo/state": (time, {"steering_position": steering["angle"], "load": 0 * time})}
+    topics |= {"cmd/drive": (time, {"steering": steering["command"], "armed": 1 + 0 * time})} if commanded else {}
+    rig = _drafted(Typed(topics))
+    assert ("steer_angle" in rig.absent) is not commanded
+    assert rig.channels["steer_angle" if commanded else "steer"].fields == ("steering_position",)
+    assert rig.channels["steer"].topic == ("cmd/drive" if commanded else "servo/state")
+
+
+def test_a_joint_of_the_steering_is_its_measured_angle() -> None:
+    time, steering = CLEAN.data["steering"]
+    log = Jointed({
+        "odom": (TIME, ODOM),
+        "joint_states": (time, {"position[0]": steering["angle"], "position[1]": np.cumsum(steering["angle"])}),
+        "ackermann_cmd": (time, {"drive.steering_angle": 0.4 * steering["command"]}),
+    })  # fmt: skip
+    channels = _drafted(log).channels
+    assert (channels["steer"].topic, channels["steer"].unit) == ("ackermann_cmd", "rad")
+    assert channels["steer_angle"].fields == ("position[0]",)
+
+
+class Jointed(MemoryLog):
+    """Joint states: messages name their entries."""
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """The names of a car's two joints."""
+        joints = {"position[0]": "front_steer_joint", "position[1]": "rear_wheel_joint"}
+        return super().topics | {"joint_states": dataclasses.replace(super().topics["joint_states"], joints=joints)}
 
 
 def test_a_pedal_whose_topic_says_which_it_is() -> None:

@@ -84,12 +84,15 @@ class Train:
         return join([*command, *options(replace(self.train, model="b"))])
 
     def _beside(self) -> list[str]:
-        """Runs of the same dataset in the same folder, which a report compares with this one."""
+        """Runs of other models of the same dataset in the same folder, which a report compares with this one."""
         from offpiste.training.run import trained_on
 
-        others = sorted(path for path in self.out.resolve().parent.iterdir() if (path / "model.json").exists())
-        mine = [path for path in others if path != self.out.resolve() and trained_on(path, self.dataset)]
-        return [str(self.out.with_name(path.name)) for path in mine[:_COMPARED]]
+        others: dict[str, str] = {}
+        for path in sorted(self.out.resolve().parent.iterdir()):
+            model = trained_on(path, self.dataset)
+            if model and model != self.train.model:  # two of one model would be one with two seeds
+                others.setdefault(model, str(self.out.with_name(path.name)))
+        return list(others.values())[:_COMPARED]
 
     def _with_more_epochs(self) -> str | None:
         """The same training with twice the epochs of all stages that had not converged; None where all have."""
@@ -98,7 +101,12 @@ class Train:
         from offpiste.training.train import fold_folders
 
         runs = fold_folders(self.out) if self.folds else [self.out]
-        stages = {stage for run in runs for stage, kept in kept_epochs(run).items() if not kept.has_converged}
+        stages = {
+            stage
+            for run in runs
+            for stage, kept in kept_epochs(run).items()
+            if stage in SETTINGS and not kept.has_converged
+        }
         if not stages or self.ddp:
             return None
         more = {SETTINGS[stage]: 2 * getattr(self.train, SETTINGS[stage]) for stage in stages}

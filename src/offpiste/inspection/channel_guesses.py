@@ -52,16 +52,20 @@ _TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], 
 _ANGLE = r"(angle|ang)"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
 """The z component alone of an angular velocity."""
+MEASURED: Final = 2
+"""Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
     ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])theta$"),
     ("yaw", 2, r"(?<![a-z])phi$"),
-    ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)"),
+    ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
+    ("throttle", 1, r"(?<![a-z])tps(?![a-z])"),
+    ("steer_angle", MEASURED, r"(?<![a-z])steer(ing)?_?(pos(ition)?|feedback|actual|measured)$"),
     ("steer", 0, r"(?<![a-z])hand_?wheel(_?(angle|ang|pos(ition)?))?$"),
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
@@ -156,6 +160,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         if field in taken or unnamed or other:
             continue
         for channel, rank, pattern in scalars:
+            if channel == "steer" and field.startswith("position[") and field in topic.joints:
+                channel, rank = "steer_angle", MEASURED  # joints are measured, in radians
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
             scalar = _guess(channel, topic, (field,), label, rank) if named_so else None
             if scalar is not None:
@@ -247,6 +253,12 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
 def named_axis(field: str) -> str:
     """The axis that a position's field is named by: "x" (or east), "y" (or north), "z" (or up); "" for none."""
     return _last_letter(_with_letters(parse_label(field).name))
+
+
+def named_degrees(field: str) -> str:
+    """Which of the two a field is called, "lat" or "lon"; "" for any other."""
+    name = parse_label(field).name
+    return next((what for what, pattern in zip(("lat", "lon"), _GEOGRAPHIC, strict=False) if pattern.search(name)), "")
 
 
 def named_direction(field: str) -> bool:

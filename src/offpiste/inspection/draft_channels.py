@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.channel_guesses import Guess, guess_channels
+from offpiste.inspection.channel_guesses import MEASURED, Guess, guess_channels
 from offpiste.inspection.draft_gear import gear_values
 from offpiste.inspection.draft_pose import COMMANDED, Entry, degrees, draft_pose, field_values, unit_line
 from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest, steering_middle
@@ -64,7 +64,8 @@ def draft_channels(
     pose_topic = entries["position"].guess.topic if "position" in entries else ""
     scalars: Scalars = {}
     for guess in guesses:
-        channel = "steer" if guess.channel == "steer_angle" and _is_command(guess) else guess.channel
+        commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and _is_command(guess)
+        channel = "steer" if commanded else guess.channel
         if channel in scalars or channel in (*entries, *_VECTORS):
             continue
         if channel == "yaw" and ("orientation" in entries or "position" not in entries):
@@ -81,12 +82,17 @@ def draft_channels(
             scalars[channel] = guess, values[:, 0]
     if "brake" not in scalars and "brake_pressure" in scalars:
         scalars["brake"] = scalars.pop("brake_pressure")  # which stands for the command
+    if "steer" not in scalars and "steer_angle" in scalars and scalars["steer_angle"][0].rank == MEASURED:
+        scalars["steer"] = scalars.pop("steer_angle")  # a position beside no command, of any unit
     plain = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
     entries |= plain | _signed_pedal(scalars) | _steering(scalars, straight)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
             comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name").removeprefix(":")
+            if channel == "throttle" and "brake" in entries and entries["brake"].guess is guess:
+                by_numbers = entries["brake"].comment.replace("by its name and numbers", "by its numbers")
+                entries["brake"] = replace(entries["brake"], comment=by_numbers)
             entries[channel] = replace(entries[channel], comment=f"GUESSED {follows}{comment and ';'}{comment}")
     return entries
 
@@ -126,6 +132,8 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
         comment += f"; scaled by its largest value, {largest:.4g}"
         if _is_angle(guess) or largest > _STEERING_WHEEL:
             comment += ": of a steering wheel, max_steer is that over the steering's ratio"
+        elif largest < _STEEPEST * 180 / np.pi:
+            comment += ': is it an angle of the road wheels? Then unit = "deg" instead'
     elif channel == "steer" and low > 0 and 0.3 < np.median(values) < 0.7:
         lines += ["scale = 2.0", "offset = -1.0"]
         comment += "; 0..1 read as -1..1"

@@ -42,6 +42,10 @@ _NO_STEERING = (
     "# MISSING: steering: no field looks like it; no model can do without. Add [channels.steer] and take steer out of"
     " `absent`. {candidates}\n"
 )
+_NO_THROTTLE = (
+    "# MISSING: throttle: no field looks like it; without it no model can foresee the speed. Add [channels.throttle]"
+    " and take throttle out of `absent`.\n"
+)
 _COMMANDS = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
 _HEADER = """\
 # A first rig for {name}, guessed by `offpiste inspect`. Every line is a guess: read it, fix it, and inspect again
@@ -148,6 +152,7 @@ def _text(log: Log, seen: _Seen) -> str:
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
+    parts += [_NO_THROTTLE] if "throttle" in absent else []
     for channel, entry in entries.items():
         parts += [
             f"[channels.{channel}]  # {entry.comment}{_joints(log, entry)}",
@@ -182,9 +187,16 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
         source=_toml(source),
         mass=MASS if not wheelbase else float(f"{MASS * (wheelbase / SMALL_CAR) ** 3:.2g}"),
         max_steer=stated or seen.max_steer or _MAX_STEER,
-        by_motion="; by the yaw rate, for this wheelbase" if seen.max_steer and not stated and not seen.assumed else "",
+        by_motion=_origin(seen, stated=bool(stated)),
         wheels=_toml(wheels),
     )
+
+
+def _origin(seen: _Seen, *, stated: bool) -> str:
+    """Where the drafted `max_steer` is from."""
+    if stated:
+        return "; the largest of this log"
+    return "; by the yaw rate, for this wheelbase" if seen.max_steer and not seen.assumed else ""
 
 
 def _clock(log: Log) -> list[str]:

@@ -225,12 +225,13 @@ def save_run(
     save_json(folder / "model.json", about)
 
 
-def trained_on(folder: Path, dataset: Path) -> bool:
-    """Whether a finished run was trained on a dataset."""
+def trained_on(folder: Path, dataset: Path) -> str:
+    """The model of a finished run, where it was trained on a dataset; "" else."""
     try:
-        return bool(load_json(folder / "model.json").get("dataset") == str(dataset.resolve()))
+        about = load_json(folder / "model.json")
     except RunError:
-        return False
+        return ""
+    return str(about.get("model", "")) if about.get("dataset") == str(dataset.resolve()) else ""
 
 
 def kept_epochs(folder: Path) -> dict[str, KeptEpoch]:
