@@ -90,13 +90,16 @@ class Inspect:
     def _next(self, log: str, inspection: "Inspection") -> str:
         """The command that comes next, as a line to paste, and before it what to do first."""
         from offpiste.inspection.draft_values import DRAFTED
+        from offpiste.rig.rig import rig_text
 
         rig = str(self.write_rig) if self.write_rig else self.rig
         if not rig:
             time = ["--time", self.time] if self.time else []
             return "next: " + join(["offpiste", "inspect", log, *time, "--write-rig", "my.toml"])
         again = ["offpiste", "inspect", log, "--rig", rig]
-        vehicle = f"give {rig} the numbers of your vehicle ([vehicle]), and answer what its comments ask"
+        vehicle = f"give {rig} the numbers of your vehicle ([vehicle])"
+        if "?" in rig_text(rig):
+            vehicle += ", and answer what its comments ask"
         if self.write_rig and not self.rig:
             return f"first: {vehicle}\nnext: {join(again)}"
         if inspection.cure:

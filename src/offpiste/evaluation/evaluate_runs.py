@@ -97,7 +97,8 @@ def evaluate_runs(
     write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
-        logger.info("rows with the lookup 'map' decide: they read the ground where the model predicts its wheels")
+        nearest = "" if dataset.features else ": without features, the slope of the driven path nearest to them"
+        logger.info(f"rows with the lookup 'map' decide: they read the ground where wheels are predicted{nearest}")
     if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
         line = f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"
         logger.info(line + _folds(folders[0], runs[0].model, dataset_path))

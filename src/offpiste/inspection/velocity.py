@@ -16,6 +16,7 @@ from offpiste.geometry import (
 from offpiste.inspection.driven_path import STEP, TURNING, Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
+from offpiste.inspection.steering_fit import moving_rows
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import ChannelSource, unit_factor
@@ -35,6 +36,8 @@ _SAME: Final = (0.85, 1.18)
 """Gains at which a channel is in its unit ..."""
 _SAME_VELOCITY: Final = (0.92, 1.09)
 """... and a velocity, which states what the pose's derivative is."""
+_SIDEWAYS: Final = 0.5
+"""Correlation of two velocities to the side from which they are one; of 90 healthy logs none has less than 0.86."""
 _ROLLING: Final = (0.6, 1.8)
 """Speed of wheels over the vehicle's, slip and worn tyres included."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
@@ -88,18 +91,34 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
             return []
         return [Finding("warning", name, "fits the pose in neither frame", evidence, str(unused), 1.0, ((unused,),))]
     findings = []
-    if stated is None:
+    mirrored = _sideways(drive, path) if best.frame == "body" else []
+    if stated is None and not mirrored:
         frame = Edit(f"channels.{name}.frame", best.frame)
         what = f"its frame is {best.frame}, and could be used"
         findings.append(Finding("note", name, what, evidence, str(frame), 0.3))
-    elif stated.frame != best.frame and stated.misfit > max(_FITS, 2 * best.misfit):
+    elif stated is not None and stated.frame != best.frame and stated.misfit > max(_FITS, 2 * best.misfit):
         frame = Edit(f"channels.{name}.frame", best.frame)
         what = f"is in the {best.frame} frame, not the {stated.frame}'s"
         findings.append(Finding("warning", name, what, evidence, str(frame), 1.0, ((frame,),)))
     if stated is None:
         return findings  # what is not used does no harm
     fit = best if findings else stated
-    return findings + _gain(name, fit, drive.rig, "m/s", _UNITS, _SAME_VELOCITY) + _delay(name, fit, source)
+    findings += _gain(name, fit, drive.rig, "m/s", _UNITS, _SAME_VELOCITY) + _delay(name, fit, source)
+    return findings or mirrored
+
+
+def _sideways(drive: Drive, path: Path) -> list[Finding]:
+    """A finding if a body's velocity to the side goes the other way than the pose: it is positive to the right."""
+    recorded = _levelled(drive, path, _on_path(path, drive.channels["linear_velocity"]))
+    aside = planar_body_from_world(path.velocity, path.yaw)[:, 1]
+    fit = fit_lags(aside, np.ones((len(aside), 1)), recorded[None, :, 1], np.zeros(1), moving_rows(path))
+    if fit is None or fit.r[0] > -max(_SIDEWAYS, SURE * fit.r_sigma(0)):
+        return []
+    evidence = f"correlation with the pose's motion to the left: {fit.r[0]:.2f} ± {fit.r_sigma(0):.2f}"
+    ways = [(Edit("motion.axes", "body down"),)] if drive.rig.motion.axes == "z up" else []
+    cures = (*ways, (Edit("channels.linear_velocity.frame", "unknown"),))
+    remedy = "; or ".join(str(edit) for (edit,) in cures)
+    return [Finding("warning", "linear_velocity", "is positive to the right", evidence, remedy, 0.5, cures)]
 
 
 def turn_rate_name(drive: Drive) -> str:

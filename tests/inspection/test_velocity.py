@@ -1,0 +1,51 @@
+"""Velocities to the side: of tyres that slip, recorded to the left as a body's are, or to the right."""
+
+import numpy as np
+import pytest
+from simulated import MemoryLog, drive_log, rig
+
+from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.edits import Edit, edited
+
+CLEAN = drive_log(seed=0)
+
+
+def _sliding(sign: float) -> MemoryLog:
+    """The vehicle slides outwards in its curves: it goes to the left of its heading in left ones."""
+    _, odom = CLEAN.data["odom"]
+    slip = -0.02 * odom["vx"] * odom["wz"]
+    yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) - slip
+    columns = {
+        "qz": np.sin(yaw / 2),
+        "qw": np.cos(yaw / 2),
+        "wz": np.gradient(yaw, 0.02),
+        "vx": odom["vx"] * np.cos(slip),
+        "vy": sign * odom["vx"] * np.sin(slip),
+    }
+    log = CLEAN
+    for field, values in columns.items():
+        log = log.change("odom", field, lambda _, values=values: values)
+    return log
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_velocity_to_the_side_that_is_positive_to_the_right_is_found(sign: float) -> None:
+    log = _sliding(sign)
+    found = [f for f in inspect_log(log, rig()).findings if f.where == "linear_velocity"]
+    assert [(f.severity, f.what) for f in found] == [("warning", "is positive to the right")] * (sign < 0)
+    for finding in found:
+        # Poses whose z points up are not turned for it: the velocity alone is wrong.
+        assert finding.cures[0] == (Edit("channels.linear_velocity.frame", "unknown"),)
+        cured = inspect_log(log, edited(rig(), finding.cures[0]))
+        assert not [f for f in cured.findings if f.where == "linear_velocity" and f.severity != "note"]
+
+
+def test_a_heading_alone_leaves_the_axes_of_the_velocity_open() -> None:
+    """Without an orientation nothing says which way z points, and axes with y to the right explain it."""
+    log = _sliding(-1.0)
+    _, odom = log.data["odom"]
+    log = log.change("odom", "qx", lambda _: 2 * np.arctan2(odom["qz"], odom["qw"]))
+    changes = [Edit("channels.orientation", None), Edit("channels.angular_velocity", None)]
+    changes += [Edit("channels.yaw", {"topic": "odom", "fields": ["qx"]})]
+    (finding,) = (f for f in inspect_log(log, edited(rig(), changes)).findings if f.where == "linear_velocity")
+    assert finding.cures[0] == (Edit("motion.axes", "body down"),)
