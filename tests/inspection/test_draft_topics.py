@@ -257,6 +257,7 @@ def test_the_position_of_a_steering_beside_its_command_is_measured(commanded: bo
     assert ("steer_angle" in rig.absent) is not commanded
     assert rig.channels["steer_angle" if commanded else "steer"].fields == ("steering_position",)
     assert rig.channels["steer"].topic == ("cmd/drive" if commanded else "servo/state")
+    assert rig.channels["steer"].unit == ""
 
 
 def test_a_joint_of_the_steering_is_its_measured_angle() -> None:

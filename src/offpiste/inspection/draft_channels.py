@@ -27,7 +27,7 @@ from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import number
-from offpiste.rig.labels import channel_unit
+from offpiste.rig.labels import channel_unit, is_array_entry
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 _IN_HAND: Final = re.compile(r"steering_?wheel|hand_?wheel|(?<![a-z])swa?(?![a-z])", re.IGNORECASE)
@@ -83,7 +83,9 @@ def draft_channels(
     if "brake" not in scalars and "brake_pressure" in scalars:
         scalars["brake"] = scalars.pop("brake_pressure")  # which stands for the command
     if "steer" not in scalars and "steer_angle" in scalars and scalars["steer_angle"][0].rank == MEASURED:
-        scalars["steer"] = scalars.pop("steer_angle")  # a position beside no command, of any unit
+        guess, numbers = scalars.pop("steer_angle")
+        # A position beside no command is the steering, of any unit; that of a joint is an angle.
+        scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
     plain = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
     entries |= plain | _signed_pedal(scalars) | _steering(scalars, straight)
     for channel, (guess, correlation) in found.items():
