@@ -191,6 +191,15 @@ def test_a_pedal_in_percent_that_is_hardly_ever_pressed_is_in_percent(tmp_path: 
     assert not [f for f in inspect_log(open_log(path), rig).findings if "spikes" in f.what]
 
 
+def test_heights_and_measured_steering_of_short_names_are_read(tmp_path: Path) -> None:
+    columns = {"unix_ms": ("t", 1000), "utm_x": ("x", 1), "utm_y": ("y", 1), "utm_h": ("zero", 1), "yaw": ("yaw", 1),
+               "steer_cmd": ("angle", DEG), "steer_meas": ("angle", DEG)}  # fmt: skip
+    rig = drafted(written(tmp_path / "drive.csv", columns))
+    assert rig.channels["position"].fields == ("utm_x", "utm_y", "utm_h")
+    assert (rig.channels["steer"].fields, rig.channels["steer_angle"].fields) == (("steer_cmd",), ("steer_meas",))
+    assert (rig.clock.column, rig.clock.unit) == ("unix_ms", "ms")
+
+
 def test_latitudes_stay_latitudes_beside_a_compass(tmp_path: Path) -> None:
     """Longitudes in their place would fit as well, in a world that is distorted and seen in a mirror."""
     path = tmp_path / "drive.csv"

@@ -68,12 +68,21 @@ class Train:
 
         if (again := self._with_more_epochs()) is not None:
             show(f"not converged yet; with twice the epochs: {again}")
+        if self._adds_nothing():
+            show("the network adds nothing here: this run is its physics alone, which more driving may change")
         if not self.folds and (network := self._with_a_network()) is not None:
             show(f"whether a network helps: {network}")
         command = ["offpiste", "evaluate", str(self.out), *self._beside(), "--dataset", str(self.dataset)]
         if Path("report").exists():  # the default, which may hold another run's
             command += ["--out", f"report-{self.out.name}"]
         show(f"next: {join(command)}")
+
+    def _adds_nothing(self) -> bool:
+        """Whether the network kept the weights that it began with, which correct nothing."""
+        from offpiste.training.run import kept_epochs
+
+        kept = {} if self.folds else kept_epochs(self.out)
+        return "bicycle" in kept and kept["model"].epoch == 0
 
     def _with_a_network(self) -> str | None:
         """The training of `b` beside a model of physics alone; None where there is one, or this has networks."""

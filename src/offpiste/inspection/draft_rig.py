@@ -205,7 +205,7 @@ def _clock(log: Log) -> list[str]:
     if clock == Clock():
         return []
     unit = [f"unit = {_toml(clock.unit)}"] if clock.unit != Clock().unit else []
-    return ["[clock]  # GUESSED by its name", f"column = {_toml(clock.column)}", *unit, ""]
+    return ["[clock]  # GUESSED", f"column = {_toml(clock.column)}", *unit, ""]
 
 
 def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:

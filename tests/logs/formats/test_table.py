@@ -81,6 +81,7 @@ def test_dart_has_two_columns_of_time(data_folder: Path) -> None:
         "%time",
         "gps_tow",
         "iTOW",
+        "unix_s",
     ],
 )
 def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:

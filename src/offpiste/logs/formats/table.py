@@ -17,7 +17,7 @@ from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_of
 
-_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch)(?![a-z])")
+_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
