@@ -175,15 +175,6 @@ def test_a_velocity_of_its_own_topic_gets_the_frame_that_fits() -> None:
     assert "linear_velocity" not in _drafted(asked).channels
 
 
-def test_a_twist_in_the_world_is_so_as_a_whole() -> None:
-    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
-    turned = {"vx": ODOM["vx"] * np.cos(yaw), "vy": ODOM["vx"] * np.sin(yaw)}
-    channels = _drafted(Typed({**CLEAN.data, "odom": (TIME, ODOM | turned)})).channels
-    assert [channels[name].frame for name in ("linear_velocity", "angular_velocity")] == ["world", "world"]
-    channels = _drafted(Typed(CLEAN.data)).channels
-    assert [channels[name].frame for name in ("linear_velocity", "angular_velocity")] == ["body", "body"]
-
-
 def test_topics_that_nothing_reads_are_listed() -> None:
     log = Typed(CLEAN.data | {"battery/Float32": (TIME, {"data": np.sin(TIME)})})
     assert "# Not read: fields of battery/Float32: data" in draft_rig(log)

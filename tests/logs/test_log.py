@@ -21,7 +21,7 @@ def logs(tmp_path: Path) -> dict[str, Path]:
     odometry.mkdir(parents=True)
     np.save(odometry / "odometry.npy", np.array([[1.0, 2.0]]))
     (odometry / "timestamps.txt").write_text("5.0\n")
-    (tmp_path / "table.csv").write_text("tick,x\n2000,7\n")
+    (tmp_path / "table.csv").write_text("t,x\n2000,7\n")
     bag = tmp_path / "bag" / "bag_0.mcap"
     bag.parent.mkdir()
     with bag.open("wb") as file:

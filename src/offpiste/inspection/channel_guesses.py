@@ -52,6 +52,8 @@ _TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], 
 _ANGLE = r"(angle|ang)"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
 """The z component alone of an angular velocity."""
+_ASKED: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
+"""Topics of joint states that are asked for, not measured."""
 MEASURED: Final = 2
 """Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
@@ -160,7 +162,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         if field in taken or unnamed or other:
             continue
         for channel, rank, pattern in scalars:
-            if channel == "steer" and field.startswith("position[") and field in topic.joints:
+            joint = field.startswith("position[") and field in topic.joints and not _ASKED.search(topic.name)
+            if channel == "steer" and joint:
                 channel, rank = "steer_angle", MEASURED  # joints are measured, in radians
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
             scalar = _guess(channel, topic, (field,), label, rank) if named_so else None

@@ -66,9 +66,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             lines += (f'frame = "{frame}"',)
             comment += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
-            beside = "linear_velocity" in best and best["linear_velocity"].topic == guess.topic
-            lines += ('frame = "world"' if beside and frame == "world" else 'frame = "body"',)
-            comment += "; frame of the velocity beside it" if beside else "; the body's frame, as gyroscopes measure"
+            lines, comment = (*lines, 'frame = "body"'), comment + "; in the body's frame, as gyroscopes measure"
         elif channel == "yaw" and not guess.unit and (values := field_values(log, guess)) is not None:
             lines += degrees(values[:, 0])
         entries[channel] = Entry(guess, lines, comment)
