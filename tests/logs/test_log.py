@@ -21,7 +21,7 @@ def logs(tmp_path: Path) -> dict[str, Path]:
     odometry.mkdir(parents=True)
     np.save(odometry / "odometry.npy", np.array([[1.0, 2.0]]))
     (odometry / "timestamps.txt").write_text("5.0\n")
-    (tmp_path / "table.csv").write_text("t,x\n2000,7\n")
+    (tmp_path / "table.csv").write_text("tick,x\n2000,7\n")
     bag = tmp_path / "bag" / "bag_0.mcap"
     bag.parent.mkdir()
     with bag.open("wb") as file:
@@ -36,7 +36,7 @@ def logs(tmp_path: Path) -> dict[str, Path]:
 
 def test_the_reader_fits_the_path(logs: dict[str, Path]) -> None:
     assert isinstance(open_log(logs["tartan"]), TartanDriveLog)
-    assert isinstance(open_log(logs["table"]), TableLog)
+    assert isinstance(open_log(logs["table"], clock=Clock(column="tick")), TableLog)
     assert isinstance(open_log(logs["bag"]), BagLog)
     assert isinstance(open_log(str(logs["mcap"])), BagLog)
 
