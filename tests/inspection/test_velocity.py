@@ -11,7 +11,7 @@ CLEAN = drive_log(seed=0)
 
 
 def _sliding(sign: float) -> MemoryLog:
-    """The vehicle slides outwards in its curves: it goes to the left of its heading in left ones."""
+    """The vehicle slides outwards in its curves: it goes to the right of its heading in left ones."""
     _, odom = CLEAN.data["odom"]
     slip = -0.02 * odom["vx"] * odom["wz"]
     yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) - slip

@@ -94,11 +94,11 @@ class Train:
 
     def _beside(self) -> list[str]:
         """Runs of other models of the same dataset in the same folder, which a report compares with this one."""
-        from offpiste.training.run import trained_on
+        from offpiste.training.run import model_trained_on
 
         others: dict[str, str] = {}
         for path in sorted(self.out.resolve().parent.iterdir()):
-            model = trained_on(path, self.dataset)
+            model = model_trained_on(path, self.dataset)
             if model and model != self.train.model:  # two of one model would be one with two seeds
                 others.setdefault(model, str(self.out.with_name(path.name)))
         return list(others.values())[:_COMPARED]

@@ -52,8 +52,8 @@ _TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], 
 _ANGLE = r"(angle|ang)"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
 """The z component alone of an angular velocity."""
-_ASKED: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
-"""Topics of joint states that are asked for, not measured."""
+_COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
+"""Topics of joint states that are commanded, not measured."""
 MEASURED: Final = 2
 """Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
@@ -162,7 +162,7 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         if field in taken or unnamed or other:
             continue
         for channel, rank, pattern in scalars:
-            joint = field.startswith("position[") and field in topic.joints and not _ASKED.search(topic.name)
+            joint = field.startswith("position[") and field in topic.joints and not _COMMANDED_JOINTS.search(topic.name)
             if channel == "steer" and joint:
                 channel, rank = "steer_angle", MEASURED  # joints are measured, in radians
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
@@ -258,8 +258,8 @@ def named_axis(field: str) -> str:
     return _last_letter(_with_letters(parse_label(field).name))
 
 
-def named_degrees(field: str) -> str:
-    """Which of the two a field is called, "lat" or "lon"; "" for any other."""
+def named_coordinate(field: str) -> str:
+    """The coordinate that a position's field is named by: "lat" (latitude) or "lon" (longitude); "" for none."""
     name = parse_label(field).name
     return next((what for what, pattern in zip(("lat", "lon"), _GEOGRAPHIC, strict=False) if pattern.search(name)), "")
 

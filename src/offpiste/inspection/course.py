@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.channel_guesses import named_axis, named_degrees, named_direction
+from offpiste.inspection.channel_guesses import named_axis, named_coordinate, named_direction
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, fit_lags, jackknife
@@ -113,7 +113,7 @@ def against_names(edits: Iterable[Edit], rig: Rig) -> float:
     """
     fields = rig.channels["position"].fields[:2]
     exchanged = any(edit.key == "channels.position.fields" for edit in edits)
-    if exchanged and [named_degrees(field) for field in fields] == ["lat", "lon"]:
+    if exchanged and [named_coordinate(field) for field in fields] == ["lat", "lon"]:
         return 10.0
     if not exchanged or [named_axis(field) for field in fields] != ["x", "y"]:
         return 0.0

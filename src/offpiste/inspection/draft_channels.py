@@ -123,7 +123,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     elif (
         channel == "steer"
         and largest > 1.05
-        and (around := steering_middle(values, _are_named_pulses(guess), straight))
+        and (around := steering_middle(values, named=_are_named_pulses(guess), straight=straight))
     ):
         middle, reach, words = around
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]

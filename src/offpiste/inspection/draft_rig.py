@@ -56,7 +56,7 @@ absent = {absent}
 [vehicle]               # measure your vehicle, and say in `source` where the numbers come from
 source = {source}
 mass = {mass}           # [kg] with its load
-max_steer = {max_steer:<11} # [rad] road-wheel angle at steer = 1{by_motion}
+max_steer = {max_steer:<11} # [rad] road-wheel angle at steer = 1{origin}
 pose_point = "unknown"  # which point of the vehicle the pose is of
 # x forward, y left of the pose point [m]: front-left, front-right, rear-left, rear-right
 wheel_positions = {wheels}
@@ -187,7 +187,7 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
         source=_toml(source),
         mass=MASS if not wheelbase else float(f"{MASS * (wheelbase / SMALL_CAR) ** 3:.2g}"),
         max_steer=stated or seen.max_steer or _MAX_STEER,
-        by_motion=_origin(seen, stated=bool(stated)),
+        origin=_origin(seen, stated=bool(stated)),
         wheels=_toml(wheels),
     )
 

@@ -23,7 +23,7 @@ SMALL_CAR: Final = WHEELS[0][0] - WHEELS[2][0]
 GUESSED: Final = "GUESSED"
 """What `vehicle.source` begins with until it names a source."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
-"""What is found until then."""
+"""The finding while `vehicle.source` still says so, or nothing."""
 _WHEELBASES: Final = (0.05, 8.0)
 """Wheelbases that a vehicle can have [m]."""
 _DENSITIES: Final = (2.0, 5000.0)

@@ -35,7 +35,7 @@ def are_pulses(values: Float[np.ndarray, " n"], *, named: bool) -> bool:
 
 
 def steering_middle(
-    values: Float[np.ndarray, " n"], named: bool, straight: float | None = None
+    values: Float[np.ndarray, " n"], *, named: bool, straight: float | None = None
 ) -> tuple[float, float, str] | None:
     """Number straight ahead, that of full lock beyond it, and why; None for numbers on both sides of zero.
 
@@ -44,7 +44,7 @@ def steering_middle(
         named: whether unit or name say that they are pulses.
         straight: number at which the vehicle goes straight, where the motion shows it: servos are trimmed.
     """
-    around = _usual_middle(values, named)
+    around = _usual_middle(values, named=named)
     if around is None or straight is None:
         return around
     turned = values[~find_spikes(values)]
@@ -53,7 +53,7 @@ def steering_middle(
     return straight, reach, f"by the motion {straight:.4g} straight ahead, and full lock {reach:.4g} from it; {seen}"
 
 
-def _usual_middle(values: Float[np.ndarray, " n"], named: bool) -> tuple[float, float, str] | None:
+def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[float, float, str] | None:
     """The same by the numbers alone."""
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
     seen = f"{low:.4g}..{high:.4g} seen"

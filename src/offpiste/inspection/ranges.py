@@ -114,7 +114,7 @@ def _of_whole_range(name: str, source: ChannelSource, values: Float[np.ndarray, 
         None of them for percent, which is a unit, and for numbers of no such range.
     """
     if low < 0:
-        around = steering_middle(values, False) if not source.unit else None
+        around = steering_middle(values, named=False) if not source.unit else None
         if around is None:
             return ()
         middle, reach, _ = around

@@ -68,7 +68,7 @@ class KeptEpoch:
 
     def doubts(self, stage: str) -> Iterator[str]:
         """What speaks against it; nothing of the actuators, whose last bit of convergence no model shows."""
-        if stage == "actuators":
+        if stage not in SETTINGS:
             return
         if not self.has_converged:
             yield (

@@ -225,7 +225,7 @@ def save_run(
     save_json(folder / "model.json", about)
 
 
-def trained_on(folder: Path, dataset: Path) -> str:
+def model_trained_on(folder: Path, dataset: Path) -> str:
     """The model of a finished run, where it was trained on a dataset; "" else."""
     try:
         about = load_json(folder / "model.json")

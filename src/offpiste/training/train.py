@@ -130,7 +130,7 @@ def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
 
 
 def _warn_beforehand(dataset: Dataset, validation: Windows, config: TrainConfig, dynamics: Dynamics) -> None:
-    """Log what speaks against a dataset before time is spent on it; a fold is not to be split otherwise."""
+    """Log what speaks against dataset and settings before time is spent; a fold is not to be split otherwise."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     if dynamics.physics() is None and config.bicycle_epochs != TrainConfig.bicycle_epochs:
