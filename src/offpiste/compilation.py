@@ -17,9 +17,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numba
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler as NumbaCompiler
 from numba.core.registry import cpu_target
+from numba.extending import intrinsic
 
 from offpiste.kernel_cache import KernelCache
 
@@ -181,6 +185,7 @@ FUSED: Final = frozenset({"contract"})
 MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
 )
+POSES: Final = Compiler(("logs/poses.py",), loops_make_arrays=False, entries_make_arrays=False)
 MOTION: Final = Compiler(("perception/motion_compensation.py",), loops_make_arrays=False, entries_make_arrays=False)
 PROJECTION: Final = Compiler(("perception/projection.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
@@ -219,6 +224,20 @@ RAYS: Final = Compiler(
     seconds=10,
 )
 """Compiler of the simulated sensors."""
+
+
+@intrinsic  # type: ignore[misc]
+def call_address(_context, function, arguments):  # type: ignore[no-untyped-def]
+    """Call a C function that returns nothing from compiled code: its address, and a tuple of addresses to give it."""
+
+    def build(_target, builder, _signature, values):  # type: ignore[no-untyped-def]
+        pointer = ir.IntType(8).as_pointer()
+        address, given = values[0], cgutils.unpack_tuple(builder, values[1])
+        kind = ir.FunctionType(ir.VoidType(), [pointer] * len(given)).as_pointer()
+        builder.call(builder.inttoptr(address, kind), [builder.inttoptr(value, pointer) for value in given])
+        return ir.Constant(ir.IntType(32), 0)
+
+    return types.int32(types.intp, types.UniTuple(types.intp, len(arguments))), build
 
 
 def spread_blocks(threads: int, blocks: int, loop: Callable[..., None], *arguments: object) -> None:

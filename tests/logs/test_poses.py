@@ -54,6 +54,39 @@ def test_any_turn_is_as_scipys():
     np.testing.assert_allclose(found[:, :3, :3], Slerp(time, turns)(at).as_matrix(), atol=1e-9)
 
 
+def plain(given: Poses, at: np.ndarray) -> np.ndarray:
+    """What `Poses.at` gives, in NumPy and SciPy, one moment after the other."""
+    found = np.full((len(at), 4, 4), np.nan)
+    between = np.concatenate((given.jumps, given.unknown))
+    for n, moment in enumerate(at):
+        place = given.position.linear(np.array([moment]), max_gap=given.max_gap)[0]
+        known = given.orientation.covered(np.array([moment]), given.max_gap)[0] and np.isfinite(place).all()
+        if known and not ((between[:, 0] < moment) & (moment < between[:, 1])).any():
+            turn = Slerp(given.orientation.time, Rotation.from_quat(given.orientation.values))(moment)
+            found[n] = np.block([[turn.as_matrix(), place[:, None]], [np.zeros(3), 1]])
+    return found
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_loop_gives_what_numpy_and_scipy_do(seed: int):
+    rng = np.random.default_rng(seed)
+    stamps = [np.sort(rng.uniform(0, 20, count)) for count in (60, 45)]
+    turns = Rotation.random(45, random_state=seed).as_quat() * rng.choice([-1, 1], (45, 1))
+    turns[20:25] = turns[20]  # stands still
+    channels = Channel("position", "m", stamps[0], rng.normal(0, 1e3, (60, 3))), Channel("o", "1", stamps[1], turns)
+    given = Poses(*channels, max_gap=1.0, jumps=np.array([[3.0, 4.0]]), unknown=np.array([[7.0, 7.5], [12.0, 12.1]]))
+    at = np.concatenate((rng.uniform(-1, 21, 500), *stamps, [3.0, 4.0]))
+    expected = plain(given, at)
+    unknown = np.isnan(expected).all(axis=(1, 2))
+    assert 30 < unknown.sum() < len(at) - 100
+    np.testing.assert_allclose(given.at(at), expected, atol=1e-9)
+
+
+def test_quaternions_of_zeros_are_no_pose():
+    found = poses([0, 1, 2], np.zeros((3, 3)), [yaw(0), np.zeros(4), yaw(0)]).at(np.array([0.5, 1.0, 1.5]))
+    assert np.isnan(found).all()
+
+
 def test_outside_and_across_a_gap_nothing_is_known():
     found = poses([0, 1, 5, 6], np.zeros((4, 3)), [yaw(0)] * 4).at(np.array([-0.1, 0.5, 3.0, 5.5, 6.1]))
     assert np.isnan(found).all(axis=(1, 2)).tolist() == [True, False, True, False, True]

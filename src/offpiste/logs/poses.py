@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
+from offpiste.compilation import POSES
 from offpiste.errors import RigError
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
@@ -41,13 +42,10 @@ class Poses:
 
     def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
         """`world_from_body` at any moments [s]; NaN where unknown: outside of the log, across gaps and jumps."""
-        matrix = np.zeros((len(time), 4, 4))
-        matrix[:, :3, 3] = self.position.linear(time, max_gap=self.max_gap)
-        matrix[:, :3, :3] = rotation_from_quaternion(slerp(self.orientation, time, max_gap=self.max_gap))
-        matrix[:, 3, 3] = 1.0
-        for before, after in (*self.jumps, *self.unknown):
-            matrix[(time > before) & (time < after)] = np.nan
-        matrix[~np.isfinite(matrix).all(axis=(1, 2))] = np.nan
+        matrix = np.empty((len(time), 4, 4))
+        samples = (self.position.time, self.position.values, self.orientation.time, self.orientation.values)
+        unknown = np.concatenate((self.jumps, self.unknown))
+        put_poses(*(np.ascontiguousarray(each, np.float64) for each in (time, *samples, unknown)), self.max_gap, matrix)
         return matrix
 
     def known(self, time: float) -> float:
@@ -76,25 +74,67 @@ def poses_from_drive(drive: Drive) -> Poses:
     return Poses(position, orientation, drive.rig.clock.max_gap, jumps, drive.faults.unknown())
 
 
-def slerp(orientation: Channel, at: Float[np.ndarray, " n"], *, max_gap: float) -> Float[np.ndarray, "n 4"]:
-    """Quaternions between samples (Shoemake, SIGGRAPH 1985); NaN outside of the record and across gaps."""
-    # SciPy's Slerp gives the same to 6e-16, but takes 2.5 ms instead of 0.5 ms for the 2000 moments of a scan, and
-    # 10 ms more to build on 6000 samples.
-    time, q = orientation.time, orientation.values
-    after = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
-    begin, end = q[after - 1], q[after]
-    share = np.clip((at - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)[:, None]
-    cosine = np.einsum("ni,ni->n", begin, end)[:, None] / np.linalg.norm(begin, axis=1, keepdims=True)
-    cosine /= np.linalg.norm(end, axis=1, keepdims=True)
-    end = np.where(cosine < 0, -end, end)  # q and -q turn alike; the short way round is meant
-    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
-    sine = np.sin(angle)
-    near = sine < 1e-6
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = np.sin((1 - share) * angle) / sine, np.sin(share * angle) / sine
-    mixed = np.where(near, 1 - share, weights[0]) * begin + np.where(near, share, weights[1]) * end
-    mixed[~orientation.covered(at, max_gap)] = np.nan
-    return mixed
+# The plain reference, in NumPy, is in the tests (`tests/logs/test_poses.py`).
+
+
+@POSES.inlined
+def sample_after(stamps, at, max_gap):  # type: ignore[no-untyped-def]
+    """Number of the first sample after a moment; -1 outside of the record and in gaps."""
+    if not stamps[0] <= at <= stamps[-1]:
+        return -1
+    after = min(np.searchsorted(stamps, at, side="right"), len(stamps) - 1)
+    return after if stamps[after] - stamps[after - 1] <= max_gap else -1
+
+
+@POSES.inlined
+def slerp(one, other, share):  # type: ignore[no-untyped-def]
+    """A unit quaternion between two of any length (Shoemake, SIGGRAPH 1985), the short way round."""
+    squares = product = others = 0.0
+    for k in range(4):
+        squares, product, others = squares + one[k] * one[k], product + one[k] * other[k], others + other[k] * other[k]
+    sign = -1.0 if product < 0.0 else 1.0
+    cosine = abs(product) / np.sqrt(squares) / np.sqrt(others)
+    angle = 0.0 if cosine > 1.0 else np.arccos(cosine)
+    sine, begin, end = np.sin(angle), 1.0 - share, share
+    if not sine < 1e-6:
+        begin, end = np.sin((1.0 - share) * angle) / sine, np.sin(share * angle) / sine
+    end *= sign
+    x, y = begin * one[0] + end * other[0], begin * one[1] + end * other[1]
+    z, w = begin * one[2] + end * other[2], begin * one[3] + end * other[3]
+    length = np.sqrt(x * x + y * y + z * z + w * w)
+    return x / length, y / length, z / length, w / length
+
+
+@POSES.entry
+def put_poses(time, stamps, positions, turned, quaternions, unknown, max_gap, matrices):  # type: ignore[no-untyped-def]
+    """Put `world_from_body` at each moment; not a number where it is unknown.
+
+    Args:
+        stamps, positions, turned, quaternions: samples of the positions and of the orientations.
+        unknown: moments between which nothing is known [u, 2].
+        matrices: [n, 4, 4].
+    """
+    for n in range(len(time)):
+        at, matrix = time[n], matrices[n]
+        after, turn = sample_after(stamps, at, max_gap), sample_after(turned, at, max_gap)
+        for u in range(len(unknown)):
+            if unknown[u, 0] < at < unknown[u, 1]:
+                after = -1
+        matrix[:] = np.nan
+        if after < 0 or turn < 0:
+            continue
+        share = (at - turned[turn - 1]) / (turned[turn] - turned[turn - 1])
+        x, y, z, w = slerp(quaternions[turn - 1], quaternions[turn], share)
+        if not np.isfinite(w):
+            continue
+        share = (at - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
+        for axis in range(3):
+            matrix[axis, 3] = (1.0 - share) * positions[after - 1, axis] + share * positions[after, axis]
+        matrix[0, 0], matrix[0, 1], matrix[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+        matrix[1, 0], matrix[1, 1], matrix[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+        matrix[2, 0], matrix[2, 1], matrix[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+        matrix[3, 0] = matrix[3, 1] = matrix[3, 2] = 0.0
+        matrix[3, 3] = 1.0
 
 
 FARTHEST: Final = 1.0

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
+
+from offpiste.logs.poses import put_poses
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,12 @@ class Motion:
 
     def at(self, time: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
         """Positions [m] and rotations `world_from_body` at given times; clamped to the first and last moment."""
-        time = np.clip(time, self.time[0], self.time[-1])
-        position = np.stack([np.interp(time, self.time, axis) for axis in self.position.T], axis=1)
         if len(self.time) == 1:
-            rotation = np.repeat(Rotation.from_quat(self.orientation).as_matrix(), len(time), axis=0)
-        else:
-            rotation = Slerp(self.time, Rotation.from_quat(self.orientation))(time).as_matrix()
-        return position, rotation
+            rotation = Rotation.from_quat(self.orientation).as_matrix()
+            return np.repeat(self.position, len(time), axis=0), np.repeat(rotation, len(time), axis=0)
+        matrix, samples = np.empty((len(time), 4, 4)), (self.time, self.position, self.time, self.orientation)
+        put_poses(np.clip(time, self.time[0], self.time[-1]), *samples, np.zeros((0, 2)), np.inf, matrix)
+        return np.ascontiguousarray(matrix[:, :3, 3]), np.ascontiguousarray(matrix[:, :3, :3])
 
 
 def motionless(pose: Pose) -> Motion:

@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from offpiste.compilation import single_threaded_torch
 from offpiste.perception.backbones import BACKBONES, Backbone
-from offpiste.perception.filter_responses import patch_means
+from offpiste.perception.filter_responses import PRODUCTS, TAPS, Derivatives, patch_means
 
 FILTERBANK: Final = "filterbank"
 
@@ -50,6 +50,7 @@ class Filterbank(Backbone):
     def __init__(self, *, device: torch.device | None = None) -> None:
         self._device = device or torch.device("cpu")
         self._fine = oriented_filters(SCALES[0]).to(self._device)
+        self._derivatives = [derivatives(scale) for scale in (SCALES[0], *(scale / 2 for scale in SCALES[1:]))]
         self._logarithms = torch.log(torch.arange(256) / 255 + _DARKEST).numpy()
         # The two coarser scales are seen in the image at half its size.
         self._coarse = [oriented_filters(scale / 2).to(self._device) for scale in SCALES[1:]]
@@ -74,10 +75,10 @@ class Filterbank(Backbone):
         }
 
     def _features_of_pixels(self, pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns C"]:
-        """Bytes on the processor go through compiled loops: the same in a third of the time."""
+        """Bytes on the processor go through compiled loops: the same in a tenth of the time."""
         if pixels.dtype != torch.uint8 or self._device.type != "cpu":
             return super()._features_of_pixels(pixels)
-        fine, *coarse = (bank[:, 0].numpy() for bank in (self._fine, *self._coarse))
+        fine, *coarse = self._derivatives
         means = [patch_means(image, self._logarithms, fine, coarse, self.patch) for image in pixels.numpy()]
         with single_threaded_torch():  # for so few numbers threads are not worth waking
             colours, squares, responses = (torch.from_numpy(np.stack(part)) for part in zip(*means, strict=True))
@@ -135,6 +136,30 @@ def oriented_filters(scale: float) -> Float[Tensor, "k 1 size size"]:
     filters = torch.stack([-u * gaussian for u in along] + [(u.square() - 1) * gaussian for u in along])
     filters = filters - filters.mean(dim=(1, 2), keepdim=True)
     return (filters / filters.abs().sum(dim=(1, 2), keepdim=True)).float().unsqueeze(1)
+
+
+def derivatives(scale: float) -> Derivatives:
+    """The same filters as `oriented_filters`, by products of lines.
+
+    Args:
+        scale: standard deviation of the Gaussian [px].
+    """
+    reach = math.ceil(3 * scale)
+    x = np.arange(-reach, reach + 1) / scale
+    g = np.exp(-x * x / 2)
+    lines = np.stack((g, x * g, x * x * g, np.ones_like(x)))
+    across, down = np.array(PRODUCTS).T
+    products = lines[down, :, None] * lines[across, None, :]
+    angles = math.pi * np.arange(ORIENTATIONS) / ORIENTATIONS
+    cos, sin, none = np.cos(angles), np.sin(angles), np.zeros(ORIENTATIONS)
+    first = np.stack((-cos, -sin, none, none, none, none, none), axis=1)
+    second = np.stack((none, none, cos * cos, 2 * cos * sin, sin * sin, none - 1, none), axis=1)
+    weights = np.concatenate((first, second))
+    weights[:, 6] = -(weights @ products.mean(axis=(1, 2)))
+    weights /= np.abs(np.einsum("kp,pij->kij", weights, products)).sum(axis=(1, 2))[:, None]
+    filled = np.zeros((len(lines), -(-len(x) // TAPS) * TAPS), np.float32)
+    filled[:, : len(x)] = lines
+    return Derivatives(len(x), filled, weights.astype(np.float32))
 
 
 def respond(plane: Float[Tensor, "B 1 h w"], filters: Float[Tensor, "k 1 s s"], *, stride: int = 1) -> Tensor:

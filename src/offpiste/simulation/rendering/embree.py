@@ -13,11 +13,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
-from offpiste.compilation import RAYS
+from offpiste.compilation import RAYS, call_address
 from offpiste.errors import extra
 
 with extra("sim"):
@@ -213,19 +210,6 @@ def _packet(lanes: int) -> tuple[Float[np.ndarray, "rows lanes"], Int[np.ndarray
     return integers.view(np.float32), integers
 
 
-@intrinsic  # type: ignore[misc]
-def _call(_context, function, valid, scene, packet, arguments):  # type: ignore[no-untyped-def]
-    # Calls rtcIntersect16 and its like; all are addresses.
-    def build(_target, builder, _signature, values):  # type: ignore[no-untyped-def]
-        pointer = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [pointer] * 4).as_pointer()
-        address, *rest = values
-        builder.call(builder.inttoptr(address, kind), [builder.inttoptr(value, pointer) for value in rest])
-        return ir.Constant(ir.IntType(32), 0)
-
-    return types.int32(*[types.intp] * 5), build
-
-
 @RAYS.inlined
 def _start(numbers, integers, origins):  # type: ignore[no-untyped-def]
     # What is the same in all packets: every lane is in use, and the origin, if there is one for all rays. Returns the
@@ -271,7 +255,7 @@ def _first_hits(  # type: ignore[no-untyped-def]
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(count):
             numbers[_FAR, lane] = distance[first + lane]
-        _call(function, valid, scene, packet, arguments)  # type: ignore[call-arg]
+        call_address(function, (valid, scene, packet, arguments))
         for lane in range(count):
             ray = first + lane
             part[ray] = integers[_PART, lane]
@@ -289,6 +273,6 @@ def _any_hits(function, scene, arguments, numbers, integers, origins, directions
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(lanes):
             numbers[_FAR, lane] = np.inf
-        _call(function, valid, scene, packet, arguments)  # type: ignore[call-arg]
+        call_address(function, (valid, scene, packet, arguments))
         for lane in range(count):
             blocked[first + lane] = numbers[_FAR, lane] < 0  # Embree's mark

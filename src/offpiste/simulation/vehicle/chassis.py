@@ -31,19 +31,31 @@ def nearby_obstacles(
         cos_yaw, sin_yaw: its heading.
         length, width: its size [m].
     """
-    around = np.zeros(4)
-    trees, bushes = world.trees, world.bushes
-    if len(trees.trunk_radius):
-        gap = np.hypot(trees.foot[:, 0] - x, trees.foot[:, 1] - y) - trees.trunk_radius
-        nearest = int(np.argmin(gap))
-        if gap[nearest] < length:
-            around[:3] = *trees.foot[nearest, :2], trees.trunk_radius[nearest]
-    if len(bushes.radius):
-        dx, dy = bushes.foot[:, 0] - x, bushes.foot[:, 1] - y
-        ahead, aside = np.abs(cos_yaw * dx + sin_yaw * dy), np.abs(cos_yaw * dy - sin_yaw * dx)
-        gap = np.hypot(np.maximum(ahead - length / 2, 0), np.maximum(aside - width / 2, 0))
-        around[3] = bushes.drag[gap < bushes.radius].sum()
+    trees, bushes, around = world.trees, world.bushes, np.zeros(4)
+    _look_around(
+        trees.foot, trees.trunk_radius, bushes.foot, bushes.radius, bushes.drag, x, y, cos_yaw, sin_yaw, length, width,
+        around,
+    )  # fmt: skip
     return around
+
+
+@PHYSICS.entry
+def _look_around(  # type: ignore[no-untyped-def]
+    trees, trunk_radius, bushes, bush_radius, drag, x, y, cos_yaw, sin_yaw, length, width, around
+):  # fmt: skip
+    nearest = length
+    for n in range(len(trees)):
+        dx, dy = trees[n, 0] - x, trees[n, 1] - y
+        gap = np.sqrt(dx * dx + dy * dy) - trunk_radius[n]
+        if gap < nearest:
+            nearest = gap
+            around[0], around[1], around[2] = trees[n, 0], trees[n, 1], trunk_radius[n]
+    for n in range(len(bushes)):
+        dx, dy = bushes[n, 0] - x, bushes[n, 1] - y
+        ahead = max(abs(cos_yaw * dx + sin_yaw * dy) - 0.5 * length, 0.0)
+        aside = max(abs(cos_yaw * dy - sin_yaw * dx) - 0.5 * width, 0.0)
+        if np.sqrt(ahead * ahead + aside * aside) < bush_radius[n]:
+            around[3] += drag[n]
 
 
 @PHYSICS.entry

@@ -5,8 +5,12 @@ is ours (`offpiste.simulation.vehicle.forces`), so contacts and constraints are 
 spin is a state of its own, and its reaction acts as a torque.
 """
 
+import ctypes
 from collections import deque
+from contextlib import suppress
 from copy import deepcopy
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +19,7 @@ from offpiste.conventions import DT, GRAVITY
 from offpiste.errors import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.chassis import nearby_obstacles
-from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep
+from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep, substeps
 from offpiste.simulation.vehicle.gear_box import GearBox
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.surface import height, main_kind
@@ -72,6 +76,16 @@ def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
         wheels=wheels,
     )
     return mujoco.MjModel.from_xml_string(xml)
+
+
+@cache
+def mj_step_address() -> int | None:
+    """Address of MuJoCo's `mj_step` for compiled code, if its library is where its wheels have it."""
+    files = list(Path(mujoco.__file__).parent.glob("*mujoco.*"))
+    for file in files:
+        with suppress(OSError, AttributeError):
+            return ctypes.cast(ctypes.CDLL(str(file)).mj_step, ctypes.c_void_p).value
+    return None
 
 
 SUBSTEPS = 10
@@ -151,9 +165,7 @@ class VehicleSimulation:
         self._brakes.append(float(self._command[1]))
         held = np.array((self._command[0], self._brakes.popleft(), self._command[2], self._gears.engaged))
         around = self._obstacles()
-        for _ in range(SUBSTEPS):
-            self._apply(held, around)
-            mujoco.mj_step(self._model, self._data)
+        self._substeps(SUBSTEPS, held, around)
         self._steps += 1
         self._report_events()
 
@@ -185,12 +197,17 @@ class VehicleSimulation:
         self._qpos, self._qvel = data.qpos, data.qvel
         self._body_forces, self._joint_forces = data.xfrc_applied, data.qfrc_applied
 
-    def _apply(self, command: np.ndarray, around: np.ndarray) -> None:
-        substep(
+    def _substeps(self, count: int, command: np.ndarray, around: np.ndarray) -> None:
+        given = (
             self._record, DT / SUBSTEPS, command, around, *self._grid,
             self._qpos, self._qvel, self._actuators, self._speeds, self._deflection, self._truth, self._touched,
             self._body_forces, self._joint_forces, self._buffers,
         )  # fmt: skip
+        if address := mj_step_address():
+            return substeps(count, address, (self._model._address, self._data._address), *given)
+        for _ in range(count):
+            substep(*given)
+            mujoco.mj_step(self._model, self._data)
 
     def _obstacles(self) -> np.ndarray:
         w, x, y, z = self._qpos[3:7]
@@ -220,8 +237,7 @@ class VehicleSimulation:
         self._speeds[0] = p.idle_speed
         around = np.zeros(4)
         for _ in range(SETTLING_STEPS * SUBSTEPS):
-            self._apply(np.array((0.0, 0.0, 0.0, self._gears.engaged)), around)
-            mujoco.mj_step(self._model, self._data)
+            self._substeps(1, np.array((0.0, 0.0, 0.0, self._gears.engaged)), around)
             self._qpos[:2] = x, y
             self._qvel[:2], self._qvel[5] = 0, 0
             self._deflection[:], self._speeds[1:] = 0, 0
