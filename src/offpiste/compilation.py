@@ -232,12 +232,12 @@ def call_address(_context, function, arguments):  # type: ignore[no-untyped-def]
 
     def build(_target, builder, _signature, values):  # type: ignore[no-untyped-def]
         pointer = ir.IntType(8).as_pointer()
-        address, given = values[0], cgutils.unpack_tuple(builder, values[1])
+        address, given = values[0], cgutils.unpack_tuple(builder, values[1])  # type: ignore[no-untyped-call]
         kind = ir.FunctionType(ir.VoidType(), [pointer] * len(given)).as_pointer()
         builder.call(builder.inttoptr(address, kind), [builder.inttoptr(value, pointer) for value in given])
         return ir.Constant(ir.IntType(32), 0)
 
-    return types.int32(types.intp, types.UniTuple(types.intp, len(arguments))), build
+    return types.int32(types.intp, types.UniTuple(types.intp, len(arguments))), build  # type: ignore[no-untyped-call]
 
 
 def spread_blocks(threads: int, blocks: int, loop: Callable[..., None], *arguments: object) -> None:

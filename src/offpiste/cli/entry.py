@@ -40,9 +40,13 @@ PIPELINE: Final = (
 """Order of the commands in the help: as a log goes through them. Others follow."""
 
 
-OPENCV: Final = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_IO_MAX_IMAGE_PIXELS": str(1 << 27)}
-"""What OpenCV reads of the environment when it is imported: our errors say what is wrong with a picture, and a small
-file cannot claim to hold gigabytes."""
+LIBRARIES: Final = {
+    "OPENCV_LOG_LEVEL": "SILENT",
+    "OPENCV_IO_MAX_IMAGE_PIXELS": str(1 << 27),
+    "OPENBLAS_NUM_THREADS": "1",
+}
+"""What libraries read of the environment when they are imported: our errors say what is wrong with a picture, a small
+file cannot claim to hold gigabytes, and NumPy's products are too small for threads, which would spin beside ours."""
 
 
 _NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -82,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
-    for name, value in OPENCV.items():
+    for name, value in LIBRARIES.items():
         os.environ.setdefault(name, value)
     arguments = [a for a in arguments if a != "--debug"]
     if arguments[:1] == ["--version"]:

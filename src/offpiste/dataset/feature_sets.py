@@ -146,7 +146,7 @@ class FeatureSetRecorder:
         count, sets = len(passes.contact), len(FEATURE_SETS)
         self._passes, self._reach = passes, reach
         self._centre = (passes.cell + 0.5) * resolution
-        self._left = np.zeros(count, bool)
+        self._left, self._active, self._signed = np.zeros(count, bool), np.empty(count, np.int64), np.empty(count)
         self._nearest = np.full((sets, count), np.inf)
         self.features = np.full((sets, count, features), np.nan, np.float16)
         self.valid = np.zeros((sets, count), bool)
@@ -162,18 +162,11 @@ class FeatureSetRecorder:
             xy: of the pose point [m].
             read: what the map holds now.
         """
-        p = self._passes
-        offset = np.abs(self._centre - xy)
-        inside = (offset <= self._reach).all(axis=1)
-        open_ = (time >= p.approach) & (time < p.end)
-        # A cell that left the map after it was passed has had its hindsight.
-        self._left |= open_ & ~inside & (time > p.contact)
-        active = np.flatnonzero(open_ & inside & ~self._left)
-        if not len(active):
+        p, here = self._passes, (time, float(xy[0]), float(xy[1]), self._reach)
+        count = put_active(*here, self._centre, p.approach, p.contact, p.end, self._left, self._active, self._signed)
+        if not count:
             return
-        away = np.hypot(*(self._centre[active] - xy).T)
-        signed = np.where(time > p.contact[active], -away, away)
-        miss = np.abs(signed - DISTANCES[:, None])
+        active = self._active[:count]
         there = read(p.cell[active])
         values = KeptValues(
             np.ascontiguousarray(there.features, np.float16).view(np.uint16),
@@ -181,7 +174,7 @@ class FeatureSetRecorder:
             *(np.ascontiguousarray(part, np.float32) for part in (there.distance, there.elevation, there.normal)),
         )
         kept = KeptValues(self.features.view(np.uint16), self.valid, self.distance, self.elevation, self.normal)
-        keep_values(active, miss, TOLERANCE, self._nearest, values, kept)
+        keep_values(active, self._signed[:count], DISTANCES, TOLERANCE, self._nearest, values, kept)
 
 
 class KeptValues(NamedTuple):
@@ -216,22 +209,48 @@ def keep_normal(kept, number, i, values, q):  # type: ignore[no-untyped-def]
 
 
 @FEATURE_SETS_KEPT.entry
-def keep_values(active, miss, tolerance, nearest, values, kept):  # type: ignore[no-untyped-def]
+def put_active(time, x, y, reach, centre, approach, contact, end, left, active, signed):  # type: ignore[no-untyped-def]
+    """Put the numbers of the passes whose cells have values to keep now, and how far away they are; returns how many.
+
+    Args:
+        x, y: of the pose point [m].
+        centre: of the passes' cells [P, 2] [m].
+        approach, contact, end: when each pass begins, gets to its cell, and ends [P] [s].
+        left: cells that left the map after they were passed, which had their hindsight; put here, too [P].
+        active, signed: of the passes; distances are negative after contact [P, or less used].
+    """
+    count = 0
+    for i in range(len(centre)):
+        if not approach[i] <= time < end[i]:
+            continue
+        dx, dy = centre[i, 0] - x, centre[i, 1] - y
+        if abs(dx) > reach or abs(dy) > reach:
+            left[i] |= time > contact[i]
+        elif not left[i]:
+            away = np.sqrt(dx * dx + dy * dy)
+            active[count], signed[count] = i, -away if time > contact[i] else away
+            count += 1
+    return count
+
+
+@FEATURE_SETS_KEPT.entry
+def keep_values(active, signed, distances, tolerance, nearest, values, kept):  # type: ignore[no-untyped-def]
     """Keep values of the active cells: in hindsight what is known, in the other sets what is nearest to their distance.
 
     Args:
         active: numbers of the passes whose cells were read [K].
-        miss: how far each is from the distance of each set but hindsight [m] [sets - 1, K].
+        signed: how far away each is, negative after contact [K] [m].
+        distances: of the sets but hindsight [m].
         tolerance: largest miss [m].
         nearest: least miss so far, hindsight's left out [m] [sets, P].
         values, kept: `KeptValues`.
     """
     for q in range(len(active)):
         i = active[q]
-        for other in range(len(miss)):
-            number = other + 1
-            if miss[other, q] <= tolerance and miss[other, q] < nearest[number, i]:
-                nearest[number, i] = miss[other, q]
+        for other in range(len(distances)):
+            number, miss = other + 1, abs(signed[q] - distances[other])
+            if miss <= tolerance and miss < nearest[number, i]:
+                nearest[number, i] = miss
                 keep_features(kept, number, i, values, q)
                 keep_normal(kept, number, i, values, q)
                 kept.elevation[number, i] = values.elevation[q]

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 import msgspec
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy.special import ndtr, stdtrit
 
 from offpiste.conventions import DT
 
@@ -120,8 +120,8 @@ class Resampling:
         """
         if self.units < MIN_UNITS or not np.isfinite(means).all():
             return (np.nan, np.nan)
-        reach = np.sqrt(self.units / (self.units - 1)) * stats.t.ppf(0.975, self.units - 1)
-        tail = stats.norm.cdf(-reach)
+        reach = np.sqrt(self.units / (self.units - 1)) * stdtrit(self.units - 1, 0.975)
+        tail = ndtr(-reach)
         low, high = np.quantile(means, [tail, 1 - tail])
         return (float(low), float(high))
 

@@ -5,7 +5,6 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import theilslopes
 
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
@@ -84,6 +83,8 @@ def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
     """A warning if the delay grows or shrinks all along, or differs widely and the motion comes first in some."""
     if len(delays.delay) < _FEW:
         return []
+    from scipy.stats import theilslopes  # here, because it takes a third of a second
+
     slope, _, least, most = theilslopes(delays.delay, delays.time, 0.99)
     lasts = float(np.ptp(delays.time))
     if max(least, -most) * lasts > _DRIFT:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import stats
+from scipy.special import ndtr, stdtrit
 
 from offpiste.inspection.driven_path import STEP, TURNING, Path
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
@@ -76,7 +76,7 @@ class SteeringFit:
 def _sure_sign(fit: LagFit) -> int:
     best, blocks = fit.best(), len(fit.left_out)
     # Few blocks show their own scatter badly: as many deviations of Student's t as `SURE` of the normal.
-    sure = stats.t.ppf(stats.norm.cdf(SURE), blocks - 1) if blocks > 1 else np.inf
+    sure = stdtrit(blocks - 1, ndtr(SURE)) if blocks > 1 else np.inf
     return int(np.sign(fit.r[best])) if abs(fit.r[best]) > sure * fit.r_sigma(best) else 0
 
 

@@ -164,13 +164,19 @@ def put_around(nearest, count, near, many):  # type: ignore[no-untyped-def]
     """Put the nearest return and the number of returns in the 3 x 3 pixels around each."""
     for row in range(ROWS):
         for column in range(COLUMNS):
-            least, total = np.float32(np.inf), 0
-            for beside in range(max(row - 1, 0), min(row + 2, ROWS)):
-                for along in range(column - 1, column + 2):
-                    at = along % COLUMNS
-                    least = min(least, nearest[beside, at])
-                    total += count[beside, at]
-            near[row, column], many[row, column] = least, total
+            near[row, column], many[row, column] = nearest[row, column], count[row, column]
+        for beside in (row - 1, row + 1):
+            if 0 <= beside < ROWS:
+                for column in range(COLUMNS):
+                    near[row, column] = min(near[row, column], nearest[beside, column])
+                    many[row, column] += count[beside, column]
+        # Around the sensor the last column is beside the first one.
+        first, before = (near[row, 0], many[row, 0]), (near[row, COLUMNS - 1], many[row, COLUMNS - 1])
+        for column in range(COLUMNS):
+            here = near[row, column], many[row, column]
+            after = (near[row, column + 1], many[row, column + 1]) if column + 1 < COLUMNS else first
+            near[row, column], many[row, column] = min(before[0], here[0], after[0]), before[1] + here[1] + after[1]
+            before = here
 
 
 @MAPPING.inlined

@@ -122,7 +122,8 @@ class SensorMapper:
         recent = tuple(k for k in self._keyframes.values() if scan.time - k.view.time <= self._settings.memory)
         lidar = self._lidars[scan.lidar]
         points = points_in_world(scan, lidar, poses)
-        points = points[np.isfinite(points).all(axis=1)]
+        known = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
+        points = points if known.all() else points[known]
         cloud, projection = FeatureCloud(points, (pose @ lidar.body_from_lidar)[:3, 3]), None
         if recent:
             projection = project(points, [k.view for k in recent], self._settings.projection)

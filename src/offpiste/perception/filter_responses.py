@@ -1,8 +1,8 @@
 """Colours and responses to oriented filters of an image of bytes, as means over patches: compiled loops.
 
 They do what torch does for the backbone `filterbank`, its reference, up to rounding. Derivatives of a Gaussian in every
-direction are mixed from products of a line across and a line down (Freeman and Adelson, "The Design and Use of Steerable
-Filters", PAMI 13, 1991), which takes a seventh of the products of whole filters.
+direction are mixed from products of a line across and a line down (Freeman and Adelson, "The Design and Use of
+Steerable Filters", PAMI 13, 1991), which takes a seventh of the products of whole filters.
 """
 
 from collections.abc import Sequence

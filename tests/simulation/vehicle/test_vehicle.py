@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from offpiste.conventions import GRAVITY
 from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.vehicle import vehicle
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.ground import property_table
 from simulation.drives import cruise, drive, flat_world, vehicle_on, yaw_of
@@ -216,6 +217,18 @@ def test_same_inputs_same_bytes():
         return b"".join(s.position.tobytes() + s.truth.load.tobytes() + s.angular_velocity.tobytes() for s in samples)
 
     assert recorded() == recorded()
+
+
+def test_one_call_a_step_gives_the_bytes_of_a_call_a_substep(monkeypatch):
+    def samples():
+        return drive(vehicle_on(flat_world(), speed=6.0), 3, lambda s: (0.6, 0.0, np.sin(3 * s.time)))
+
+    assert vehicle.mj_step_address() is not None  # the wheels of MuJoCo bring its library as a file
+    at_once = samples()
+    monkeypatch.setattr(vehicle, "mj_step_address", lambda: None)
+    for one, other in zip(at_once, samples(), strict=True):
+        assert one.position.tobytes() == other.position.tobytes()
+        assert one.truth.slip_angle.tobytes() == other.truth.slip_angle.tobytes()
 
 
 def test_samples_do_not_change_afterwards():

@@ -255,7 +255,7 @@ def _first_hits(  # type: ignore[no-untyped-def]
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(count):
             numbers[_FAR, lane] = distance[first + lane]
-        call_address(function, (valid, scene, packet, arguments))
+        call_address(function, (valid, scene, packet, arguments))  # type: ignore[call-arg]
         for lane in range(count):
             ray = first + lane
             part[ray] = integers[_PART, lane]
@@ -273,6 +273,6 @@ def _any_hits(function, scene, arguments, numbers, integers, origins, directions
         count = _fill(numbers, integers, first, origins, directions)
         for lane in range(lanes):
             numbers[_FAR, lane] = np.inf
-        call_address(function, (valid, scene, packet, arguments))
+        call_address(function, (valid, scene, packet, arguments))  # type: ignore[call-arg]
         for lane in range(count):
             blocked[first + lane] = numbers[_FAR, lane] < 0  # Embree's mark

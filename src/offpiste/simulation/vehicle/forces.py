@@ -102,7 +102,7 @@ def substeps(  # type: ignore[no-untyped-def]
             q, dt, command, around, elevation, properties, x0, y0, resolution,
             qpos, qvel, actuators, speeds, deflection, truth, touched, body_forces, joint_forces, buffers,
         )  # fmt: skip
-        call_address(mj_step, bodies)
+        call_address(mj_step, bodies)  # type: ignore[call-arg]
 
 
 @PHYSICS.entry
