@@ -8,7 +8,7 @@ import pytest
 
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.errors import OffpisteError
-from offpiste.reproduction.data import BLOCKS, MIX, planned_drives, seconds_of
+from offpiste.reproduction.data import BLOCKS, MIX, planned_drives, rig_of, seconds_of
 from offpiste.reproduction.settings import (
     SIZES,
     ReproductionSettings,
@@ -44,6 +44,22 @@ def test_worlds_are_mixed_as_in_the_paper(name):
             seconds = seconds_of([drive for drive in mine if drive.settings.world.preset == world])
             assert seconds == pytest.approx(max(share * total, size.shortest), abs=0.5)
     assert sum(MIX.values()) == pytest.approx(1.0)
+
+
+def test_a_day_has_worlds_that_nothing_else_uses_and_the_whole_range_of_speeds():
+    size, by_part = SIZES["day"], {part: set() for part in PARTS}
+    for drive in planned_drives(size):
+        by_part[drive.part].add(drive.settings.world.seed)
+        assert drive.settings.driver.manoeuvres > 0
+        assert drive.settings.driver.top_speed > 12
+    assert len(by_part["train"]) >= 60
+    assert len(by_part["test"]) >= 40
+    assert size.seconds[0] >= 5 * 3600
+    assert size.train.min_speed == 0
+    assert "gear" in rig_of(size).channels
+    others = {drive.settings.seed for other in SIZES.values() if other is not size for drive in planned_drives(other)}
+    assert not others & set.union(*by_part.values())
+    assert min(set.union(*by_part.values())) > 12_000  # the seeds of experiments and courses
 
 
 def test_paper_has_the_papers_number_of_windows_and_epochs():

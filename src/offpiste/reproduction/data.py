@@ -20,7 +20,8 @@ from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size
 from offpiste.reproduction.steps import Step
-from offpiste.rig.rig import load_rig
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings
 from offpiste.simulation.recordings import Recording, simulate_all
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
@@ -52,8 +53,6 @@ BLOCKS = "blocks:0.7,0.1,0.2"
 SHORTEST_CUT = 2 * GAP * DT / 0.1 + 5.0
 """Least length of a drive that is cut, so that its validation stretch holds two windows [s]."""
 
-FIRST_SEED = 1000
-
 
 def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0) -> list[PlannedDrive]:
     """Plan of all drives; no two have the same seed.
@@ -62,7 +61,7 @@ def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0
         same_logs: whether training and test come from the same logs.
         contrast: grip contrast of the worlds.
     """
-    seeds = count(FIRST_SEED)
+    seeds = count(size.first_seed)
     parts = {"": sum(size.seconds)} if same_logs else dict(zip(PARTS, size.seconds, strict=True))
     shortest = max(size.shortest, SHORTEST_CUT) if same_logs else size.shortest
     return [
@@ -88,10 +87,13 @@ def _shared(total: float, shortest: float, longest: float) -> Iterator[tuple[str
 
 def _settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
     where = WorldSettings(world, seed, contrast, size=size.world_size, resolution=size.world_resolution)
-    return DriveSettings(where, seconds, seed, sensors="light")
+    driver = WITH_MANOEUVRES if size.manoeuvres else DriverSettings()
+    return DriveSettings(where, seconds, seed, sensors="light", driver=driver)
 
 
-RIG = "proving_ground"
+def rig_of(size: Size) -> Rig:
+    """The rig of the simulated drives."""
+    return load_rig("proving_ground_gear" if size.manoeuvres else "proving_ground")
 
 
 def expected_features(settings: ReproductionSettings) -> int:
@@ -107,29 +109,60 @@ def data_steps(settings: ReproductionSettings) -> list[Step]:
         return []
     drives = planned_drives(settings.size, same_logs=settings.split == "blocks", contrast=settings.contrast)
     pca = settings.out / "pca.safetensors"
-    processes = min(settings.processes or usable_cores(), len(drives))
-    seconds = seconds_of(drives)
     pca_drives = [drive for drive in drives if drive in _of_pca(drives, settings.size.pca_drives)]
-    return [
-        Step(
-            f"simulate {len(drives)} drives, {seconds / 60:.0f} min",
-            (0.4 * seconds + 8 * len(drives)) / processes,
-            lambda: all(log.exists() for log in _logs(settings, drives)) or _extracted(settings, drives),
-            lambda: _simulate(settings, drives, processes),
-        ),
-        Step(
-            f"fit the PCA on {settings.size.images} images of {len(pca_drives)} drives",
-            0.5 * seconds_of(pca_drives) + 10,
-            pca.exists,
-            lambda: _fit(settings, _logs(settings, pca_drives), drives, pca),
-        ),
-        Step(
-            f"extract {len(drives)} drives",
-            0.6 * seconds / processes,
-            lambda: _extracted(settings, drives),
-            lambda: _extract(settings, drives, pca, processes),
-        ),
-    ]
+    fit = Step(
+        f"fit the PCA on {settings.size.images} images of {len(pca_drives)} drives",
+        0.5 * seconds_of(pca_drives) + 10,
+        pca.exists,
+        lambda: _fit(settings, _logs(settings, pca_drives), drives, pca),
+    )
+    if not settings.size.portion:
+        return [_simulating(settings, drives), fit, _extracting(settings, drives, pca)]
+    portions = -(-len(drives) // settings.size.portion)
+    parts = [_portion(settings, drives, pca, number, portions) for number in range(1, portions + 1)]
+    return [_simulating(settings, pca_drives), fit, *parts]
+
+
+def _simulating(settings: ReproductionSettings, drives: list[PlannedDrive]) -> Step:
+    return Step(
+        f"simulate {len(drives)} drives, {seconds_of(drives) / 60:.0f} min",
+        (0.4 * seconds_of(drives) + 8 * len(drives)) / _processes(settings, drives),
+        lambda: not _missing(settings, drives),
+        lambda: _simulate(settings, drives),
+    )
+
+
+def _extracting(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path) -> Step:
+    return Step(
+        f"extract {len(drives)} drives",
+        0.6 * seconds_of(drives) / _processes(settings, drives),
+        lambda: _extracted(settings, drives),
+        lambda: _extract(settings, drives, pca),
+    )
+
+
+def _portion(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, number: int, of: int) -> Step:
+    """Simulates and extracts the shard `number` of the drives, and removes its logs."""
+    mine = sorted(drives, key=lambda drive: drive.name)[number - 1 :: of]
+
+    def do() -> None:
+        _simulate(settings, mine)
+        _extract(settings, drives, pca, shard=(number, of))
+        for log in _logs(settings, mine):
+            log.unlink(missing_ok=True)
+
+    parts = (_simulating(settings, mine), _extracting(settings, mine, pca))
+    name = f"simulate and extract {len(mine)} drives, portion {number} of {of}"
+    return Step(name, sum(part.cost for part in parts), lambda: _extracted(settings, mine), do)
+
+
+def _processes(settings: ReproductionSettings, drives: list[PlannedDrive]) -> int:
+    return min(settings.processes or usable_cores(), len(drives))
+
+
+def opened(settings: ReproductionSettings) -> Dataset:
+    """The dataset, whose windows start at the speeds of the size."""
+    return open_dataset(settings.data).starting_above(settings.size.train.min_speed)
 
 
 def open_checked(settings: ReproductionSettings) -> Dataset:
@@ -138,7 +171,7 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
     Raises:
         DatasetError: none there, or one without visual features by distance, with one drive, or too short.
     """
-    dataset = open_dataset(settings.data)
+    dataset = opened(settings)
     cells = [drive.rows.cells for drive in dataset.drives]
     if not dataset.features or any(c is None or len(c.valid) < len(FEATURE_SETS) for c in cells):
         raise DatasetError(
@@ -160,9 +193,16 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
     return dataset
 
 
-def _simulate(settings: ReproductionSettings, drives: list[PlannedDrive], processes: int) -> None:
-    recordings = [Recording(d.settings, log) for d, log in zip(drives, _logs(settings, drives), strict=True)]
-    simulate_all(recordings, processes, settings.cluster)
+def _missing(settings: ReproductionSettings, drives: list[PlannedDrive]) -> list[PlannedDrive]:
+    """Drives without a log that are not in the dataset either."""
+    there = set(drive_names(settings.data)) if settings.data.exists() else set()
+    return [d for d, log in zip(drives, _logs(settings, drives), strict=True) if not (log.exists() or d.name in there)]
+
+
+def _simulate(settings: ReproductionSettings, drives: list[PlannedDrive]) -> None:
+    missing = _missing(settings, drives)
+    recordings = [Recording(d.settings, log) for d, log in zip(missing, _logs(settings, missing), strict=True)]
+    simulate_all(recordings, _processes(settings, drives), settings.cluster)
 
 
 def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedDrive], path: Path) -> None:
@@ -171,7 +211,7 @@ def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedD
     split = parse_split(_split(settings, drives))
     fitted = fit_pca(
         logs,
-        load_rig(RIG),
+        rig_of(settings.size),
         split,
         backbone,
         images=settings.size.images,
@@ -182,16 +222,19 @@ def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedD
     save_pca(path, fitted.pca)
 
 
-def _extract(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, processes: int) -> None:
+def _extract(
+    settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, shard: tuple[int, int] = (1, 1)
+) -> None:
     make_dataset(
         _logs(settings, drives),
-        load_rig(RIG),
+        rig_of(settings.size),
         settings.data,
         split=_split(settings, drives),
         pca=pca,
         device=settings.device,
-        snapshots=SnapshotSettings(settings.size.snapshot_seconds),
-        processes=min(processes, settings.at_a_time),
+        snapshots=SnapshotSettings(settings.size.snapshot_seconds, min_speed=settings.size.train.min_speed),
+        shard=shard,
+        processes=min(_processes(settings, drives), settings.at_a_time),
         cluster=settings.cluster,
         force=True,
     )

@@ -11,12 +11,13 @@ import torch
 from offpiste.checksums import CHECKSUMS
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
-from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, Predictor, errors_of_models, save_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.files import write_bytes
 from offpiste.progress import track
+from offpiste.reproduction.data import opened
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
 from offpiste.reproduction.steps import Step
 from offpiste.training.distributed import ALONE
@@ -162,13 +163,15 @@ class EvaluationData:
 
 
 @lru_cache(maxsize=1)
-def _opened(data: Path, start: str, device: str, version: tuple[int, ...]) -> tuple[Dataset, MapLoss | None]:
-    """A dataset and the maps of its validation windows, kept by a process for all runs that it trains.
+def _with_maps(
+    settings: ReproductionSettings, start: str, device: str, version: tuple[int, ...]
+) -> tuple[Dataset, MapLoss | None]:
+    """The dataset and the maps of its validation windows, kept by a process for all runs that it trains.
 
     Args:
         version: differs where the dataset does.
     """
-    dataset = open_dataset(data)
+    dataset = opened(settings)
     return dataset, map_loss(Windows(dataset, "validation", start=start, device=device), ALONE)
 
 
@@ -178,14 +181,14 @@ def train_run(settings: ReproductionSettings, model: FigureModel, seed: int) -> 
     reuse_stages(settings.runs, folder, seed)
     config = model.config(settings.size, seed, settings.device)
     written = tuple(path.stat().st_mtime_ns for path in sorted(settings.data.glob(f"*/{CHECKSUMS}")))
-    dataset, maps = _opened(settings.data, config.start, config.device, written)
+    dataset, maps = _with_maps(settings, config.start, config.device, written)
     train(dataset, config, folder, resume=(folder / "config.json").exists(), maps=maps)
 
 
 def evaluate_all(settings: ReproductionSettings, runs: Sequence[Path], reading: Reading) -> None:
     """Compute and save the errors of all runs that lack them, for one terrain lookup."""
     missing = [folder for folder in runs if not errors_path(folder, reading).exists()]
-    data = EvaluationData(settings, open_dataset(settings.data))
+    data = EvaluationData(settings, opened(settings))
     loaded = [load_run(folder, device=settings.device) for folder in missing]
     for run in loaded:
         refuse_seen(run, data.dataset, PART)

@@ -33,6 +33,9 @@ class Size:
         stride: rows between windows evaluated at recorded places; on the map, those with a snapshot are evaluated.
         train: settings of all trainings.
         world_size, world_resolution: extent and cell size of the worlds [m].
+        first_seed: of the worlds, which count up from it.
+        manoeuvres: whether drivers also stop, crawl, reverse and drive fast, with a gear as a control.
+        portion: drives that are simulated and extracted together, and whose logs are removed then; 0: all stay.
     """
 
     name: str
@@ -47,6 +50,9 @@ class Size:
     train: TrainConfig = field(default_factory=TrainConfig)
     world_size: float = 320.0
     world_resolution: float = 0.25
+    first_seed: int = 1000
+    manoeuvres: bool = False
+    portion: int = 0
 
 
 SIZES = {
@@ -67,6 +73,18 @@ SIZES = {
         seeds=3,
         train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128),
     ),
+    "day": Size(
+        "day",
+        (18_000.0, 1_200.0, 4_800.0),
+        images=350,
+        pca_drives=2,
+        snapshot_seconds=1.0,
+        seeds=3,
+        train=TrainConfig(epochs=20, bicycle_epochs=8, batch=512, min_speed=0.0),
+        first_seed=20_000,
+        manoeuvres=True,
+        portion=16,
+    ),
     "paper": Size(
         "paper",
         (42_000.0, 2_600.0, 5_300.0),
@@ -76,7 +94,8 @@ SIZES = {
         train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
     ),
 }
-"""Sizes by name: `smoke` takes minutes, `laptop` hours; `paper` has some 2M windows to train and 250k to test."""
+"""Sizes by name: `smoke` takes minutes, `laptop` hours; `day` has the whole range of speeds, in worlds that nothing else
+uses; `paper` has some 2M windows to train and 250k to test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:

@@ -1,0 +1,60 @@
+"""Drives that are simulated and extracted portion by portion: no log stays, and what is there is not made again."""
+
+from pathlib import Path
+
+import pytest
+
+from offpiste.dataset.place import drive_names
+from offpiste.dataset.store import open_dataset
+from offpiste.reproduction import data
+from offpiste.reproduction.data import data_steps, opened, planned_drives
+from offpiste.reproduction.settings import ReproductionSettings, Size
+from offpiste.training.config import TrainConfig
+
+TINY = Size(
+    "tiny",
+    (26.0, 13.0, 13.0),
+    longest=13.0,
+    images=20,
+    snapshot_seconds=2.0,
+    train=TrainConfig(min_speed=0.0),
+    world_size=160.0,
+    world_resolution=0.5,
+    first_seed=9_000_000,
+    manoeuvres=True,
+    portion=2,
+)
+
+
+@pytest.fixture
+def steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(data, "MIX", {"mojave": 1.0})
+    settings = ReproductionSettings("fig4", TINY, tmp_path, processes=1)
+    return settings, data_steps(settings)
+
+
+def test_portions_leave_a_dataset_and_no_logs(steps, monkeypatch: pytest.MonkeyPatch):
+    settings, (simulating, fitting, *portions) = steps
+    drives = planned_drives(TINY)
+    assert len(drives) == 4
+    assert len(portions) == 2
+    for step in (simulating, fitting, portions[0]):
+        assert not step.done()
+        step.do()
+        assert step.done()
+    assert not portions[1].done()
+    there = set(drive_names(settings.data))
+    assert len(there) == 2
+    assert not {log.stem for log in (settings.out / "logs").glob("*.mcap")} & there
+
+    # The logs of drives that are in the dataset are not made again by a run that begins anew.
+    simulating, fitting, *portions = data_steps(settings)
+    assert [step.done() for step in (simulating, fitting, *portions)] == [True, True, True, False]
+    portions[1].do()
+    assert not list((settings.out / "logs").iterdir())
+    dataset = open_dataset(settings.data)
+    assert {drive.name for drive in dataset.drives} == {drive.name for drive in drives}
+    assert "gear" in dataset.rig.channels
+    assert dataset.min_speed > opened(settings).min_speed == 0
+    monkeypatch.setattr(data, "simulate_all", None)
+    assert all(step.done() for step in data_steps(settings))
