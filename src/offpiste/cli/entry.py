@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
-    # Most of what libraries make when they are imported stays: looking for garbage in it, again at the end, takes a second.
+    # What libraries make when they are imported stays: looking for garbage in it, and again at the end, takes a second.
     gc.set_threshold(50_000)
     atexit.register(gc.freeze)
     for name, value in LIBRARIES.items():

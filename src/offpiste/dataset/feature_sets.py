@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import FEATURE_SETS_KEPT
+from offpiste.compilation import FEATURE_SETS_KEPT, single_threaded_torch
 from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
 from offpiste.dataset.wheel_passes import Passes
 from offpiste.errors import DatasetError
@@ -170,7 +170,8 @@ class FeatureSetRecorder:
         there = read(p.cell[active])
         import torch  # here, since many read feature sets without it; NumPy takes ten times as long to round to halves
 
-        halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
+        with single_threaded_torch():
+            halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
         values = KeptValues(
             halves.view(np.uint16),
             np.ascontiguousarray(there.valid),

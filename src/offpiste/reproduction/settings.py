@@ -94,8 +94,8 @@ SIZES = {
         train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
     ),
 }
-"""Sizes by name: `smoke` takes minutes, `laptop` hours; `day` has the whole range of speeds, in worlds that nothing else
-uses; `paper` has some 2M windows to train and 250k to test."""
+"""Sizes by name: `smoke` takes minutes, `laptop` half an hour; `day` has the whole range of speeds, in worlds that
+nothing else uses; `paper` has some 2M windows to train and 250k to test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
