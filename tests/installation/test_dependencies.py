@@ -48,7 +48,7 @@ def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
     }
     assert strangers <= {
         "dynamics/kernels/generate.py: sympy",  # which only who changes the physics runs
-        "simulation/rendering/embree.py: llvmlite",  # Numba's own compiler, never without it
+        "compilation.py: llvmlite",  # Numba's own compiler, never without it
     }
 
 
