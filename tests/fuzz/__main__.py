@@ -16,7 +16,7 @@ from offpiste.cli.entry import LIBRARIES
 for _threads in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
-os.environ |= LIBRARIES  # as the command line does before OpenCV is imported
+os.environ |= LIBRARIES  # as the command line does before libraries are imported
 
 import torch  # noqa: E402
 

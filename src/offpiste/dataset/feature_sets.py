@@ -162,14 +162,15 @@ class FeatureSetRecorder:
             xy: of the pose point [m].
             read: what the map holds now.
         """
-        p, here = self._passes, (time, float(xy[0]), float(xy[1]), self._reach)
-        count = put_active(*here, self._centre, p.approach, p.contact, p.end, self._left, self._active, self._signed)
-        if not count:
-            return
-        active = self._active[:count]
-        there = read(p.cell[active])
         import torch  # here, since many read feature sets without it; NumPy takes ten times as long to round to halves
 
+        p, centre, x, y = self._passes, self._centre, float(xy[0]), float(xy[1])
+        active, signed = self._active, self._signed
+        count = put_active(time, x, y, self._reach, centre, p.approach, p.contact, p.end, self._left, active, signed)
+        if not count:
+            return
+        active, signed = active[:count], signed[:count]
+        there = read(p.cell[active])
         with single_threaded_torch():
             halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
         values = KeptValues(
@@ -178,7 +179,7 @@ class FeatureSetRecorder:
             *(np.ascontiguousarray(part, np.float32) for part in (there.distance, there.elevation, there.normal)),
         )
         kept = KeptValues(self.features.view(np.uint16), self.valid, self.distance, self.elevation, self.normal)
-        keep_values(active, self._signed[:count], DISTANCES, TOLERANCE, self._nearest, values, kept)
+        keep_values(active, signed, DISTANCES, TOLERANCE, self._nearest, values, kept)
 
 
 class KeptValues(NamedTuple):
@@ -217,11 +218,13 @@ def put_active(time, x, y, reach, centre, approach, contact, end, left, active, 
     """Put the numbers of the passes whose cells have values to keep now, and how far away they are; returns how many.
 
     Args:
+        time: now [s].
         x, y: of the pose point [m].
+        reach: half the side of the map around it [m].
         centre: of the passes' cells [P, 2] [m].
         approach, contact, end: when each pass begins, gets to its cell, and ends [P] [s].
         left: cells that left the map after they were passed, which had their hindsight; put here, too [P].
-        active, signed: of the passes; distances are negative after contact [P, or less used].
+        active, signed: numbers of the passes, and distances, negative after contact [m] [P, or less used].
     """
     count = 0
     for i in range(len(centre)):

@@ -74,7 +74,7 @@ def poses_from_drive(drive: Drive) -> Poses:
     return Poses(position, orientation, drive.rig.clock.max_gap, jumps, drive.faults.unknown())
 
 
-# The plain reference, in NumPy, is in the tests (`tests/logs/test_poses.py`).
+# Compiled loops; the plain reference, in NumPy and SciPy, is in the tests (`tests/logs/test_poses.py`).
 
 
 @POSES.inlined
@@ -110,9 +110,12 @@ def put_poses(time, stamps, positions, turned, quaternions, unknown, max_gap, ma
     """Put `world_from_body` at each moment; not a number where it is unknown.
 
     Args:
-        stamps, positions, turned, quaternions: samples of the positions and of the orientations.
-        unknown: moments between which nothing is known [u, 2].
-        matrices: [n, 4, 4].
+        time: [n] [s].
+        stamps, positions: samples of the position [p] [s], [p, 3] [m].
+        turned, quaternions: stamps and samples xyzw of the orientation [q] [s], [q, 4].
+        unknown: moments between which nothing is known [u, 2] [s].
+        max_gap: nothing is interpolated between samples further apart [s].
+        matrices: [n, 4, 4], overwritten.
     """
     for n in range(len(time)):
         at, matrix = time[n], matrices[n]

@@ -2,7 +2,7 @@
 
 They do what torch does for the backbone `filterbank`, its reference, up to rounding. Derivatives of a Gaussian in every
 direction are mixed from products of a line across and a line down (Freeman and Adelson, "The Design and Use of
-Steerable Filters", PAMI 13, 1991), which takes a seventh of the products of whole filters.
+Steerable Filters", PAMI 13, 1991), which takes a quarter of the products of whole filters.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,6 @@ from offpiste.compilation import FILTER_SUMS, FILTERS
 TAPS: Final = 7
 """Taps of a line that are added at a time; longer lines are filled up with zeros."""
 
-
 PRODUCTS: Final = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0), (3, 3))
 """Numbers of the lines across and down, among those of `Derivatives`, whose products are mixed."""
 
@@ -27,7 +26,7 @@ class Derivatives(NamedTuple):
     Attributes:
         size: number of taps, odd.
         lines: g, x g, x^2 g, and ones; zeros after them [4, `size`, or more].
-        weights: what each filter has of each of the `PRODUCTS`.
+        weights: what each filter has of each of the `PRODUCTS` [k, 7].
     """
 
     size: int
@@ -80,13 +79,11 @@ def patch_means(
 def _responses(
     planes: Float32[np.ndarray, "p _ _"], margin: int, filters: Derivatives, shape: tuple[int, int], patch: int
 ) -> Float32[np.ndarray, "k rows columns"]:
-    number, taps = shape[1] * patch, filters.lines.shape[1]
-    count = len(filters.weights)
-    across, products = (
-        np.zeros((taps, len(filters.lines), number), np.float32),
-        np.empty((len(PRODUCTS), number), np.float32),
-    )
-    sums, means = np.empty((count, number), np.float32), np.empty((count, *shape), np.float32)
+    number, (lines, taps) = shape[1] * patch, filters.lines.shape
+    across = np.zeros((taps, lines, number), np.float32)
+    products = np.empty((len(PRODUCTS), number), np.float32)
+    sums = np.empty((len(filters.weights), number), np.float32)
+    means = np.empty((len(filters.weights), *shape), np.float32)
     put_responses(planes, margin - filters.size // 2, filters, patch, across, products, sums, means)
     return means
 
@@ -178,7 +175,14 @@ def add_taps(x0, x1, x2, x3, x4, x5, x6, taps, line):  # type: ignore[no-untyped
 
 @FILTERS.loop
 def filter_across(planes, y, skip, lines, across):  # type: ignore[no-untyped-def]
-    """Put the products of a row of the image with each line."""
+    """Put the products of a row of the image with each line.
+
+    Args:
+        planes, skip: as in `put_responses`.
+        y: number of the row.
+        lines: [4, taps].
+        across: [4, columns * patch], overwritten.
+    """
     step, number = len(planes), across.shape[1]
     across[:] = np.float32(0)
     for tap in range(0, lines.shape[1], TAPS):
@@ -196,7 +200,15 @@ def filter_across(planes, y, skip, lines, across):  # type: ignore[no-untyped-de
 
 @FILTERS.loop
 def filter_down(across, y, of, taps, product):  # type: ignore[no-untyped-def]
-    """Put the products of a line down with rows from `y` on, which hold those with line `of`; rows wrap around."""
+    """Put the products of a line down with rows that hold the products with a line across.
+
+    Args:
+        across: of the last rows, row y in place y % taps [taps, 4, columns * patch].
+        y: the first of the rows.
+        of: number of the line across.
+        taps: of the line down [taps].
+        product: [columns * patch], overwritten.
+    """
     rows = len(across)
     product[:] = np.float32(0)
     for tap in range(0, len(taps), TAPS):

@@ -81,8 +81,7 @@ def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
 @cache
 def mj_step_address() -> int | None:
     """Address of MuJoCo's `mj_step` for compiled code, if its library is where its wheels have it."""
-    files = list(Path(mujoco.__file__).parent.glob("*mujoco.*"))
-    for file in files:
+    for file in Path(mujoco.__file__).parent.glob("*mujoco.*"):
         with suppress(OSError, AttributeError):
             return ctypes.cast(ctypes.CDLL(str(file)).mj_step, ctypes.c_void_p).value
     return None
@@ -204,7 +203,8 @@ class VehicleSimulation:
             self._body_forces, self._joint_forces, self._buffers,
         )  # fmt: skip
         if address := mj_step_address():
-            return substeps(count, address, (self._model._address, self._data._address), *given)
+            substeps(count, address, (self._model._address, self._data._address), *given)
+            return
         for _ in range(count):
             substep(*given)
             mujoco.mj_step(self._model, self._data)
