@@ -32,6 +32,7 @@ from offpiste.state import ModelState, RecordedTerrain, Trajectory
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
+from offpiste.training.optimise import keep_freed_memory
 from offpiste.training.terrain_sources import encoded
 from offpiste.training.train import loss_scale, standardise
 
@@ -291,6 +292,7 @@ def main(
         step_only: print what a step of `dc` takes and nothing else.
     """
     torch.set_num_threads(threads)
+    keep_freed_memory()
     trainer = make_trainer(dataset, batch)
     if step_only:
         kernel = by_kernel(trainer.model)
