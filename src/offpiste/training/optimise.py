@@ -167,7 +167,7 @@ def run_stage(
 
 
 def keep_freed_memory() -> None:
-    """Let the allocator keep large blocks for the next step, whose pages the system would clear again: 5 to 10 % of it.
+    """Let the allocator keep large blocks for the next step, a tenth of which is spent on having their pages cleared.
 
     Of the process; does nothing where the allocator is not glibc's.
     """
