@@ -115,6 +115,9 @@ def test_what_a_folder_is_of_does_not_depend_on_figure_or_processes(tmp_path: Pa
     two = ReproductionSettings("fig4", SIZES["smoke"], tmp_path, processes=2)
     assert one.described() == two.described()
     assert one.described() != ReproductionSettings("fig3", SIZES["smoke"], tmp_path, contrast=0.5).described()
+    more_seeds = ReproductionSettings("fig3", sized("smoke", seeds=3), tmp_path)
+    assert one.described() == more_seeds.described()
+    assert one.described() != ReproductionSettings("fig3", sized("smoke", (140.0, 40.0, 90.0)), tmp_path).described()
 
 
 def test_a_size_with_other_lengths_and_seeds():

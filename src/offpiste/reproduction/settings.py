@@ -80,7 +80,7 @@ SIZES = {
         pca_drives=2,
         snapshot_seconds=1.0,
         seeds=3,
-        train=TrainConfig(epochs=20, bicycle_epochs=8, batch=512, min_speed=0.0),
+        train=TrainConfig(epochs=10, bicycle_epochs=8, batch=512, min_speed=0.0),
         first_seed=20_000,
         manoeuvres=True,
         portion=16,
@@ -165,11 +165,12 @@ class ReproductionSettings:
         return (self.processes or usable_cores()) if self.device == "cpu" else 1
 
     def described(self) -> dict[str, Any]:
-        """The settings that must be the same for results in `out` to be used again."""
+        """The settings that must be the same for results in `out` to be used again; the number of seeds may grow."""
+        size = {key: value for key, value in asdict(self.size).items() if key != "seeds"}
         if self.dataset is not None:
-            return {"size": asdict(self.size), "dataset": str(self.dataset.resolve())}
+            return {"size": size, "dataset": str(self.dataset.resolve())}
         return {
-            "size": asdict(self.size),
+            "size": size,
             "dataset": "simulated",
             "backbone": self.backbone,
             "split": self.split,
