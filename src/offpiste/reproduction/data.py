@@ -142,12 +142,13 @@ def _extracting(settings: ReproductionSettings, drives: list[PlannedDrive], pca:
 
 
 def _portion(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, number: int, of: int) -> Step:
-    """Simulates and extracts the shard `number` of the drives, and removes its logs."""
+    """Simulates and extracts the shard `number` of the drives, the true ground as well, and removes its logs."""
     mine = sorted(drives, key=lambda drive: drive.name)[number - 1 :: of]
 
     def do() -> None:
         _simulate(settings, mine)
         _extract(settings, drives, pca, shard=(number, of))
+        _extract_truth(settings, drives, shard=(number, of))
         for log in _logs(settings, mine):
             log.unlink(missing_ok=True)
 
@@ -195,7 +196,7 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
 
 def _missing(settings: ReproductionSettings, drives: list[PlannedDrive]) -> list[PlannedDrive]:
     """Drives without a log that are not in the dataset either."""
-    there = set(drive_names(settings.data)) if settings.data.exists() else set()
+    there = _there(settings)
     return [d for d, log in zip(drives, _logs(settings, drives), strict=True) if not (log.exists() or d.name in there)]
 
 
@@ -240,8 +241,29 @@ def _extract(
     )
 
 
+def _extract_truth(settings: ReproductionSettings, drives: list[PlannedDrive], shard: tuple[int, int]) -> None:
+    """The true ground under the wheels of the same drives: what an oracle reads, once the logs are gone."""
+    make_dataset(
+        _logs(settings, drives),
+        rig_of(settings.size),
+        settings.truth,
+        split=_split(settings, drives),
+        features="ground-truth",
+        shard=shard,
+        processes=_processes(settings, drives),
+        cluster=settings.cluster,
+        force=True,
+    )
+
+
 def _extracted(settings: ReproductionSettings, drives: list[PlannedDrive]) -> bool:
-    return settings.data.exists() and {drive.name for drive in drives} <= set(drive_names(settings.data))
+    return {drive.name for drive in drives} <= _there(settings)
+
+
+def _there(settings: ReproductionSettings) -> set[str]:
+    """Names of the drives that are extracted, with the true ground where that is kept."""
+    datasets = [settings.data, settings.truth] if settings.size.portion else [settings.data]
+    return set.intersection(*(set(drive_names(path)) if path.exists() else set() for path in datasets))
 
 
 def _logs(settings: ReproductionSettings, drives: list[PlannedDrive]) -> list[Path]:

@@ -150,6 +150,11 @@ class ReproductionSettings:
         return self.dataset or self.out / "dataset.zarr"
 
     @property
+    def truth(self) -> Path:
+        """Path of the dataset of the same drives with the true ground, where a size removes their logs."""
+        return self.out / "truth.zarr"
+
+    @property
     def runs(self) -> Path:
         """Folder of the trained runs."""
         return self.out / "runs"
