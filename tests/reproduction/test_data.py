@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from offpiste.dataset.ground_truth_features import LAYERS
 from offpiste.dataset.place import drive_names
+from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import open_dataset
 from offpiste.reproduction import data
 from offpiste.reproduction.data import data_steps, opened, planned_drives
@@ -53,7 +56,12 @@ def test_portions_leave_a_dataset_and_no_logs(steps, monkeypatch: pytest.MonkeyP
     portions[1].do()
     assert not list((settings.out / "logs").iterdir())
     dataset = open_dataset(settings.data)
-    assert {drive.name for drive in dataset.drives} == {drive.name for drive in drives}
+    truth = open_dataset(settings.truth)
+    for made in (dataset, truth):
+        assert {(drive.name, tuple(np.unique(drive.part))) for drive in made.drives} == {
+            (drive.name, (PARTS.index(drive.part),)) for drive in drives
+        }
+    assert truth.features == LAYERS["ground-truth"]
     assert "gear" in dataset.rig.channels
     assert dataset.min_speed > opened(settings).min_speed == 0
     monkeypatch.setattr(data, "simulate_all", None)
