@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from experiments.command import run
+from experiments.control_experiments.curve import Curve, curve_control
 from experiments.control_experiments.models import models_control
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import open_reproduction
@@ -22,7 +23,9 @@ from offpiste.reproduction.steps import claim_folder
 
 logger = logging.getLogger("experiments")
 
-What = Literal["models", "snapshots", "selection", "shift", "oracle", "uniform", "twins", "contrast", "appearance"]
+What = Literal[
+    "models", "snapshots", "selection", "shift", "oracle", "uniform", "twins", "contrast", "appearance", "curve"
+]
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ class ControlExperiment:
     """For `snapshots`: least time between two [s]."""
     sweep: Sweep = field(default_factory=Sweep)
     """For `contrast` and `appearance`: values and drives."""
+    curve: Curve = field(default_factory=Curve)
+    """For `curve`: hours of driving and models."""
     twin_drives: int = 4
     """For `twins`: number of test drives that are simulated once more."""
     twin_seconds: float = 60.0
@@ -75,6 +80,7 @@ class ControlExperiment:
                 oracle=self.out / "oracle",
             ),
             "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, self.seeds),
+            "curve": lambda: curve_control(of, self.out, self.curve, self.seeds),
             "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, self.seeds),
         }
         page = experiments[self.what]()

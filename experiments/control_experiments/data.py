@@ -4,14 +4,15 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from experiments.control_experiments.reproduced import Reproduced
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.ground_truth_features import FeatureSource
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import PARTS, write_drives
-from offpiste.dataset.store import Dataset
+from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.window_starts import MIN_HINDSIGHT
 from offpiste.reproduction.data import PlannedDrive
-from offpiste.rig.rig import load_rig
+from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
@@ -77,6 +78,19 @@ def driven_dataset(
     )
 
 
-def oracle_dataset(logs: Sequence[Path], split: str, out: Path) -> Dataset:
+def oracle_dataset(logs: Sequence[Path], split: str, out: Path, rig: Rig | None = None) -> Dataset:
     """The true properties of the ground under the wheels of the same drives (`logs.ground_truth.GROUND_PROPERTIES`)."""
-    return make_dataset(logs, load_rig(RIG), out, split=split, features="ground-truth", force=True)
+    return make_dataset(logs, rig or load_rig(RIG), out, split=split, features="ground-truth", force=True)
+
+
+def true_ground(of: Reproduced, folder: Path) -> Dataset:
+    """The same of a reproduction's drives.
+
+    Args:
+        folder: where they are extracted to if the reproduction does not keep them.
+    """
+    if of.kept_truth.exists():
+        truth = open_dataset(of.kept_truth)
+    else:
+        truth = oracle_dataset(of.logs(), of.split_for(folder), folder / "dataset.zarr", of.dataset.rig)
+    return truth.starting_above(of.size.train.min_speed)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.control_experiments.data import oracle_dataset
+from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.errors import (
     HINDSIGHT,
     MAP,
@@ -40,7 +40,7 @@ SHARES = (
 def oracle_control(of: Reproduced, out: Path, seeds: int) -> Path:
     """Train b and df on the truth, evaluate them on the reproduction's windows, and compare its runs with them."""
     folder, scale, stride = out / "oracle", of.scale, of.size.stride
-    truth = oracle_dataset(of.logs(), of.split_for(folder), folder / "dataset.zarr")
+    truth = true_ground(of, folder)
     config = replace(of.size.train, seed=0)
     knowing = {m: trained_seeds(truth, replace(config, model=m), folder / "runs", seeds) for m in ("b", "df")}
     windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")

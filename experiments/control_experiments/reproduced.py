@@ -38,6 +38,11 @@ class Reproduced:
         return self.folder / "pca.safetensors"
 
     @property
+    def kept_truth(self) -> Path:
+        """Path of the dataset with the true ground, where the size keeps one instead of the logs."""
+        return self.folder / "truth.zarr"
+
+    @property
     def scale(self) -> torch.Tensor:
         """Units of the loss, the same for all runs."""
         return self.runs("b")[0].scale
@@ -71,8 +76,11 @@ class Reproduced:
         """Of all drives of the dataset.
 
         Raises:
-            RunError: one is missing.
+            RunError: one is missing, as where the size removes them.
         """
+        if self.size.portion:
+            what = f"keeps no logs of size '{self.size.name}'"
+            raise RunError(what, where=self.folder, how="run this control on a reproduction of another size")
         logs = [self.folder / "logs" / f"{drive.name}.mcap" for drive in self.dataset.drives]
         missing = [log for log in logs if not log.exists()]
         if missing:
@@ -96,11 +104,11 @@ def open_reproduction(folder: Path) -> Reproduced:
     """
     settings: dict[str, Any] = load_json(folder / "settings.json")
     try:
-        size = msgspec.convert(settings["size"], type=Size)
-        dataset = settings["dataset"]
+        size, made_of = msgspec.convert(settings["size"], type=Size), settings["dataset"]
     except (KeyError, msgspec.ValidationError) as error:
         raise RunError(
             f"lacks or misstates {error}", where=folder / "settings.json", how="give the folder of `offpiste reproduce`"
         ) from error
-    path = folder / "dataset.zarr" if dataset == "simulated" else Path(dataset)
-    return Reproduced(folder, size, open_dataset(path), settings.get("contrast", 1.0))
+    path = folder / "dataset.zarr" if made_of == "simulated" else Path(made_of)
+    dataset = open_dataset(path).starting_above(size.train.min_speed)
+    return Reproduced(folder, size, dataset, settings.get("contrast", 1.0))

@@ -1,0 +1,209 @@
+"""Learning curves: the position error on the map against the hours of driving that models train on.
+
+Amounts are nested: each holds the drives of the smaller ones. All are validated and tested on the same drives.
+"""
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.control_experiments.data import true_ground
+from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, runs_of, same_windows
+from experiments.control_experiments.models import trained_seeds
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import percent, write_control
+from offpiste.conventions import DT
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import MODELS
+from offpiste.errors import DatasetError
+from offpiste.evaluation.errors import SeededErrors
+from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
+from offpiste.report.text_table import TextTable, interval, number
+from offpiste.training.config import TrainConfig
+
+logger = logging.getLogger("experiments")
+
+ORACLE = "oracle"
+"""Name of `df` on the true ground."""
+
+SMALLEST_BATCH = 128
+ABOUT = (
+    "Distance after 5 s on the map as it was at the window's start, read at predicted places (the oracle: on the whole "
+    "true map), all on the same windows of the test part, with 95 % intervals over drives, blocks of 10 s and seeds. "
+    "Training drives are drawn once; each amount holds those of the smaller ones. All take as many steps of the "
+    "optimiser. Last column: against the amount before."
+)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What is trained.
+
+    Attributes:
+        hours: of driving, each with models of its own.
+        models: beside the oracle.
+        seed: of the order in which drives are drawn.
+    """
+
+    hours: tuple[float, ...] = (0.3, 0.6, 1.2, 2.5, 5.0)
+    models: tuple[str, ...] = ("parametric", "b", "cf", "dc")
+    seed: int = 0
+
+
+class Point(msgspec.Struct, frozen=True, kw_only=True):
+    """A model trained on so many hours.
+
+    Attributes:
+        hours: that there were, to the drive.
+        error_m, ci95: mean distance after 5 s and its 95 % interval [m].
+        against_less: relative difference to the amount before; None for the smallest.
+    """
+
+    model: str
+    hours: float
+    error_m: float
+    ci95: tuple[float, float]
+    against_less: PairedDifference | None
+
+
+def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
+    """Train the models and the oracle on each amount of driving, and evaluate them on the reproduction's windows.
+
+    Raises:
+        DatasetError: there is less driving than the smallest amount.
+    """
+    truth = true_ground(of, out / "oracle")
+    windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")
+    index = evaluation_index(windows, MAP, of.size.stride)
+    there = same_windows(windows, index, true_windows)
+    whole = hours_of(of.dataset)
+    errors: dict[tuple[str, float], SeededErrors] = {}
+    for names in amounts(of.dataset, curve):
+        mine = training_on(of.dataset, names)
+        hours = hours_of(mine)
+        folder = out / "curve" / f"{hours:.2f}h"
+        config = at_size(of.size.train, hours / whole)
+        for model in curve.models:
+            if hours == whole and of.has(model):
+                runs = of.runs(model)[:seeds]
+            else:
+                runs = trained_seeds(mine, _config(of, model, config), folder / "runs", seeds)
+            kept = folder / "evaluated"
+            errors[model, hours] = runs_of(
+                [errors_of(run, windows, index, MAP, scale=of.scale, kept=kept) for run in runs]
+            )
+        runs = trained_seeds(training_on(truth, names), replace(config, model="df"), folder / ORACLE, seeds)
+        kept = folder / "evaluated" / ORACLE
+        errors[ORACLE, hours] = runs_of(
+            [errors_of(run, true_windows, there, MAP, scale=of.scale, kept=kept) for run in runs]
+        )
+        found = (f"{model} {mine.distance().mean():.3f} m" for (model, at), mine in errors.items() if at == hours)
+        logger.info(f"{hours:.2f} h: {', '.join(found)}")
+    points = _points(errors)
+    results = {"control": "curve", "curve": curve, "points": points}
+    return write_control(out / "curve", [_table(points)], results, {"curve": draw_curves(points)})
+
+
+def amounts(dataset: Dataset, curve: Curve) -> list[set[str]]:
+    """Names of the training drives of each amount: as many, in an order drawn by the seed, as come nearest to it.
+
+    Raises:
+        DatasetError: there is less driving than the smallest amount.
+    """
+    training = [drive for drive in dataset.drives if (drive.part == PARTS.index("train")).any()]
+    order = np.random.default_rng(curve.seed).permutation(len(training))
+    names = [training[i].name for i in order]
+    driven = np.cumsum([DT * len(training[i].part) / 3600 for i in order])
+    if not len(driven) or driven[-1] < min(curve.hours):
+        has = driven[-1] if len(driven) else 0.0
+        raise DatasetError(f"has {has:.2f} h to train on", where=dataset.path, how="give smaller --curve.hours")
+    counts = {1 + int(np.abs(driven - hours).argmin()) for hours in curve.hours}
+    return [set(names[:count]) for count in sorted(counts)]
+
+
+def training_on(dataset: Dataset, names: set[str]) -> Dataset:
+    """The dataset with only these of the drives that train."""
+    train = PARTS.index("train")
+    return replace(dataset, drives=tuple(d for d in dataset.drives if d.name in names or not (d.part == train).any()))
+
+
+def hours_of(dataset: Dataset) -> float:
+    """Hours of driving to train on."""
+    return DT * sum(int((drive.part == PARTS.index("train")).sum()) for drive in dataset.drives) / 3600
+
+
+def at_size(config: TrainConfig, share: float) -> TrainConfig:
+    """Settings that take as many steps of the optimiser on a share of the windows: smaller batches, more epochs."""
+    batch = min(config.batch, max(SMALLEST_BATCH, round(config.batch * share)))
+    more = batch / (config.batch * share)
+    epochs, bicycle = (math.ceil(max(more, 1.0) * each - 1e-9) for each in (config.epochs, config.bicycle_epochs))
+    return replace(config, batch=batch, epochs=epochs, bicycle_epochs=bicycle, seed=0)
+
+
+def _config(of: Reproduced, model: str, config: TrainConfig) -> TrainConfig:
+    member = of.member(model)
+    return replace(config, model=model, codes=member.codes, pca=member.pca)
+
+
+def _points(errors: Mapping[tuple[str, float], SeededErrors]) -> list[Point]:
+    points = []
+    for model in dict.fromkeys(model for model, _ in errors):
+        before: SeededErrors | None = None
+        for hours, mine in ((hours, each) for (name, hours), each in errors.items() if name == model):
+            drawn, distance = Sampling().on(mine), mine.distance()
+            points.append(
+                Point(
+                    model=model,
+                    hours=hours,
+                    error_m=float(distance.mean()),
+                    ci95=drawn.interval(drawn.means(distance)),
+                    against_less=None if before is None else relative(distance, before.distance(), drawn),
+                )
+            )
+            before = mine
+    return points
+
+
+def _table(points: Sequence[Point]) -> TextTable:
+    lines = [
+        (
+            point.model,
+            f"{point.hours:.2f}",
+            number(point.error_m),
+            interval(point.ci95, 2),
+            "" if point.against_less is None else percent(point.against_less),
+        )
+        for point in points
+    ]
+    return TextTable("Learning curves", ("model", "hours", "error [m]", "95 %", "change"), tuple(lines), ABOUT)
+
+
+def draw_curves(points: Sequence[Point]) -> Figure:
+    """Distance error against hours of driving, both on logarithmic axes, a line a model with its interval."""
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for model in dict.fromkeys(point.model for point in points):
+        mine = [point for point in points if point.model == model]
+        hours, error = np.array([(point.hours, point.error_m) for point in mine]).T
+        low, high = np.array([point.ci95 for point in mine]).T
+        colour, line = ("black", "--") if model == ORACLE else (MODELS[model].colour, "-")
+        axes.plot(hours, error, marker="o", label=model, color=colour, linestyle=line)
+        axes.fill_between(hours, low, high, color=colour, alpha=0.12, linewidth=0)
+    axes.set(xscale="log", yscale="log", xlabel="driving to train on [h]", ylabel="distance error after 5 s [m]")
+    amounts = sorted({point.hours for point in points})
+    axes.set_xticks(amounts, [f"{hours:.2g}" for hours in amounts])
+    axes.minorticks_off()
+    shown = [each for point in points for each in (*point.ci95, point.error_m) if np.isfinite(each)]
+    ticks = np.geomspace(min(shown), max(shown), 6)
+    axes.set_yticks(ticks, [f"{tick:.2f}" for tick in ticks])
+    axes.grid(color="#e5e5e5", linewidth=0.5)
+    axes.legend(frameon=False)
+    return figure
