@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from experiments.command import run
-from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, runs_of, same_windows
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
@@ -33,6 +32,7 @@ from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth
+from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder

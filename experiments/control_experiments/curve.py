@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.control_experiments.data import true_ground
-from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, runs_of, same_windows
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import percent, write_control
@@ -27,6 +26,7 @@ from offpiste.errors import DatasetError
 from offpiste.evaluation.errors import SeededErrors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
+from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.training.config import TrainConfig
 
 logger = logging.getLogger("experiments")

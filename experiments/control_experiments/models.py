@@ -7,13 +7,13 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import gain_table, write_control
+from experiments.control_experiments.tables import write_control
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluated_models import Reading
+from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, gain, gain_table
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run

@@ -6,25 +6,26 @@ from pathlib import Path
 import numpy as np
 
 from experiments.control_experiments.data import true_ground
-from experiments.control_experiments.errors import (
-    HINDSIGHT,
-    MAP,
-    errors_of,
-    evaluation_index,
-    gain,
-    runs_of,
-    same_windows,
-    share,
-)
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import gain_table, percent, write_control
+from experiments.control_experiments.tables import percent, write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
+from offpiste.reproduction.gains import (
+    HINDSIGHT,
+    MAP,
+    errors_of,
+    evaluation_index,
+    gain,
+    gain_table,
+    runs_of,
+    same_windows,
+    share,
+)
 
 ABOUT = (
     "The oracle is df on the true friction, cornering stiffness, rolling resistance and sinkage drag; its baseline is "

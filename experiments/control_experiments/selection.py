@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
-from experiments.control_experiments.errors import MAP, Gain, errors_of, evaluation_index, gain
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import gain_table, write_control
+from experiments.control_experiments.tables import write_control
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
+from offpiste.reproduction.gains import MAP, Gain, errors_of, evaluation_index, gain, gain_table
 
 ABOUT = (
     "On the map at predicted places, baseline b. Usual windows have features in hindsight under at least the dataset's "

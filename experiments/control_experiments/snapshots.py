@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from experiments.control_experiments.data import RIG
-from experiments.control_experiments.errors import MAP, errors_of, evaluation_index, gain
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import gain_table, write_control
+from experiments.control_experiments.tables import write_control
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.features_under_wheels import Cells
@@ -25,6 +24,7 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
+from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, gain, gain_table
 from offpiste.rig.rig import load_rig
 
 ABOUT = (

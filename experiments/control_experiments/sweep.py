@@ -14,15 +14,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.control_experiments.data import driven_dataset, planned
-from experiments.control_experiments.errors import MAP, Gain, errors_of, evaluation_index, gain
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import gain_table, write_control
+from experiments.control_experiments.tables import write_control
 from offpiste.dataset.ground_truth_features import LAYERS, truth_map, with_ground_truth
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.reproduction.gains import MAP, Gain, errors_of, evaluation_index, gain, gain_table
 from offpiste.simulation.world.noise import smooth_noise
 
 logger = logging.getLogger("experiments")

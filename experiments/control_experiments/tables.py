@@ -7,7 +7,6 @@ from typing import Any
 import msgspec
 from matplotlib.figure import Figure
 
-from experiments.control_experiments.errors import Gain
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
@@ -38,22 +37,3 @@ def percent(difference: PairedDifference, digits: int = 1) -> str:
     """A relative difference with its interval."""
     low, high = (100 * bound for bound in difference.ci95)
     return f"{number(100 * difference.mean, digits)} % {interval((low, high), digits)}"
-
-
-def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
-    """A line a gain."""
-    lines = [
-        (
-            f"{g.model}, {g.case}" if g.case else g.model,
-            " ".join(filter(None, (g.lookup, g.feature_set))),
-            number(g.error_m),
-            number(g.baseline_error_m),
-            percent(g.distance),
-            percent(g.loss),
-            f"{g.n}",
-            g.levels.text(),
-        )
-        for g in gains
-    ]
-    names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
-    return TextTable(title, names, tuple(lines), about)

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 
 from experiments.control_experiments.branches import branches_of, load_branches, record_on, save_branches, twin_worlds
 from experiments.control_experiments.data import driven_dataset, oracle_dataset
-from experiments.control_experiments.errors import same_windows
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
 from experiments.control_experiments.tables import write_control
@@ -23,6 +22,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import trajectories
 from offpiste.reproduction.data import PlannedDrive
+from offpiste.reproduction.gains import same_windows
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.run import Run, load_run

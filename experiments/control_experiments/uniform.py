@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from experiments.control_experiments.data import driven_dataset, planned
-from experiments.control_experiments.errors import HINDSIGHT, MAP, errors_of, evaluation_index, gain
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import gain_table, write_control
+from experiments.control_experiments.tables import write_control
 from offpiste.dataset.windows import Windows
+from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, gain, gain_table
 
 ABOUT = (
     "World `uniform`: looks vary, grip does not. Models trained there, visual features, other worlds to test than to "

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.control_experiments.data import planned
-from experiments.control_experiments.errors import MAP, gain
 from experiments.control_experiments.sweep import _named, draw_gains, noisy
 from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.reproduction.gains import MAP, gain
 from window_errors import BASE, errors
 
 

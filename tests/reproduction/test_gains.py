@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from experiments.control_experiments.errors import MAP, gain, runs_of, share
-from experiments.control_experiments.tables import gain_table, write_control
+from experiments.control_experiments.tables import write_control
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.report.text_table import TextTable
+from offpiste.reproduction.gains import MAP, gain, gain_table, runs_of, share
 from window_errors import BASE, ROW, errors
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.control_experiments.errors import same_windows
-from experiments.control_experiments.shift import ShiftedMap, further, shifted
 from feature_datasets import dataset_with_features
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
+from offpiste.reproduction.gains import same_windows
+from offpiste.reproduction.shift import ShiftedMap, further, shifted
 from offpiste.training.build import vehicle_of
 from offpiste.training.terrain_sources import encoded, map_terrain, on_map
 

@@ -13,6 +13,7 @@ from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, saved_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative
+from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import evaluation_windows, run_errors
 from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run
@@ -136,3 +137,27 @@ def share(
         return PairedDifference(np.nan, (np.nan, np.nan))
     m, n, o, p = (value.mean() for value in values)
     return PairedDifference(float((1 - m / n) / (1 - o / p)), drawn.interval((1 - a / b) / (1 - c / d)))
+
+
+def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
+    """A line a gain."""
+    lines = [
+        (
+            f"{g.model}, {g.case}" if g.case else g.model,
+            " ".join(filter(None, (g.lookup, g.feature_set))),
+            number(g.error_m),
+            number(g.baseline_error_m),
+            _percent(g.distance),
+            _percent(g.loss),
+            f"{g.n}",
+            g.levels.text(),
+        )
+        for g in gains
+    ]
+    names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
+    return TextTable(title, names, tuple(lines), about)
+
+
+def _percent(difference: PairedDifference) -> str:
+    low, high = (100 * bound for bound in difference.ci95)
+    return f"{number(100 * difference.mean, 1)} % {interval((low, high), 1)}"
