@@ -6,6 +6,7 @@ from . import dataset as dataset
 from . import demo as demo
 from . import dynamics as dynamics
 from . import evaluation as evaluation
+from . import evidence as evidence
 from . import geometry as geometry
 from . import inspection as inspection
 from . import logs as logs

@@ -36,6 +36,7 @@ PIPELINE: Final = (
     "train",
     "evaluate",
     "reproduce",
+    "evidence",
     "drive",
     "check",
 )

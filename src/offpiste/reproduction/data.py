@@ -178,7 +178,7 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
         raise DatasetError(
             "has no visual features by distance", where=dataset.path, how="extract it with a PCA (`extract --pca`)"
         )
-    if len(dataset.drives) < 2:
+    if dataset.split.kind == "drives" and len(dataset.drives) < 2:
         raise DatasetError(
             f"holds one drive only, '{dataset.drives[0].name}'",
             where=dataset.path,

@@ -29,7 +29,8 @@ def verdict(difference: PairedDifference, limit: float = 0.0) -> str:
     """Whether errors are below `limit` (-0.1: by 10 % and more), as the mean says and as its interval does."""
     if not np.isfinite(difference.mean):
         return "–"
-    reached = "yes" if difference.mean <= limit else "no"
+    # A model that learned nothing is no better than b, to the bit.
+    reached = "yes" if difference.mean <= limit and difference.mean < 0 else "no"
     high = difference.ci95[1]
     sure = np.isfinite(high) and (high <= limit if reached == "yes" else difference.ci95[0] > limit)
     return reached if sure else f"{reached}, not certain"

@@ -1,0 +1,70 @@
+"""Evidence from made-up drives: the report, what is used again, and bad input in one line."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from feature_datasets import PARTS, dataset_with_features
+from offpiste.cli import main
+from offpiste.errors import OffpisteError, RunError
+from offpiste.evidence.collect import EvidenceSettings, collect
+from offpiste.reproduction.settings import Size
+from offpiste.training.config import TrainConfig
+
+TINY = Size("tiny", (30.0, 15.0, 15.0), stride=80, train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=80))
+
+
+def settings_in(folder: Path) -> EvidenceSettings:
+    """Evidence whose features are there already."""
+    (folder / "filterbank").mkdir()
+    split = dataset_with_features(folder / "filterbank" / "dataset.zarr").split
+    (folder / "filterbank" / "pca.safetensors").write_bytes(b"")
+    logs = tuple(str(folder / f"circle-{k}.mcap") for k in range(len(PARTS)))
+    return EvidenceSettings(folder, TINY, logs=logs, rig="proving_ground", split=split.text, processes=1)
+
+
+def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    page = collect(settings)
+    text = page.read_text("utf-8")
+    headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text)
+    for wanted in (
+        "Against b",
+        "What has to hold",
+        "Valid rates",
+        "Features of other ground",
+        "recorded places give away",
+    ):
+        assert any(wanted in heading for heading in headings), (wanted, headings)
+    assert str(tmp_path) not in text, "no path of the user's machine"
+    found = json.loads((tmp_path / "evidence.json").read_text("utf-8"))
+    numbers = found["backbones"]["filterbank"]
+    assert {gain["model"] for gain in numbers["shift"]} == {"cf", "dc", "df"}
+    assert {gain["model"] for gain in numbers["leak"]} == {"b", "cf", "dc", "df"}
+    assert numbers["coverage"]["valid"]
+    assert str(tmp_path) not in json.dumps(found)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
+    collect(settings)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")} == kept
+    with pytest.raises(RunError, match=r"other settings \(split\)"):
+        collect(replace(settings, split="blocks:0.6,0.2,0.2"))
+
+
+def test_bad_input_ends_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(OffpisteError, match="without their rig"):
+        collect(EvidenceSettings(tmp_path / "out", TINY, logs=("drive.mcap",)))
+    with pytest.raises(OffpisteError, match="without logs"):
+        collect(EvidenceSettings(tmp_path / "out", TINY, rig="proving_ground"))
+    cases = {
+        ("drive.mcap", "--rig", "proving_ground", "--weights", "no-such"): "no backbone 'no-such'",
+        ("drive.mcap", "--rig", "proving_ground", "--split", "some"): "not a split",
+        ("drive.mcap", "--rig", "nowhere"): "nowhere",
+    }
+    for words, why in cases.items():
+        with pytest.raises(SystemExit):
+            main(["evidence", *words, "--out", str(tmp_path / "out")])
+        assert why in capsys.readouterr().err
+    assert not (tmp_path / "out").exists(), "a folder that cannot be filled is not begun"
