@@ -32,6 +32,8 @@ class Simulate:
     """Four cameras and two LiDARs; one of each, slower; or none."""
     manoeuvres: bool = False
     """The driver also stops, crawls, reverses, rocks free and drives fast stretches (rig proving_ground_gear)."""
+    vehicle: str = ""
+    """A TOML file of another vehicle than the side-by-side (docs/proving-ground.md)."""
     mounting_turn: float = 0.0
     """Angle by which each sensor is turned about a random axis from its usual mounting; the log says so [degrees]."""
     twins: int = 0
@@ -98,4 +100,6 @@ class Simulate:
         world = WorldSettings(self.world, world_seed, self.grip_contrast, self.appearance_noise)
         imperfections = Imperfections(self.pose_noise, self.pose_drift, self.extrinsic_error, self.stamp_offset)
         driver = WITH_MANOEUVRES if self.manoeuvres else DriverSettings()
-        return DriveSettings(world, self.seconds, seed, self.sensors, self.mounting_turn, driver, imperfections)
+        return DriveSettings(
+            world, self.seconds, seed, self.sensors, self.mounting_turn, driver, imperfections, self.vehicle
+        )

@@ -3,17 +3,18 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT, EVALUATION_STRIDE
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
+from offpiste.evaluation.context import errors_with_context
 from offpiste.evaluation.errors import Errors, Progress, no_progress, prediction_errors
 from offpiste.evaluation.evaluated_models import (
     NO_READING,
@@ -100,14 +101,14 @@ def evaluate_models(
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = with_baselines(models, dataset, device)
     readings = readings_of(dataset, part, lookups, feature_sets)
-    compute = partial(prediction_errors, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
+    compute = partial(_errors, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
     predictions = [
         Prediction(
             case,
             model,
             windows,
             compute(
-                model.dynamics,
+                model,
                 windows,
                 windows.evaluation_indices(stride),
                 lookup=case.lookup,
@@ -135,6 +136,13 @@ def evaluate_models(
         bands=band_rows(together, windows, sampling),
     )
     return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)
+
+
+def _errors(model: EvaluatedModel, windows: Windows, index: Int[np.ndarray, " n"], **settings: Any) -> Errors:
+    """Errors of a model as it is, or with slow context where it is given the noise."""
+    if model.noise is None:
+        return prediction_errors(model.dynamics, windows, index, **settings)
+    return errors_with_context(model.dynamics, windows, index, np.array(model.noise), **settings)[0]
 
 
 def _described(case: Case) -> str:

@@ -3,6 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from shlex import join
 
@@ -34,6 +35,9 @@ from offpiste.training.train import fold_folders
 
 logger = logging.getLogger(__name__)
 
+CONTEXT = "context"
+"""Variant of a model that predicts with slow context."""
+
 SLOWER = 0.2
 """Speed by which the slowest window with a map may be above what was asked for [m/s]."""
 
@@ -48,11 +52,13 @@ def evaluate_runs(
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
     min_speed: float | None = None,
+    context: bool = False,
 ) -> Evaluation:
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
 
     Args:
         min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
+        context: each run also with slow context (`dynamics.slow_context`), as a variant of its model.
 
     Raises:
         RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
@@ -77,6 +83,8 @@ def evaluate_runs(
             runs.append(run)
             fold = number if folds else None
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
+            if context:
+                models.append(replace(models[-1], variant=CONTEXT, noise=_noise(run)))
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
     warnings = _doubts(runs, models, dataset)
@@ -104,6 +112,19 @@ def evaluate_runs(
         logger.info(line + _folds(folders[0], runs[0].model, dataset_path))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _noise(run: Run) -> tuple[float, float, float]:
+    """Of its short predictions.
+
+    Raises:
+        RunError: the run has none.
+    """
+    if run.noise is None:
+        lacks = run.dynamics.kernel_parts() is None
+        what = "has no physical constants to shift" if lacks else "does not say how good its short predictions are"
+        raise RunError(what, where=run.folder, how="leave out --context" if lacks else "train it again")
+    return run.noise
 
 
 def _folds(folder: Path, model: str, dataset: Path) -> str:

@@ -128,6 +128,7 @@ class DriveSettings:
         sensors: "full", "light" or "none".
         mounting_turn: angle by which each sensor is rotated from its usual mounting, about a random axis of the seed
             [deg]; the log records the mounting as it is.
+        vehicle: a TOML file (`vehicle.parameters.VehicleParameters`); "" for the side-by-side that is shipped.
     """
 
     world: WorldSettings = field(default_factory=WorldSettings)
@@ -137,6 +138,7 @@ class DriveSettings:
     mounting_turn: float = 0.0
     driver: DriverSettings = field(default_factory=DriverSettings)
     imperfections: Imperfections = field(default_factory=Imperfections)
+    vehicle: str = ""
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[Driv
     """
     files = [out, *(out.with_name(f"{out.stem}-twin-{k}{out.suffix}") for k in range(1, twins + 1))]
     steps = _check(settings, files)
-    parameters = load_vehicle()
+    parameters = load_vehicle(settings.vehicle or None)
     world = make_world(settings.world)
     start, driver = start_and_driver(world, parameters, seed=settings.seed, settings=settings.driver)
     commands: list[np.ndarray] = []

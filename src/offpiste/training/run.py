@@ -1,7 +1,7 @@
 """A trained model on disk: what it is, what it was trained on, and its weights."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -63,6 +63,7 @@ class _Stated(msgspec.Struct):
     pca: str | None = None
     features: tuple[str, ...] = ()
     weights_sha256: str | None = None
+    noise: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ class Run:
         seen: (drive, first, last) stretches of time [s] that training or validation used.
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
         features: names of the dataset's terrain features; none without, and of runs older than this entry.
+        noise: of short predictions on the training drives (`short_errors.ShortErrors.noise`), for slow context; None of
+            models without physical constants, and of runs older than this entry.
     """
 
     folder: Path
@@ -87,6 +90,7 @@ class Run:
     seen: tuple[tuple[str, float, float], ...]
     pca: str | None = None
     features: tuple[str, ...] = ()
+    noise: tuple[float, float, float] | None = None
 
     def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
         """Predicted states and actuators of windows; positions are relative to each window's start.
@@ -156,6 +160,7 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         stated.seen,
         stated.pca,
         stated.features,
+        stated.noise,
     )
 
 
@@ -188,6 +193,7 @@ def _refuse_impossible(stated: _Stated) -> None:
         ("vehicle.codes", 1 <= vehicle.codes <= MOST_CODES),
         ("seed", 0 <= stated.seed < 1 << 63),
         ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < _LARGEST for value in scale.values())),
+        ("noise", stated.noise is None or all(0 < value < _LARGEST for value in stated.noise)),
         ("loss.weights", all(0 <= value < _LARGEST for value in weights) and any(weights)),
     ):
         if not good:
@@ -201,6 +207,7 @@ def save_run(
     dataset: Dataset,
     scale: Float[Tensor, " 5"],
     kept: Mapping[str, KeptEpoch] | None = None,
+    noise: Sequence[float] | None = None,
 ) -> None:
     """Write model.safetensors and model.json, with the epoch that each stage kept; the latter finishes a run."""
     # The file of the last stage: a run that is killed here reads it back when it resumes.
@@ -219,6 +226,7 @@ def save_run(
         "seen": seen_stretches(dataset),
         "pca": dataset.pca,
         "features": list(dataset.features),
+        "noise": noise,
         "warnings": list(dataset.findings),
         "kept": {stage: asdict(epoch) for stage, epoch in (kept or {}).items()},
     }

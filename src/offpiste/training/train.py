@@ -35,6 +35,7 @@ from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
+from offpiste.training.short_errors import noise_of
 from offpiste.training.speed_weights import speed_weights
 from offpiste.training.terrain_sources import encoded
 
@@ -117,7 +118,7 @@ def train(
     if any(p.requires_grad for p in dynamics.parameters()):
         fit(rolled_out("model", dynamics, config.epochs, draw))
     if group.writes:
-        save_run(folder, dynamics, config, dataset, scale, kept)
+        save_run(folder, dynamics, config, dataset, scale, kept, noise_of(dynamics, windows))
     return dynamics
 
 
