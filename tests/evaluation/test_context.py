@@ -99,6 +99,8 @@ def test_runs_without_noise_are_refused_in_a_line(dataset: Dataset, tmp_path: Pa
     save_run(tmp_path / "old", MODELS["b"].build(vehicle_of(dataset)), config, dataset, torch.ones(5))
     with pytest.raises(RunError, match="train it again"):
         evaluate_runs([tmp_path / "old"], dataset.path, tmp_path / "report", context=True)
-    save_run(tmp_path / "bad", MODELS["b"].build(vehicle_of(dataset)), config, dataset, torch.ones(5), None, [1.0, -1.0, 1.0])
+    save_run(
+        tmp_path / "bad", MODELS["b"].build(vehicle_of(dataset)), config, dataset, torch.ones(5), None, [1.0, -1.0, 1.0]
+    )
     with pytest.raises(RunError, match="noise is impossible"):
         load_run(tmp_path / "bad")

@@ -108,13 +108,13 @@ def shifts_of(
     rows, known = windows.row_in_drive(index), known_from(short, settings)
     for drive in np.unique(windows.drive[index]):
         mine = np.flatnonzero(windows.drive[index] == drive)
-        told = np.flatnonzero(short.drive == drive)
-        told = told[np.argsort(short.row[told])]
+        past = np.flatnonzero(short.drive == drive)
+        past = past[np.argsort(short.row[past])]
         context, following = SlowContext(noise, 0.0, settings), 0
         for number in mine[np.argsort(rows[mine])]:
             now = rows[number] * DT
-            while following < len(told) and known[told[following]] <= now + 1e-9:
-                one = told[following]
+            while following < len(past) and known[past[following]] <= now + 1e-9:
+                one = past[following]
                 context.add(float(short.row[one] * DT), short.error[one], short.jacobian[one])
                 following += 1
             result[number] = context.shift(float(now))
