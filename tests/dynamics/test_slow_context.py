@@ -26,12 +26,12 @@ def observations(count: int, shift: np.ndarray, seed: int = 0) -> list[tuple[flo
 
 def test_the_recursion_is_the_least_squares_over_all_that_is_known() -> None:
     context, shift = SlowContext(NOISE, 0.0, SETTINGS), np.array([0.3, -0.2, 0.5, 0.0, -0.4])
-    told = observations(200, shift)
-    for one in told:
+    seen = observations(200, shift)
+    for one in seen:
         context.add(*one)
     now = 25.0
     information, vector = np.eye(len(shift)) / SETTINGS.spread**2, np.zeros(len(shift))
-    for time, error, jacobian in told:
+    for time, error, jacobian in seen:
         scaled = error / NOISE
         huber = np.minimum(1, SETTINGS.outlier / np.abs(scaled))
         weight = np.exp((time - now) / SETTINGS.memory) * huber / SETTINGS.doubt / NOISE**2

@@ -76,8 +76,8 @@ class SlowContext:
 
         Args:
             time: when the prediction began [s]; not before that of the error before.
-            error: what was measured less what the unshifted model predicted, of vx, vy, yaw rate.
-            jacobian: derivatives of the prediction by the shifts.
+            error: what was measured less what the unshifted model predicted: vx, vy [m/s], yaw rate [rad/s].
+            jacobian: derivatives of the prediction by the F shifts of `SHIFTED`, which have no unit.
         """
         if not (np.isfinite(error).all() and np.isfinite(jacobian).all()):
             return

@@ -3,6 +3,7 @@
 Each backbone has a folder with its PCA, dataset and runs; everything resumes.
 """
 
+import hashlib
 import logging
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -60,8 +61,11 @@ class EvidenceSettings:
 
     @property
     def backbones(self) -> dict[str, str]:
-        """Backbones by the names of their folders."""
-        return {"filterbank": "filterbank"} | ({"vit": self.weights} if self.weights else {})
+        """Backbones by the names of their folders: other weights never find what was made with these."""
+        if not self.weights:
+            return {"filterbank": "filterbank"}
+        digest = hashlib.sha256(self.weights.encode()).hexdigest()[:8]
+        return {"filterbank": "filterbank", f"{Path(self.weights).name}-{digest}": self.weights}
 
     @property
     def at_a_time(self) -> int:
@@ -95,13 +99,13 @@ def collect(settings: EvidenceSettings) -> Path:
     if bool(settings.logs) != bool(settings.rig):
         what = "logs are given without their rig" if settings.logs else "a rig is given without logs"
         raise OffpisteError(what, how="give both, or neither to drive on the proving ground")
-    opened = {name: open_backbone(spec, device=settings.device) for name, spec in settings.backbones.items()}
+    backbones = {name: open_backbone(spec, device=settings.device) for name, spec in settings.backbones.items()}
     drives = _given(settings) if settings.logs else _simulated(settings)
     claim_folder(settings.out, settings.described())
     if not settings.logs:
         _drive(settings, drives)
     collected = {}
-    for name, backbone in opened.items():
+    for name, backbone in backbones.items():
         folder = settings.out / name
         run_steps(_data_steps(settings, drives, backbone, folder), record=partial(append_time, folder / "steps.jsonl"))
         collected[backbone.name] = _compared(settings, folder)

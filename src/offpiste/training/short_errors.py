@@ -26,6 +26,8 @@ STEP: Final = 0.2
 """Shift by which derivatives are taken."""
 
 AT_ONCE: Final = 2048
+"""Short predictions side by side."""
+
 ENOUGH: Final = 20_000
 """Short predictions from which the noise of a run is known."""
 
@@ -40,7 +42,7 @@ class ShortErrors:
     Attributes:
         drive, row: number of the drive, and row in it, that each began at.
         error: recorded less predicted vx, vy [m/s], yaw rate [rad/s].
-        jacobian: of the prediction by the shifts (`SHIFTED`).
+        jacobian: of the prediction by the F shifts (`SHIFTED`), which have no unit.
     """
 
     drive: Int[np.ndarray, " n"]
