@@ -10,6 +10,7 @@ import tyro
 
 from experiments.command import run
 from experiments.control_experiments.curve import Curve, curve_control
+from experiments.control_experiments.ideas import ideas_control
 from experiments.control_experiments.models import models_control
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import open_reproduction
@@ -24,7 +25,17 @@ from offpiste.reproduction.steps import claim_folder
 logger = logging.getLogger("experiments")
 
 What = Literal[
-    "models", "snapshots", "selection", "shift", "oracle", "uniform", "twins", "contrast", "appearance", "curve"
+    "models",
+    "snapshots",
+    "selection",
+    "shift",
+    "oracle",
+    "uniform",
+    "twins",
+    "contrast",
+    "appearance",
+    "curve",
+    "ideas",
 ]
 
 
@@ -39,7 +50,7 @@ class ControlExperiment:
     out: Path = Path("controls")
     """Folder of all outputs."""
     models: tuple[str, ...] = ()
-    """For `models`: names of the models to train; default all."""
+    """For `models` and `ideas`: names of those to train; default all."""
     seeds: int = 3
     """Number of runs of each model that is trained."""
     uniform: UniformDrives = field(default_factory=UniformDrives)
@@ -81,6 +92,7 @@ class ControlExperiment:
             ),
             "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, self.seeds),
             "curve": lambda: curve_control(of, self.out, self.curve, self.seeds),
+            "ideas": lambda: ideas_control(of, self.out, list(self.models), self.seeds),
             "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, self.seeds),
         }
         page = experiments[self.what]()

@@ -13,6 +13,7 @@ from offpiste.dataset.feature_sets import (
     FeatureSetChoice,
     FeatureSetRecorder,
     MapCellValues,
+    as_seen,
     drawn,
     hindsight,
     hindsight_throughout,
@@ -26,11 +27,16 @@ from offpiste.dynamics import MODELS
 STORED = len(FEATURE_SETS)
 
 
-DRAWS = (hindsight, hindsight_throughout, masked, per_step, per_trajectory)
+DRAWS = (as_seen, hindsight, hindsight_throughout, masked, per_step, per_trajectory)
 
 
 def of(draw: Draw, count: int, *, seed: int = 0, steps: int = 30) -> FeatureSetChoice:
-    return drawn(draw, np.random.default_rng(seed), count, steps, STORED)
+    return drawn(draw, np.random.default_rng(seed), driven(count, steps), STORED)
+
+
+def driven(count: int, steps: int) -> np.ndarray:
+    """Rows that lie 0.4 m apart, the start among them."""
+    return np.tile(0.4 * np.arange(-HISTORY_STEPS, steps), (count, 1))
 
 
 def test_dc_keeps_a_set_for_the_trajectory_and_draws_all_alike():
@@ -47,6 +53,18 @@ def test_dc_step_draws_at_every_row():
     feature_set_choice = of(per_step, 50)
     assert feature_set_choice.features.shape == (50, HISTORY_STEPS + 30)
     assert (np.diff(feature_set_choice.features, axis=1) == 0).mean() == pytest.approx(1 / STORED, abs=0.03)
+
+
+def test_dc_view_reads_what_was_seen_from_as_far_as_the_ground_lies_ahead():
+    ahead = np.tile([-60.0, -8.0, 0.0, 4.0, 26.0, 90.0], (4000, 1))
+    read = drawn(as_seen, np.random.default_rng(0), ahead, STORED).features
+    distances = np.array([float(name) for name in FEATURE_SETS[1:]])[read - 1]
+    inside = (ahead > -20) & (ahead < 40)
+    assert np.abs(distances - ahead)[inside].max() <= 10
+    np.testing.assert_array_equal(distances[:, [0, 5]], [[-20, 40]] * len(ahead))
+    np.testing.assert_allclose(distances[:, 1:5].mean(axis=0), ahead[0, 1:5], atol=0.3)  # ends are drawn: no bias
+    rising = np.tile(np.linspace(-5, 45, 200), (50, 1))
+    assert (np.diff(drawn(as_seen, np.random.default_rng(1), rising, STORED).features, axis=1) >= 0).all()
 
 
 def test_features_of_hindsight_come_with_drawn_normals():
@@ -68,11 +86,11 @@ def test_masked_takes_flags_alone():
 def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
     def normals(draw: Draw) -> list[np.ndarray]:
         rng = np.random.default_rng(3)
-        return [drawn(draw, rng, count, 20, STORED).normals for count in (40, 7, 40)]
+        return [drawn(draw, rng, driven(count, 20), STORED).normals for count in (40, 7, 40)]
 
     wanted = normals(hindsight)
     assert (wanted[0] != wanted[2]).any()
-    for draw in (masked, per_step, per_trajectory):
+    for draw in (as_seen, masked, per_step, per_trajectory):
         for mine, theirs in zip(normals(draw), wanted, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
@@ -85,7 +103,7 @@ def test_the_generator_decides():
 
 def test_where_one_set_is_stored_nothing_is_drawn():
     for draw in DRAWS:
-        choice = drawn(draw, np.random.default_rng(3), 40, 20, 1)
+        choice = drawn(draw, np.random.default_rng(3), driven(40, 20), 1)
         assert not choice.features.any()
         assert not choice.normals.any()
 
@@ -99,7 +117,13 @@ def test_windows_of_a_choice_keep_what_they_read():
 
 def test_models_say_how_they_draw():
     drawing = {name: model.draw for name, model in MODELS.items() if model.draw is not hindsight}
-    by_distance = {"dc": per_trajectory, "dc-hold": per_trajectory, "dc-step": per_step, "cf-masked": masked}
+    by_distance = {
+        "dc": per_trajectory,
+        "dc-hold": per_trajectory,
+        "dc-step": per_step,
+        "cf-masked": masked,
+        "dc-view": as_seen,
+    }
     assert drawing == {**by_distance, "b-hindsight": hindsight_throughout}
     assert {name for name, model in MODELS.items() if model.needs_sets} == set(by_distance)
 

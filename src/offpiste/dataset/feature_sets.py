@@ -8,9 +8,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import FEATURE_SETS_KEPT, single_threaded_torch
-from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
+from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.wheel_passes import Passes
 from offpiste.errors import DatasetError
+
+TOLERANCE = 5.0
+"""Largest difference between a feature set's distance and the vehicle's when it is recorded [m]."""
+
+DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
+"""Distances of the feature sets besides hindsight [m]."""
+
+VIEW_SHIFT = 5.0
+"""Half the distance between two feature sets [m]."""
 
 
 @dataclass(frozen=True)
@@ -53,55 +62,68 @@ def set_number(name: str, stored: int) -> int:
     return number
 
 
-Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], int, int], FeatureSetChoice]
-"""From a generator, the sets that normals are read from, the predicted steps and the number of stored sets to what
-windows read."""
+Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], Float[np.ndarray, "B R"], int], FeatureSetChoice]
+"""From a generator, the sets that normals are read from, how far rows t-10 ... t+T-1 lie ahead of the start, negative
+behind it [m] (`Windows.ahead`), and the number of stored sets to what windows read."""
 
 
-def hindsight(rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int) -> FeatureSetChoice:
+def hindsight(
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
+) -> FeatureSetChoice:
     """`df`, `cf`: features of hindsight. `b`, which reads none, draws so, too."""
     return FeatureSetChoice(np.zeros((len(normals), 1), int), normals)
 
 
 def per_trajectory(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
 ) -> FeatureSetChoice:
     """`dc`: features of the set that the normals are of."""
     return FeatureSetChoice(normals[:, None], normals)
 
 
-def per_step(rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int) -> FeatureSetChoice:
+def per_step(
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
+) -> FeatureSetChoice:
     """`dc-step`: the features' set is drawn anew at every step; the paper found it poor."""
-    return FeatureSetChoice(rng.integers(0, stored, (len(normals), HISTORY_STEPS + horizon)), normals)
+    return FeatureSetChoice(rng.integers(0, stored, ahead.shape), normals)
 
 
-def masked(rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int) -> FeatureSetChoice:
+def as_seen(
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
+) -> FeatureSetChoice:
+    """`dc-view`: each row's features are those seen from as far as the row lies ahead, as on a map at the start.
+
+    Sets are 10 m apart: where one ends and the next begins is drawn for each trajectory.
+    """
+    if stored == 1:
+        return same_feature_set(len(ahead), 0)
+    shifted = ahead + rng.uniform(-VIEW_SHIFT, VIEW_SHIFT, (len(ahead), 1))
+    between = (DISTANCES[1:] + DISTANCES[:-1]) / 2
+    return FeatureSetChoice(1 + np.searchsorted(between, shifted), normals)
+
+
+def masked(
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
+) -> FeatureSetChoice:
     """`cf-masked`: features that would be missing from the normals' set are, but the rest is as in hindsight."""
     return FeatureSetChoice(normals[:, None], normals, flags_only=True)
 
 
 def hindsight_throughout(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], horizon: int, stored: int
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
 ) -> FeatureSetChoice:
     """`b-hindsight`: nothing is drawn, as in the paper."""
     return same_feature_set(len(normals), 0)
 
 
-def drawn(draw: Draw, rng: np.random.Generator, count: int, horizon: int, stored: int) -> FeatureSetChoice:
+def drawn(draw: Draw, rng: np.random.Generator, ahead: Float[np.ndarray, "B R"], stored: int) -> FeatureSetChoice:
     """What windows read in training: one of the stored sets for the normals of each, and beside it what a model draws.
 
     Fair: from generators in the same state, all models get the same normals. What one of them draws besides does not
     come from the generator itself, so that it does not change what follows.
     """
-    normals = rng.integers(0, stored, count)
-    return draw(rng.spawn(1)[0], normals, horizon, stored)
-
-
-TOLERANCE = 5.0
-"""Largest difference between a feature set's distance and the vehicle's when it is recorded [m]."""
-
-DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
-"""Distances of the feature sets besides hindsight [m]."""
+    normals = rng.integers(0, stored, len(ahead))
+    return draw(rng.spawn(1)[0], normals, ahead, stored)
 
 
 @dataclass(frozen=True)

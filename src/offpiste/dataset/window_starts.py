@@ -3,9 +3,12 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.conventions import DT, FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
+from offpiste.dataset.splits import part_number
+from offpiste.dataset.store import Dataset
+from offpiste.errors import DatasetError
 
 MIN_HINDSIGHT = 0.5
 """Least share of the ground under the wheels along a window with features in hindsight (paper: all); 0 keeps all."""
@@ -67,3 +70,15 @@ def evaluation_starts(
         result = result[np.hypot(rows.state_causal[result, 3], rows.state_causal[result, 4]) > min_speed]
     enough = enough_hindsight(rows.cells, min_hindsight, horizon=horizon)
     return result if enough is None else result[enough[result]]
+
+
+def no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> DatasetError:
+    """What a part says in which no window starts."""
+    what = f"the {part} part has no window of {horizon * DT:g} s"
+    if any((drive.part == part_number(part)).any() for drive in dataset.drives):
+        what, how = f"{what} that starts above {min_speed:.3g} m/s", "give longer or faster drives"
+    else:
+        count = len(dataset.drives)
+        what = f"{what}, and no row (split {dataset.split.text}, {count} drive{'s' * (count > 1)})"
+        how = "extract more or longer drives"
+    return DatasetError(what, where=dataset.path, how=f"{how}, or choose another --split")

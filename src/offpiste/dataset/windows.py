@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
@@ -19,7 +19,7 @@ from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
-from offpiste.dataset.window_starts import evaluation_starts
+from offpiste.dataset.window_starts import evaluation_starts, no_window
 from offpiste.errors import DatasetError
 from offpiste.state import History, Terrain, wrap_angle
 
@@ -146,7 +146,7 @@ class Windows:
         self.drive_names = tuple(d.name for d in dataset.drives)
         self._offset = offset
         if not len(self.rows):
-            raise _no_window(dataset, part, horizon, min_speed)
+            raise no_window(dataset, part, horizon, min_speed)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -262,6 +262,13 @@ class Windows:
         position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
         return position, self._driven_normal[near][..., 0, :]
 
+    def ahead(self, index: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B R"]:
+        """How far rows t-10 ... t+T-1 lie from the start, negative before it [m]."""
+        row = np.arange(-HISTORY_STEPS, self.horizon)
+        at = torch.as_tensor(self.rows[index][:, None] + row, device=self.device)
+        away = torch.linalg.vector_norm(self._state[at][..., :2] - self._state[at[:, HISTORY_STEPS], None, :2], dim=-1)
+        return np.where(row < 0, -1.0, 1.0) * away.cpu().numpy()
+
     def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
         """Where windows start: px, py in the world frame [m], in double precision."""
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), :2].double()
@@ -286,14 +293,3 @@ class Windows:
 
     def _joined(self, arrays: list[np.ndarray]) -> Tensor:
         return torch.as_tensor(np.concatenate(arrays), device=self.device)
-
-
-def _no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> DatasetError:
-    what = f"the {part} part has no window of {horizon * DT:g} s"
-    if any((drive.part == part_number(part)).any() for drive in dataset.drives):
-        what, how = f"{what} that starts above {min_speed:.3g} m/s", "give longer or faster drives"
-    else:
-        count = len(dataset.drives)
-        what = f"{what}, and no row (split {dataset.split.text}, {count} drive{'s' * (count > 1)})"
-        how = "extract more or longer drives"
-    return DatasetError(what, where=dataset.path, how=f"{how}, or choose another --split")

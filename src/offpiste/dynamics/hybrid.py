@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import DT
-from offpiste.dataset.feature_sets import hindsight_throughout, masked, per_step, per_trajectory
+from offpiste.dataset.feature_sets import as_seen, hindsight_throughout, masked, per_step, per_trajectory
 from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
 from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
@@ -209,6 +209,7 @@ def compressed_distance_independent(vehicle: Vehicle) -> Hybrid:
     return _compressing(vehicle)
 
 
+register_model("dc-view", draw=as_seen, ablation=True)(_compressing)
 register_model("dc-step", draw=per_step, ablation=True)(_compressing)
 register_model("cf-masked", draw=masked, ablation=True)(_compressing)
 

@@ -186,7 +186,7 @@ def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group 
     """Mean loss over the evaluation windows of a part, without gradients."""
     index, rng = _strided(windows, config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / 512))
-    feature_set_choice = [_feature_set_choice(stage, windows, len(part), rng) for part in parts]
+    feature_set_choice = [_feature_set_choice(stage, windows, part, rng) for part in parts]
     total = torch.zeros((), dtype=torch.float64, device=windows.device)
     with torch.no_grad():
         for number, part in group.mine(parts):
@@ -228,9 +228,9 @@ class _State:
 
 
 def _feature_set_choice(
-    stage: Stage, windows: Windows, count: int, rng: np.random.Generator
+    stage: Stage, windows: Windows, index: Int[np.ndarray, " B"], rng: np.random.Generator
 ) -> FeatureSetChoice | None:
-    return drawn(stage.draw, rng, count, windows.horizon, windows.sets) if stage.draw is not None else None
+    return drawn(stage.draw, rng, windows.ahead(index), windows.sets) if stage.draw is not None else None
 
 
 def _strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
@@ -249,7 +249,7 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
         _set_learning_rate(state.optimiser, (epoch + number / len(batches)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
         try:
-            loss = _share_of_loss(stage, train, index, _feature_set_choice(stage, train, len(index), rng), group)
+            loss = _share_of_loss(stage, train, index, _feature_set_choice(stage, train, index, rng), group)
         except TrainingError as error:
             raise TrainingError(error.what, where=where, how=error.how) from error
         mean = group.sum(loss.detach())
