@@ -10,6 +10,7 @@ import tyro
 
 from experiments.command import run
 from experiments.control_experiments.curve import Curve, curve_control
+from experiments.control_experiments.gap import gap_control
 from experiments.control_experiments.ideas import ideas_control
 from experiments.control_experiments.models import models_control
 from experiments.control_experiments.oracle import oracle_control
@@ -36,6 +37,7 @@ What = Literal[
     "appearance",
     "curve",
     "ideas",
+    "gap",
 ]
 
 
@@ -92,6 +94,7 @@ class ControlExperiment:
             ),
             "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, self.seeds),
             "curve": lambda: curve_control(of, self.out, self.curve, self.seeds),
+            "gap": lambda: gap_control(of, self.out, self.seeds),
             "ideas": lambda: ideas_control(of, self.out, list(self.models), self.seeds),
             "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, self.seeds),
         }
