@@ -32,7 +32,14 @@ def test_every_drive_has_a_world_and_a_seed_of_its_own(size):
     for drive in drives:
         assert find_world_preset(drive.settings.world.preset) is not None
         assert size.shortest <= drive.settings.seconds <= size.longest
-        assert drive.settings.sensors == "light"
+        assert drive.settings.sensors == size.sensors
+
+
+def test_a_smaller_set_has_all_sensors():
+    assert [name for name, size in SIZES.items() if size.sensors == "full"] == ["full"]
+    full, day = SIZES["full"], SIZES["day"]
+    assert sum(full.seconds) < sum(day.seconds) / 8
+    assert (full.train.min_speed, full.manoeuvres) == (day.train.min_speed, day.manoeuvres)
 
 
 @pytest.mark.parametrize("name", ["laptop", "paper"])

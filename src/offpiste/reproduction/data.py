@@ -88,7 +88,7 @@ def _shared(total: float, shortest: float, longest: float) -> Iterator[tuple[str
 def _settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
     where = WorldSettings(world, seed, contrast, size=size.world_size, resolution=size.world_resolution)
     driver = WITH_MANOEUVRES if size.manoeuvres else DriverSettings()
-    return DriveSettings(where, seconds, seed, sensors="light", driver=driver)
+    return DriveSettings(where, seconds, seed, sensors=size.sensors, driver=driver)
 
 
 def rig_of(size: Size) -> Rig:

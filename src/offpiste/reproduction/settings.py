@@ -36,6 +36,7 @@ class Size:
         first_seed: of the worlds, which count up from it.
         manoeuvres: whether drivers also stop, crawl, reverse and drive fast, with a gear as a control.
         portion: drives that are simulated and extracted together, and whose logs are removed then; 0: all stay.
+        sensors: of the vehicle (`simulation.sensors.suite.sensor_suite`).
     """
 
     name: str
@@ -53,6 +54,7 @@ class Size:
     first_seed: int = 1000
     manoeuvres: bool = False
     portion: int = 0
+    sensors: str = "light"
 
 
 SIZES = {
@@ -85,6 +87,17 @@ SIZES = {
         manoeuvres=True,
         portion=16,
     ),
+    "full": Size(
+        "full",
+        (1_800.0, 180.0, 900.0),
+        snapshot_seconds=1.0,
+        seeds=3,
+        train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128, min_speed=0.0),
+        first_seed=21_000,
+        manoeuvres=True,
+        portion=8,
+        sensors="full",
+    ),
     "paper": Size(
         "paper",
         (42_000.0, 2_600.0, 5_300.0),
@@ -95,7 +108,7 @@ SIZES = {
     ),
 }
 """Sizes by name: `smoke` takes minutes, `laptop` half an hour; `day` has the whole range of speeds, in worlds that
-nothing else uses; `paper` has some 2M windows to train and 250k to test."""
+nothing else uses; `full` has fewer, and four cameras and two LiDARs; `paper` has some 2M windows to train and 250k to test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
