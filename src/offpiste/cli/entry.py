@@ -35,6 +35,7 @@ PIPELINE: Final = (
     "extract",
     "train",
     "evaluate",
+    "calibrate",
     "reproduce",
     "evidence",
     "drive",

@@ -108,7 +108,8 @@ SIZES = {
     ),
 }
 """Sizes by name: `smoke` takes minutes, `laptop` half an hour; `day` has the whole range of speeds, in worlds that
-nothing else uses; `full` has fewer, and four cameras and two LiDARs; `paper` has some 2M windows to train and 250k to test."""
+nothing else uses; `full` has fewer, and four cameras and two LiDARs; `paper` has some 2M windows to train and 250k to
+test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:

@@ -1,0 +1,29 @@
+"""`offpiste calibrate`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from offpiste.cli.entry import COMMANDS
+
+
+@COMMANDS.register("calibrate")
+@dataclass(frozen=True)
+class Calibrate:
+    """Learn how far the predictions of trained runs stray, and check that on drives that neither was fitted to."""
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
+    """Folders of `offpiste train`; each keeps its spread (spread.safetensors), which is used again."""
+    dataset: Path
+    """That the runs were trained on."""
+    out: Path = Path("calibration")
+    """Folder of the table, the picture and the numbers."""
+
+    def run(self) -> int:
+        """Fit, evaluate, show the table."""
+        from offpiste.uncertainty.calibrate import calibrate
+
+        calibrate(self.runs, self.dataset, self.out)
+        return 0

@@ -1,0 +1,1 @@
+"""How far predictions stray: spreads that grow along a rollout, and whether they are calibrated."""

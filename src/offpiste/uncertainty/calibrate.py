@@ -1,0 +1,124 @@
+"""`offpiste calibrate`: spreads of runs are fitted, kept with them, and evaluated where nothing was fitted."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
+from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.speed_bands import BANDS
+from offpiste.files import write_text
+from offpiste.report.figure import write_png
+from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_tensors
+from offpiste.training.fitness import refuse_seen, refuse_unfit
+from offpiste.training.run import Run, load_run
+from offpiste.uncertainty.calibration import (
+    HORIZONS,
+    CalibrationRow,
+    calibration_rows,
+    calibration_table,
+    draw_calibration,
+)
+from offpiste.uncertainty.fit import SpreadSettings, Strayed, fit_spread, strayed_on_maps
+from offpiste.uncertainty.spread import INTERVAL, Spread, inputs_of
+from offpiste.uncertainty.student import probability_within, squared_distance
+
+logger = logging.getLogger(__name__)
+
+FILE: Final = "spread.safetensors"
+"""In the folder of a run."""
+
+PART: Final = "test"
+"""Part of the dataset that calibration is evaluated on."""
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where windows lie in the dataset, for intervals."""
+
+    drive: np.ndarray = field(repr=False)
+    row: np.ndarray = field(repr=False)
+
+
+def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
+    """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
+
+    Returns:
+        Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
+
+    Raises:
+        RunError: a run does not fit the dataset, has seen what it would be tested on, or its spread belongs to other
+            weights.
+        DatasetError: a part has no window.
+    """
+    dataset, rows, within = open_dataset(path), list[CalibrationRow](), dict[str, np.ndarray]()
+    for folder in folders:
+        run = load_run(folder)
+        refuse_unfit(run, dataset)
+        refuse_seen(run, dataset, PART)
+        mine = dataset.starting_above(_min_speed(run))
+        windows = Windows(mine, PART)
+        index = windows.evaluation_indices(5)
+        spread = kept_or_fitted(run, mine, settings)
+        strayed = strayed_on_maps(run, windows, index)
+        speed = strayed.inputs[:, 0, 0].numpy()
+        bands = {band.name: (speed >= band.low) & (speed < band.high) for band in BANDS}
+        groups = {name: among for name, among in bands.items() if among.any()}
+        drawn = Sampling().on(Located(windows.drive[index], windows.row_in_drive(index)))
+        rows += calibration_rows(folder.name, spread, strayed, groups, drawn)
+        within[folder.name] = _within(spread, strayed)
+    table = calibration_table(rows)
+    write_png(out / "calibration.png", draw_calibration(within), dpi=110)
+    write_text(out / "calibration.json", msgspec.json.encode({"schema": 1, "part": PART, "rows": rows}).decode())
+    write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
+    logger.info(table.text())
+    logger.info(f"written: {out / 'calibration.md'}")
+    return out / "calibration.md"
+
+
+def kept_or_fitted(run: Run, dataset: Dataset, settings: SpreadSettings | None = None) -> Spread:
+    """The spread that a run's folder keeps, or one that is fitted now and kept there."""
+    if (run.folder / FILE).exists():
+        return load_spread(run)
+    train, validation = Windows(dataset, "train"), Windows(dataset, "validation")
+    spread = fit_spread(run, train, validation, settings)
+    weights = load_json(run.folder / "model.json")["weights_sha256"]
+    save_tensors(run.folder / FILE, spread.state_dict(), weights_sha256=weights)
+    return spread
+
+
+def load_spread(run: Run) -> Spread:
+    """The spread in a run's folder.
+
+    Raises:
+        RunError: there is none, it is damaged, or it belongs to other weights.
+    """
+    path = run.folder / FILE
+    if not path.exists():
+        raise RunError("has no spread", where=run.folder, how="make it with `offpiste calibrate`")
+    tensors, about = load_tensors(path)
+    if about.get("weights_sha256") != load_json(run.folder / "model.json")["weights_sha256"]:
+        raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
+    spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
+    load_weights(spread, tensors, path)
+    return spread.requires_grad_(False)
+
+
+def _min_speed(run: Run) -> float | None:
+    """Speed above which the run's training windows start; None: the dataset's."""
+    config = run.folder / "config.json"
+    speed = load_json(config)["train"].get("min_speed") if config.exists() else None
+    return None if speed is None else float(speed)
+
+
+def _within(spread: Spread, strayed: Strayed) -> np.ndarray:
+    at = [round(horizon / INTERVAL) - 1 for horizon in HORIZONS]
+    squared = squared_distance(strayed.error, spread(strayed.inputs)).numpy()
+    return probability_within(squared[:, at], float(spread.freedom))

@@ -1,0 +1,157 @@
+"""Fitting a spread to a trained model: by likelihood on training windows, then one factor on validation's maps."""
+
+import logging
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.dataset.feature_sets import drawn
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import MODELS, Dynamics
+from offpiste.dynamics.kernels.map_rollout import predict_on
+from offpiste.dynamics.models import seeded
+from offpiste.progress import track
+from offpiste.state import RecordedTerrain, Terrain, TerrainSource, Trajectory
+from offpiste.training.prediction import batch_for, in_parts, predict
+from offpiste.training.run import Run
+from offpiste.training.terrain_sources import encoded, on_map
+from offpiste.uncertainty.spread import (
+    EVERY,
+    Moments,
+    Spread,
+    errors_in_heading,
+    inputs_of,
+    spread_inputs,
+    states_at_moments,
+)
+from offpiste.uncertainty.student import negative_log_likelihood
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SpreadSettings:
+    """How a spread is fitted.
+
+    Attributes:
+        windows: of training that it is fitted to, evenly spread.
+        steps, batch, learning_rate: of Adam.
+        seed: of initial weights, feature sets and order.
+    """
+
+    windows: int = 20_000
+    steps: int = 3000
+    batch: int = 512
+    learning_rate: float = 3e-3
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Strayed:
+    """Predicted windows: what a spread reads, and what it is to foretell.
+
+    Attributes:
+        inputs: `spread_inputs`.
+        error: along and across the predicted heading, `INTERVAL` after each of them [m].
+    """
+
+    inputs: Float[Tensor, "N K I"]
+    error: Float[Tensor, "N K 2"]
+
+    def take(self, index: np.ndarray) -> "Strayed":
+        """Some of the windows."""
+        chosen = torch.from_numpy(index)
+        return Strayed(self.inputs[chosen], self.error[chosen])
+
+
+def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSettings | None = None) -> Spread:
+    """The spread of a run's predictions.
+
+    The network learns on training windows at recorded places, from feature sets as the model drew them. Errors where
+    the model is used are larger: a factor for all scales is fitted on the map windows of validation.
+    """
+    settings = settings or SpreadSettings()
+    rng = np.random.default_rng(settings.seed)
+    with seeded(settings.seed):
+        spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
+    every = np.linspace(0, len(train) - 1, min(settings.windows, len(train))).astype(int)
+    learned = strayed_at_recorded(run, train, np.unique(every), rng)
+    fit_network(spread, learned, rng, settings.steps, settings.batch, settings.learning_rate)
+    fit_factor(spread, strayed_on_maps(run, validation, validation.evaluation_indices(5)))
+    logger.info(
+        f"spread of {run.folder.name}: {float(spread.freedom):.1f} degrees of freedom, x {float(spread.factor):.2f}"
+    )
+    return spread
+
+
+def fit_network(
+    spread: Spread, strayed: Strayed, rng: np.random.Generator, steps: int, batch: int, learning_rate: float
+) -> None:
+    """Fit a spread to errors by likelihood: batches of windows, Adam, a cosine down to zero.
+
+    Args:
+        rng: draws the batches.
+    """
+    spread.standardise_on(strayed.inputs)
+    optimiser = torch.optim.Adam(spread.parameters(), lr=learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for _ in track(range(steps), "fitting the spread"):
+        part = strayed.take(rng.integers(0, len(strayed.error), batch))
+        optimiser.zero_grad()
+        _loss(spread, part).backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        schedule.step()
+    spread.requires_grad_(False)
+
+
+def fit_factor(spread: Spread, strayed: Strayed) -> None:
+    """Set the factor of all scales to the one under which these errors are likeliest."""
+    candidates = torch.logspace(-1, 1, 201)
+    losses = []
+    for factor in candidates:
+        spread.factor.copy_(factor)
+        losses.append(_loss(spread, strayed).detach())
+    spread.factor.copy_(candidates[int(torch.stack(losses).argmin())])
+
+
+def _loss(spread: Spread, strayed: Strayed) -> Float[Tensor, ""]:
+    return negative_log_likelihood(strayed.error, spread(strayed.inputs), spread.freedom).mean()
+
+
+@torch.no_grad()
+def strayed_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.random.Generator) -> Strayed:
+    """Predictions along the recorded path, whose ground is seen as the model's training drew it."""
+    draw, dynamics, parts = MODELS[run.model].draw, run.dynamics, []
+    for some in track(in_parts(index, windows, "recorded"), f"predicting with {run.folder.name}"):
+        choice = drawn(draw, rng, windows.ahead(some), windows.sets)
+        batch = encoded(dynamics, batch_for(dynamics, windows, windows.gather(some, choice)))
+        trajectory = predict(dynamics, batch)
+        parts.append(_strayed(dynamics, batch, trajectory, RecordedTerrain(batch.terrain)))
+    return _joined(parts)
+
+
+@torch.no_grad()
+def strayed_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Strayed:
+    """Predictions on the map as it was when each window started, read at predicted places."""
+    dynamics, parts = run.dynamics, []
+    for some in track(in_parts(index, windows, "map"), f"predicting with {run.folder.name}"):
+        batch = batch_for(dynamics, windows, windows.gather(some))
+        batch, source = on_map(dynamics, windows, some, encoded(dynamics, batch))
+        start = dynamics.start(batch.history, batch.state, batch.actuators)
+        parts.append(_strayed(dynamics, batch, predict_on(dynamics, start, batch.control, source), source))
+    return _joined(parts)
+
+
+def _strayed(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source: TerrainSource) -> Strayed:
+    state = states_at_moments(batch.state, trajectory)
+    read = [source.at(EVERY * k, moment) for k, moment in enumerate(state.unbind(dim=1))]
+    terrain = Terrain(*(torch.stack([getattr(each, f.name) for each in read], dim=1) for f in fields(Terrain)))
+    inputs = spread_inputs(dynamics.vehicle, Moments(state, batch.control[:, ::EVERY], terrain))
+    return Strayed(inputs, errors_in_heading(trajectory.state, batch.target))
+
+
+def _joined(parts: list[Strayed]) -> Strayed:
+    return Strayed(torch.cat([part.inputs for part in parts]), torch.cat([part.error for part in parts]))

@@ -1,0 +1,97 @@
+"""`offpiste calibrate` from end to end: what it keeps, shows and refuses."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from feature_datasets import dataset_with_features, with_snapshots
+from offpiste.cli import main
+from offpiste.dataset.store import Dataset
+from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
+from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import Run, load_run
+from offpiste.training.train import train
+from offpiste.uncertainty.calibrate import FILE, kept_or_fitted, load_spread
+from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
+
+QUICK = SpreadSettings(windows=64, steps=20, batch=32)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return dataset_with_features(tmp_path_factory.mktemp("calibrate") / "dataset.zarr")
+
+
+@pytest.fixture(scope="module")
+def trained(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained") / "dc"
+    config = TrainConfig(model="dc", epochs=1, bicycle_epochs=1, actuator_epochs=1, batch=64, stride=80)
+    train(dataset, config, folder)
+    return folder
+
+
+@pytest.fixture
+def run(trained: Path, tmp_path: Path) -> Run:
+    return load_run(Path(shutil.copytree(trained, tmp_path / "dc")))
+
+
+def exit_code(*arguments: object) -> object:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+def test_a_spread_is_kept_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
+    spread = kept_or_fitted(run, dataset, QUICK)
+    windows = Windows(dataset, "test")
+    strayed = strayed_on_maps(run, windows, np.arange(3))
+    again = load_spread(run)
+    assert np.array_equal(spread(strayed.inputs), again(strayed.inputs))
+    assert strayed.inputs.isfinite().all()
+    save_json(run.folder / "model.json", load_json(run.folder / "model.json") | {"weights_sha256": "0" * 64})
+    with pytest.raises(RunError, match="belongs to other weights"):
+        load_spread(run)
+    (run.folder / FILE).unlink()
+    with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
+        load_spread(run)
+
+
+def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:
+    snapped = with_snapshots(dataset, tmp_path / "snapshots", [200, 300])
+    windows = Windows(replace(snapped, min_speed=0.0), "test")
+    index = windows.evaluation_indices(5)
+    assert len(index) == 2
+    on_slope = strayed_on_maps(run, windows, index)
+    assert on_slope.inputs.shape[:2] == (2, 25)
+    assert on_slope.inputs[..., 3].abs().max() > 0.01, "the snapshots' ground slopes"
+
+
+def test_the_command_writes_table_numbers_and_picture(
+    dataset: Dataset, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept_or_fitted(run, dataset, QUICK)
+    out = tmp_path / "out"
+    assert exit_code("calibrate", run.folder, "--dataset", dataset.path, "--out", out) == 0
+    rows = json.loads((out / "calibration.json").read_text("utf-8"))["rows"]
+    assert [row["horizon"] for row in rows if row["windows"] == "all"] == [1.0, 3.0, 5.0]
+    for row in rows:
+        assert sorted(row["coverage"]) == row["coverage"], "larger regions hold more"
+        assert 0 < row["crps_m"] < row["error_m"]
+    of_bands = [row["n"] for row in rows if row["windows"] != "all" and row["horizon"] == 5]
+    assert sum(of_bands) == next(row["n"] for row in rows)
+    assert (out / "calibration.png").stat().st_size > 5000
+
+
+def test_what_cannot_be_calibrated_is_refused_in_a_line(
+    dataset: Dataset, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code("calibrate", tmp_path / "none", "--dataset", dataset.path) == 1
+    lines = capfd.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert "none" in lines[0]
