@@ -19,6 +19,7 @@ from . import runtime as runtime
 from . import simulation as simulation
 from . import state as state
 from . import training as training
+from . import uncertainty as uncertainty
 from . import visualization as visualization
 from ._version import __version__ as __version__
 
@@ -96,3 +97,6 @@ from .training.run import load_run as load_run
 from .training.run import pretrained as pretrained
 from .training.terrain_sources import encoded as encoded
 from .training.train import train as train
+from .uncertainty.calibrate import calibrate as calibrate
+from .uncertainty.prediction import SpreadPrediction as SpreadPrediction
+from .uncertainty.prediction import predict_with_spread as predict_with_spread

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.cli import main
@@ -17,8 +18,9 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
-from offpiste.uncertainty.calibrate import FILE, kept_or_fitted, load_spread
+from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
+from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
 
 QUICK = SpreadSettings(windows=64, steps=20, batch=32)
 
@@ -60,6 +62,19 @@ def test_a_spread_is_kept_with_its_run_and_belongs_to_its_weights(dataset: Datas
     (run.folder / FILE).unlink()
     with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
         load_spread(run)
+
+
+def test_predictions_come_with_the_regions_that_hold_the_vehicle(dataset: Dataset, run: Run) -> None:
+    kept_or_fitted(run, dataset, QUICK)
+    windows = Windows(dataset, "test")[:7]
+    found = predict_with_spread(run, windows)
+    assert torch.equal(found.trajectory.state, run.predict(windows, "map").state)
+    half, most = found.region(0.5), found.region(0.95)
+    assert half.shape == (7, 25, 2)
+    assert (half > 0).all()
+    assert (half < most).all()
+    recorded = predict_with_spread(run, windows, "recorded")
+    assert torch.equal(recorded.trajectory.state, run.predict(windows, "recorded").state)
 
 
 def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:

@@ -11,12 +11,11 @@ import numpy as np
 
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import RunError
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import BANDS
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
-from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_tensors
+from offpiste.training.checkpoint import load_json, save_tensors
 from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.calibration import (
@@ -27,13 +26,11 @@ from offpiste.uncertainty.calibration import (
     draw_calibration,
 )
 from offpiste.uncertainty.fit import SpreadSettings, Strayed, fit_spread, strayed_on_maps
-from offpiste.uncertainty.spread import INTERVAL, Spread, inputs_of
+from offpiste.uncertainty.prediction import FILE, load_spread
+from offpiste.uncertainty.spread import INTERVAL, Spread
 from offpiste.uncertainty.student import probability_within, squared_distance
 
 logger = logging.getLogger(__name__)
-
-FILE: Final = "spread.safetensors"
-"""In the folder of a run."""
 
 PART: Final = "test"
 """Part of the dataset that calibration is evaluated on."""
@@ -92,23 +89,6 @@ def kept_or_fitted(run: Run, dataset: Dataset, settings: SpreadSettings | None =
     weights = load_json(run.folder / "model.json")["weights_sha256"]
     save_tensors(run.folder / FILE, spread.state_dict(), weights_sha256=weights)
     return spread
-
-
-def load_spread(run: Run) -> Spread:
-    """The spread in a run's folder.
-
-    Raises:
-        RunError: there is none, it is damaged, or it belongs to other weights.
-    """
-    path = run.folder / FILE
-    if not path.exists():
-        raise RunError("has no spread", where=run.folder, how="make it with `offpiste calibrate`")
-    tensors, about = load_tensors(path)
-    if about.get("weights_sha256") != load_json(run.folder / "model.json")["weights_sha256"]:
-        raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
-    spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
-    load_weights(spread, tensors, path)
-    return spread.requires_grad_(False)
 
 
 def _min_speed(run: Run) -> float | None:

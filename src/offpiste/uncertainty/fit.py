@@ -1,6 +1,7 @@
 """Fitting a spread to a trained model: by likelihood on training windows, then one factor on validation's maps."""
 
 import logging
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -8,14 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.dataset.feature_sets import drawn
+from offpiste.dataset.feature_sets import FeatureSetChoice, drawn
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
 from offpiste.progress import track
 from offpiste.state import RecordedTerrain, Terrain, TerrainSource, Trajectory
-from offpiste.training.prediction import batch_for, in_parts, predict
+from offpiste.training.prediction import Lookup, batch_for, in_parts, predict
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import encoded, on_map
 from offpiste.uncertainty.spread import (
@@ -121,28 +122,50 @@ def _loss(spread: Spread, strayed: Strayed) -> Float[Tensor, ""]:
     return negative_log_likelihood(strayed.error, spread(strayed.inputs), spread.freedom).mean()
 
 
-@torch.no_grad()
 def strayed_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.random.Generator) -> Strayed:
     """Predictions along the recorded path, whose ground is seen as the model's training drew it."""
-    draw, dynamics, parts = MODELS[run.model].draw, run.dynamics, []
-    for some in track(in_parts(index, windows, "recorded"), f"predicting with {run.folder.name}"):
-        choice = drawn(draw, rng, windows.ahead(some), windows.sets)
-        batch = encoded(dynamics, batch_for(dynamics, windows, windows.gather(some, choice)))
-        trajectory = predict(dynamics, batch)
-        parts.append(_strayed(dynamics, batch, trajectory, RecordedTerrain(batch.terrain)))
-    return _joined(parts)
+    draw = MODELS[run.model].draw
+
+    def choose(some: np.ndarray) -> FeatureSetChoice:
+        return drawn(draw, rng, windows.ahead(some), windows.sets)
+
+    return _joined([strayed for _, strayed in predicted(run, windows, index, "recorded", choose)])
+
+
+def strayed_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Strayed:
+    """Predictions on the map as it was when each window started, read at predicted places."""
+    return _joined([strayed for _, strayed in predicted(run, windows, index, "map")])
+
+
+def predicted(
+    run: Run,
+    windows: Windows,
+    index: np.ndarray,
+    lookup: Lookup,
+    choose: Callable[[np.ndarray], FeatureSetChoice] | None = None,
+) -> Iterator[tuple[Trajectory, Strayed]]:
+    """Some windows after the other: what is predicted, and what a spread reads of it.
+
+    Args:
+        choose: feature sets of some windows, read at recorded places; by default the windows' own.
+    """
+    for some in track(in_parts(index, windows, lookup), f"predicting with {run.folder.name}"):
+        yield _predicted(run.dynamics, windows, some, lookup, choose(some) if choose is not None else None)
 
 
 @torch.no_grad()
-def strayed_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Strayed:
-    """Predictions on the map as it was when each window started, read at predicted places."""
-    dynamics, parts = run.dynamics, []
-    for some in track(in_parts(index, windows, "map"), f"predicting with {run.folder.name}"):
-        batch = batch_for(dynamics, windows, windows.gather(some))
-        batch, source = on_map(dynamics, windows, some, encoded(dynamics, batch))
+def _predicted(
+    dynamics: Dynamics, windows: Windows, index: np.ndarray, lookup: Lookup, choice: FeatureSetChoice | None
+) -> tuple[Trajectory, Strayed]:
+    batch = encoded(dynamics, batch_for(dynamics, windows, windows.gather(index, choice)))
+    source: TerrainSource = RecordedTerrain(batch.terrain)
+    if lookup == "map":
+        batch, source = on_map(dynamics, windows, index, batch)
         start = dynamics.start(batch.history, batch.state, batch.actuators)
-        parts.append(_strayed(dynamics, batch, predict_on(dynamics, start, batch.control, source), source))
-    return _joined(parts)
+        trajectory = predict_on(dynamics, start, batch.control, source)
+    else:
+        trajectory = predict(dynamics, batch)
+    return trajectory, _strayed(dynamics, batch, trajectory, source)
 
 
 def _strayed(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source: TerrainSource) -> Strayed:

@@ -1,0 +1,77 @@
+"""Predictions with their spread: where the vehicle goes, and how sure that is."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
+from offpiste.state import Trajectory
+from offpiste.training.checkpoint import load_json, load_tensors, load_weights
+from offpiste.training.prediction import Lookup
+from offpiste.training.run import Run
+from offpiste.uncertainty.fit import predicted
+from offpiste.uncertainty.spread import Spread, inputs_of
+from offpiste.uncertainty.student import radius
+
+FILE: Final = "spread.safetensors"
+"""In the folder of a run."""
+
+
+@dataclass(frozen=True)
+class SpreadPrediction:
+    """What is predicted for windows, and how far it may stray.
+
+    Attributes:
+        trajectory: predicted states and actuators, every `conventions.DT`.
+        scale: of position errors along and across the predicted heading, every `spread.INTERVAL` [m].
+        freedom: degrees of freedom of these errors (`student`).
+    """
+
+    trajectory: Trajectory
+    scale: Float[Tensor, "B K 2"]
+    freedom: float
+
+    def region(self, probability: float) -> Float[Tensor, "B K 2"]:
+        """Half axes of the ellipses that hold the vehicle with a probability, along and across the heading [m]."""
+        return self.scale * radius(probability, self.freedom)
+
+
+def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> SpreadPrediction:
+    """Predicted states of windows, and their spread.
+
+    Args:
+        lookup: where the ground is read (`Run.predict`).
+
+    Raises:
+        RunError: the run's folder has no spread, or that of other weights; `offpiste calibrate` makes it.
+        DatasetError: the map is asked for and a window does not start with one.
+    """
+    spread = load_spread(run)
+    parts = list(predicted(run, windows, np.arange(len(windows)), lookup))
+    trajectory = Trajectory(
+        torch.cat([each.state for each, _ in parts]), torch.cat([each.actuators for each, _ in parts])
+    )
+    scale = torch.cat([spread(strayed.inputs) for _, strayed in parts])
+    return SpreadPrediction(trajectory, scale, float(spread.freedom))
+
+
+def load_spread(run: Run) -> Spread:
+    """The spread in a run's folder.
+
+    Raises:
+        RunError: there is none, it is damaged, or it belongs to other weights.
+    """
+    path = run.folder / FILE
+    if not path.exists():
+        raise RunError("has no spread", where=run.folder, how="make it with `offpiste calibrate`")
+    tensors, about = load_tensors(path)
+    if about.get("weights_sha256") != load_json(run.folder / "model.json")["weights_sha256"]:
+        raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
+    spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
+    load_weights(spread, tensors, path)
+    return spread.requires_grad_(False)
