@@ -75,7 +75,7 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
     write_png(out / "calibration.png", draw_calibration(within), dpi=110)
     write_text(out / "calibration.json", msgspec.json.encode({"schema": 1, "part": PART, "rows": rows}).decode())
     write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
-    logger.info(table.text())
+    logger.info(table.text(width=150))
     logger.info(f"written: {out / 'calibration.md'}")
     return out / "calibration.md"
 
