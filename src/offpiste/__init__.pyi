@@ -19,6 +19,7 @@ from . import runtime as runtime
 from . import simulation as simulation
 from . import state as state
 from . import training as training
+from . import transport as transport
 from . import visualization as visualization
 from ._version import __version__ as __version__
 

@@ -4,7 +4,7 @@ import functools
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -13,30 +13,44 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
 
-_GRID_MAP_INFO = """
-float64 resolution
-float64 length_x
-float64 length_y
-geometry_msgs/Pose pose
-"""
-_GRID_MAP = """
-std_msgs/Header header
-GridMapInfo info
-string[] layers
-string[] basic_layers
-std_msgs/Float32MultiArray[] data
-uint16 outer_start_index
-uint16 inner_start_index
-"""
-"""Fields of grid_map_msgs for ROS 2 (ANYbotics/grid_map, branch ros2)."""
+DEFINITIONS: Final = {
+    "grid_map_msgs/msg/GridMapInfo": """
+        float64 resolution
+        float64 length_x
+        float64 length_y
+        geometry_msgs/Pose pose
+    """,
+    "grid_map_msgs/msg/GridMap": """
+        std_msgs/Header header
+        GridMapInfo info
+        string[] layers
+        string[] basic_layers
+        std_msgs/Float32MultiArray[] data
+        uint16 outer_start_index
+        uint16 inner_start_index
+    """,
+    "ackermann_msgs/msg/AckermannDrive": """
+        float32 steering_angle
+        float32 steering_angle_velocity
+        float32 speed
+        float32 acceleration
+        float32 jerk
+    """,
+    "ackermann_msgs/msg/AckermannDriveStamped": """
+        std_msgs/Header header
+        AckermannDrive drive
+    """,
+}
+"""Fields of types that rosbags lacks: grid_map_msgs (ANYbotics/grid_map) and ackermann_msgs
+(ros-drivers/ackermann_msgs), both of their branches ros2."""
 
 
 @functools.cache
 def message_types() -> Typestore:
     """All message types that offpiste writes; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"))
-    store.register(get_types_from_msg(_GRID_MAP, "grid_map_msgs/msg/GridMap"))
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
     return store
 
 
