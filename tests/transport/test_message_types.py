@@ -9,7 +9,7 @@ from offpiste.errors import TransportError
 from offpiste.transport.message_types import MessageTypes
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-"""Hash of std_msgs/msg/String as ROS 2 has it (`ros2 topic info -v`, docs/design.md of rmw_zenoh)."""
+"""Hash of std_msgs/msg/String as ROS 2 has it (`ros2 topic info -v`)."""
 
 
 def test_hashes_are_those_of_ros():

@@ -17,6 +17,7 @@ from offpiste.mapping.replay import ExtractFeatures, MapperSettings, SensorMappe
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera
 from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.follower import MapState
 
 
 class Stopwatch:
@@ -93,6 +94,11 @@ class OnlineMapper:
         self._mapper = SensorMapper(cameras, self._sensors.lidars, extract, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
+
+    @property
+    def state(self) -> MapState:
+        """What the mode depends on."""
+        return MapState(self.scan_time, self.image_time if self.uses_features else np.inf)
 
     def image(self, image: Image) -> None:
         """Extract features from an image if it is a keyframe; it counts with its own stamp, however late it comes."""

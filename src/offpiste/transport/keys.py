@@ -1,6 +1,6 @@
 """Where messages of ROS 2 are found on zenoh: keys of rmw_zenoh and of zenoh-bridge-ros2dds.
 
-`rmw_zenoh` (ros2/rmw_zenoh, docs/design.md): `DOMAIN/TOPIC/TYPE/HASH`; who is there is said by liveliness tokens under
+`rmw_zenoh` (ros2/rmw_zenoh): `DOMAIN/TOPIC/TYPE/HASH`; who is there is said by liveliness tokens under
 `@ros2_lv`. The bridge (eclipse-zenoh/zenoh-plugin-ros2dds): `NAMESPACE/TOPIC`, types by tokens of the bridge alone.
 """
 
