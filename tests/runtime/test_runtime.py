@@ -118,12 +118,12 @@ def test_plans_account_for_the_added_throttle():
 def test_added_throttle_is_removed_by_a_stop():
     held = straight_drive(stream={"reads": lambda t: not 1.2 <= t < 1.5, "truth": Held()}, wanted=1.0)
     held.run(1.2)
-    assert held.runtime.follower.launch._more > 0.2, "more and more, since it does not move"
+    assert held.runtime.follower.launch.more > 0.2, "more and more, since it does not move"
     held.run(0.4)
     brake = commands(held)[:, 1]
     since = len(brake) - 1 - np.flatnonzero(brake == 0.5)[-1]
     assert 0 < since < 10
-    assert held.runtime.follower.launch._more == pytest.approx(since * LaunchSettings().rate * DT)
+    assert held.runtime.follower.launch.more == pytest.approx(since * LaunchSettings().rate * DT)
     assert commands(held)[-1, 0] < 0.9
 
 

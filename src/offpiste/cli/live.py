@@ -46,12 +46,17 @@ class Live:
     """Take the messages from a log instead, without a robot: what would have been commanded."""
     commands: Path | None = None
     """Write each command to this table (.csv), of --lockstep and --replay."""
+    record: Path | None = None
+    """Record what is received and what is sent as a log (.mcap)."""
+    status: Path | None = None
+    """Write how all processes are, twice a second, to this table (.csv)."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
         """Load, connect, drive."""
-        from offpiste.live.commands import LiveSettings, run_live
+        from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
+        from offpiste.live.session import LiveSettings
         from offpiste.runtime.settings import RuntimeSettings
 
         run_live(
@@ -66,6 +71,8 @@ class Live:
                 clock=self.clock,
                 seed=self.seed,
                 seconds=self.seconds,
+                record=self.record,
+                status=self.status,
             ),
             lockstep=self.lockstep,
             replay=self.replay,

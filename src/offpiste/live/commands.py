@@ -5,44 +5,27 @@ import logging
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from offpiste.closed_loop.planner import Planner, load_planner
+from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, require
 from offpiste.files import write_whole
-from offpiste.live.clock import Source
 from offpiste.live.command_messages import CommandMessages
 from offpiste.live.driver import Step, StepDriver
 from offpiste.live.lockstep import Lockstep
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer
-from offpiste.live.reception import CourseRequest, Reception
+from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep, replayed
+from offpiste.live.session import LiveSettings
+from offpiste.live.supervisor import supervise
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
-from offpiste.runtime.settings import RuntimeSettings
 from offpiste.training.fitness import differing_vehicle
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class LiveSettings:
-    """Settings of a drive on a vehicle (options as in `cli.live.Live`)."""
-
-    rig: str
-    run: str
-    pca: Path | None
-    course: CourseRequest
-    runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
-    robot: ZenohSettings = field(default_factory=ZenohSettings)
-    drive: bool = False
-    clock: Source = "system"
-    seed: int = 0
-    seconds: float = float("inf")
 
 
 def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, commands: Path | None) -> None:
@@ -66,11 +49,7 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
         elif lockstep:
             _lockstep(settings, rig, driver, reception, on_step)
         else:
-            _in_real_time(settings, rig, planner, reception)
-
-
-def _in_real_time(settings: LiveSettings, rig: Rig, planner: Planner, reception: Reception) -> None:
-    raise NotImplementedError
+            supervise(settings, planner, [Path(name) for name in rig.live.definitions])
 
 
 def _replay(

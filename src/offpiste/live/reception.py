@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.errors import LiveError, LogError
+from offpiste.errors import LiveError, LogError, OffpisteError
 from offpiste.live.course import course_from_message, course_to, read_course
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages
@@ -143,7 +143,7 @@ class Reception:
     def _new_course(self, message: Any) -> list[Taken]:
         try:
             self.course = course_from_message(message, self._request.speed, self._request.topic)
-        except (LiveError, AttributeError) as error:
+        except (OffpisteError, AttributeError) as error:
             self.refusals.append(str(error))
             return []
         return [self.course]

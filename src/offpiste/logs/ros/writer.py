@@ -129,6 +129,7 @@ class McapWriter:
         self._mcap.start(profile="ros2", library="offpiste")
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
+        self._definitions: dict[str, str] = {}
         self._batch: list[_Entry] = []
         self._size = 0
         self._worker = ThreadPoolExecutor(max_workers=1)
@@ -144,8 +145,22 @@ class McapWriter:
         """Append a message (of `offpiste.logs.ros.writer`), stamped [ns since 1970]; it is serialised at once."""
         msgtype = message.__msgtype__
         data = bytes(message_types().serialize_cdr(message, msgtype, little_endian=True))
-        self._batch.append(_Entry(topic, msgtype, stamp_ns, data))
-        self._size += len(data)
+        self._append(_Entry(topic, msgtype, stamp_ns, data))
+
+    def write_serialised(self, topic: str, msgtype: str, data: bytes, definition: str, stamp_ns: int) -> None:
+        """Append a message that is CDR already, of any type.
+
+        Args:
+            definition: of the type, with those that it is made of.
+        """
+        if msgtype not in self._definitions:
+            self._definitions[msgtype] = definition
+        self._append(_Entry(topic, msgtype, stamp_ns, data))
+
+    def _append(self, entry: _Entry) -> None:
+        self._batch.append(entry)
+        self._size += len(entry.data)
+        stamp_ns = entry.stamp
         if self._size >= _CHUNK_SIZE or stamp_ns - self._batch[0].stamp >= _CHUNK_TIME:
             self._hand_over()
 
@@ -188,7 +203,7 @@ class McapWriter:
 
     def _channel(self, topic: str, msgtype: str) -> int:
         if msgtype not in self._schemas:
-            definition, _ = message_types().generate_msgdef(msgtype, ros_version=2)
+            definition = self._definitions.get(msgtype) or message_types().generate_msgdef(msgtype, ros_version=2)[0]
             self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", definition.encode())
         if (topic, msgtype) not in self._channels:
             self._channels[topic, msgtype] = self._mcap.register_channel(topic, "cdr", self._schemas[msgtype])
