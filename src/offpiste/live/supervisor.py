@@ -13,6 +13,7 @@ from typing import Any, Final
 from offpiste.closed_loop.planner import Planner
 from offpiste.live.packing import layers_from, plan_from, unpacked
 from offpiste.live.parts.entry import run_part
+from offpiste.live.parts.setup import LOADING
 from offpiste.live.reports import (
     DIAGNOSTICS,
     ERROR,
@@ -127,7 +128,7 @@ class Supervisor:
             return ERROR, f"ended with {code}, and is started again", about
         if newest is None or values.get("pid") != process.pid:
             return WARN, "starts", about
-        if ring.age > _STALLED and values["state"] not in ("loads its kernels",):
+        if ring.age > _STALLED and values["state"] != LOADING:
             if ring.age > _KILLED:
                 process.kill()
             return ERROR, "gives no sign of life", about

@@ -6,7 +6,7 @@ from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import PerceptionError
 from offpiste.live.packing import image_from, packed, unpacked
 from offpiste.live.part import Part, TrackFeed
-from offpiste.live.parts.setup import wait_for_sensors
+from offpiste.live.parts.setup import load_kernels, wait_for_sensors
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Image
 from offpiste.mapping.replay import Keyframes
@@ -17,6 +17,7 @@ def codes(session: Session) -> None:
     """The process that extracts features."""
     part = Part("codes", session)
     planner = load_planner(part.settings.run, part.settings.pca)
+    load_kernels(part, planner)
     setup = wait_for_sensors(part, planner)
     if setup is None or planner.extractor is None:
         return

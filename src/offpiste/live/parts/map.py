@@ -8,7 +8,7 @@ from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.live.packing import cloud_from, pack_layers, packed, unpacked
 from offpiste.live.part import Part, TrackFeed
-from offpiste.live.parts.setup import wait_for_sensors
+from offpiste.live.parts.setup import load_kernels, wait_for_sensors
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Cloud
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -24,6 +24,7 @@ def map_ground(session: Session) -> None:
     """The process that maps."""
     part = Part("map", session)
     planner = load_planner(part.settings.run, part.settings.pca)
+    load_kernels(part, planner)
     setup = wait_for_sensors(part, planner)
     if setup is None:
         return

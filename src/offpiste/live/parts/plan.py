@@ -9,14 +9,13 @@ from offpiste.closed_loop.planner import load_planner
 from offpiste.compilation import single_threaded_torch
 from offpiste.live.packing import layers_from, pack_plan, packed, unpacked
 from offpiste.live.part import Part, TrackFeed
-from offpiste.live.parts.setup import NewestCourse, wait_for_sensors
+from offpiste.live.parts.setup import NewestCourse, load_kernels
 from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.plan_maker import PlanMaker
-from offpiste.runtime.warm_up import warm_up
 
 
 class Plans:
@@ -86,11 +85,7 @@ def plan(session: Session) -> None:
     """The process that plans."""
     part = Part("plan", session)
     plans = Plans(part)
-    setup = wait_for_sensors(part, plans.planner)
-    if setup is None:
-        return
-    part.beat("loads its kernels")
-    warm_up(plans.planner.dynamics, setup, load_rig(part.settings.rig).wheel_positions(), part.settings.runtime)
+    load_kernels(part, plans.planner)
     period = 1 / part.settings.runtime.plan_rate
     while not part.ending:
         began = time.monotonic()
