@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.errors import LiveError, LogError, OffpisteError
+from offpiste.errors import LiveError, OffpisteError
 from offpiste.live.course import course_from_message, course_to, read_course
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages
@@ -131,10 +131,7 @@ class Reception:
         if self._first is None or reading.time < self._first:
             self._first = reading.time
         if reading.time - self._first > SETTLE:
-            try:
-                self.sensors.settle()
-            except LogError:
-                self._first = reading.time  # `waiting_for` says what is missing; tried again later
+            self.sensors.settle()
         if self._request.goal is None or self.course is not None:
             return [reading]
         self.course = course_to(np.array(self._request.goal), reading.position[:2], self._request.speed)

@@ -89,7 +89,11 @@ class SensorMessages:
     @property
     def waiting_for(self) -> str:
         """What is missing before images and scans can be used, in words; empty once nothing is."""
-        return "" if self.sensors is not None else "; ".join(self._why.values()) or "the first messages of its sensors"
+        if self.sensors is not None:
+            return ""
+        silent = [entry.topic for entry in self._entries.values() if entry.topic not in self._log.first]
+        heard = f"messages on {', '.join(silent)}" if silent else ""
+        return "; ".join(text for text in (*self._why.values(), heard) if text) or "the first messages of its sensors"
 
     def take(self, topic: str, message: Any, received: float) -> Image | Cloud | None:
         """Add a message; the image or scan that it is, once it can be used."""
@@ -111,11 +115,7 @@ class SensorMessages:
             return None
 
     def settle(self) -> None:
-        """Take the sensors that were heard; optional ones that were not are left out.
-
-        Raises:
-            LogError: a sensor that is not optional cannot be used; what is missing.
-        """
+        """Take the sensors that were heard, if all are there but for optional ones (see `waiting_for`)."""
         if self.sensors is None:
             self._set_up(complete=True)
 
@@ -123,27 +123,20 @@ class SensorMessages:
         """Set up all sensors; with `complete`, those optional ones that were heard."""
         cameras, lidars = dict[str, Camera](), dict[str, Lidar]()
         transforms = self._log.transforms(())
-        self._why = {}
+        self._why, missing = {}, False
         for name, entry in self._entries.items():
-            if entry.topic not in self._log.first and entry.optional and complete:
+            if entry.topic not in self._log.first:
+                missing |= not (entry.optional and complete)
                 continue
             try:
-                if entry.topic not in self._log.first:
-                    raise LogError(f"'{name}': nothing heard on topic '{entry.topic}'", how="or set optional = true")
                 refuse_rough(self._log, {name: entry})
                 if name in self._cameras:
                     cameras[name] = camera_of(self._log, self._rig, name, self._cameras[name], transforms)
                 else:
                     lidars[name] = lidar_of(self._log, self._rig, name, self._rig.lidars[name], transforms)
             except (LogError, PerceptionError) as error:
-                if complete:
-                    raise
                 self._why[name] = str(error)
-        if not self._why and (complete or lidars):
-            if not lidars:
-                raise LogError(
-                    "no LiDAR was heard", where="the robot", how="fix lidars in the rig, or start its driver"
-                )
+        if not missing and not self._why and lidars:
             self.sensors = cameras, lidars
 
     def _image(self, camera: Camera, topic: str, message: Any, time: float) -> Image | None:

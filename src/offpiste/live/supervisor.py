@@ -3,7 +3,7 @@
 import logging
 import multiprocessing
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from multiprocessing.process import BaseProcess
@@ -26,7 +26,7 @@ from offpiste.live.reports import (
     path_message,
 )
 from offpiste.live.ring import Ring
-from offpiste.live.session import LiveSettings, Session, new_session
+from offpiste.live.session import PARTS, LiveSettings, Session, new_session
 from offpiste.live.status_table import StatusTable
 from offpiste.transport.zenoh_transport import ZenohTransport
 
@@ -38,23 +38,31 @@ _STALLED: Final = 1.5
 """Time without a sign of life, after which a process that was ready counts as hung [s]."""
 _KILLED: Final = 15.0
 """The same, after which it is started again [s]: kernels may be compiled meanwhile."""
+_SAY: Final = 1.0
+"""States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
 
 
 class Supervisor:
     """Starts the processes of a session, and looks after them.
 
+    Args:
+        transport: what is reported goes out by.
+        cameras: whether the model reads images.
+        names: of the processes that are started, where they are needed.
+
     Attributes:
         restarts: how often each process was started again.
     """
 
-    def __init__(self, session: Session, planner: Planner, transport: ZenohTransport) -> None:
+    def __init__(
+        self, session: Session, transport: ZenohTransport, *, cameras: bool, names: Sequence[str] = PARTS
+    ) -> None:
         self._session, self._transport, settings = session, transport, session.settings
         # What all need is imported once, and shared; the server has no threads, and forks one process for each part.
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["offpiste.live.parts.control", "offpiste.live.parts.plan"])
-        self._cameras = planner.extractor is not None
-        names = ["receive", "codes", "map", "plan", "control", "watchdog", "record"]
+        self._cameras = cameras
         wanted = {"codes": self._cameras, "watchdog": settings.drive, "record": settings.record is not None}
         self._names = [name for name in names if wanted.get(name, True)]
         self._rings: dict[str, Ring] = {}
@@ -67,7 +75,7 @@ class Supervisor:
             DIAGNOSTICS: transport.publisher(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray"),
         }
         self._numbers = {"plans": 0, "map": 0}
-        self._said: dict[str, str] = {}
+        self._said: dict[str, tuple[str, float]] = {}
 
     def start(self) -> None:
         """Start all processes."""
@@ -90,9 +98,11 @@ class Supervisor:
 
     def say(self, parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> None:
         """Log what has changed."""
+        now = time.monotonic()
         for name, (level, state, _) in parts.items():
-            if self._said.get(name) != state:
-                self._said[name] = state
+            said, at = self._said.get(name, ("", 0.0))
+            if said != state and now - at > _SAY:
+                self._said[name] = state, now
                 (logger.info if level == OK else logger.warning)(f"{name}: {state}")
 
     def end(self) -> None:
@@ -161,7 +171,7 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
         inner = _as_client(settings)
         session = stack.enter_context(new_session(inner))
         table = stack.enter_context(StatusTable(settings.status))
-        supervisor = Supervisor(session, planner, transport)
+        supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
         supervisor.start()
         began = looked = time.monotonic()
         try:
