@@ -6,9 +6,13 @@ from factories import RIG
 from offpiste.errors import RigError
 from offpiste.rig.rig import load_rig, parse_rig
 
-OUTPUT = (
-    '[outputs.a]\ntopic = "/a"\ntype = "geometry_msgs/msg/Twist"\n[outputs.a.fields]\n"linear.x" = { of = "speed" }\n'
-)
+OUTPUT = """
+[outputs.a]
+topic = "/a"
+type = "geometry_msgs/msg/Twist"
+[outputs.a.fields]
+"linear.x" = { of = "speed" }
+"""
 WRONG = {
     "no topic": (OUTPUT.replace('"/a"', '"a b"'), r"outputs\.a\.topic: 'a b' is no topic"),
     "no type": (OUTPUT.replace("/msg/", "/"), r"outputs\.a\.type: 'geometry_msgs/Twist' is no message type"),

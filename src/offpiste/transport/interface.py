@@ -6,7 +6,7 @@ Zenoh is behind it (`zenoh_transport`); a node of a DDS binding or of rclpy has 
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ Publish = Callable[[Any], None]
 """Sends a message (of `offpiste.logs.ros.writer.make`)."""
 
 
+@runtime_checkable
 class Transport(Protocol):
     """Connection to a robot.
 

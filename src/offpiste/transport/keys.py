@@ -5,7 +5,7 @@
 """
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 NO_HASH: Final = "TypeHashNotSupported"
 """What stands for the hash where the robot's ROS has none (Humble)."""
@@ -38,6 +38,7 @@ class Endpoint:
     keep: bool = False
 
 
+@runtime_checkable
 class Keys(Protocol):
     """A convention of keys."""
 
