@@ -41,6 +41,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
         raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
+    if settings.record is not None and settings.record.exists():
+        raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
     driver = StepDriver(rig, planner, reception, settings.runtime, shadow=not settings.drive, seed=settings.seed)
     with _table_of(commands) as on_step:
