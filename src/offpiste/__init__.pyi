@@ -9,6 +9,7 @@ from . import evaluation as evaluation
 from . import evidence as evidence
 from . import geometry as geometry
 from . import inspection as inspection
+from . import live as live
 from . import logs as logs
 from . import mapping as mapping
 from . import perception as perception

@@ -182,11 +182,9 @@ class VehicleMessages:
 
     def _fresh(self, channel: str, time: float) -> bool:
         kept = self._kept.get(channel)
-        return (
-            kept is not None
-            and len(kept) > 0
-            and (time == np.inf or abs(time - kept[-1][0]) <= self._rig.clock.max_gap)
-        )
+        if not kept:
+            return False
+        return time == np.inf or abs(time - kept[-1][0]) <= self._rig.clock.max_gap
 
 
 def _yaw(quaternion: Float[np.ndarray, " 4"]) -> float:
