@@ -9,6 +9,7 @@ from . import evaluation as evaluation
 from . import evidence as evidence
 from . import geometry as geometry
 from . import inspection as inspection
+from . import live as live
 from . import logs as logs
 from . import mapping as mapping
 from . import perception as perception
@@ -19,6 +20,7 @@ from . import runtime as runtime
 from . import simulation as simulation
 from . import state as state
 from . import training as training
+from . import transport as transport
 from . import uncertainty as uncertainty
 from . import visualization as visualization
 from ._version import __version__ as __version__

@@ -78,6 +78,14 @@ class PlanningError(OffpisteError):
     """A plan cannot be made, e.g. no sampled trajectory has a finite cost."""
 
 
+class TransportError(OffpisteError):
+    """A robot cannot be reached, or a message type is not known."""
+
+
+class LiveError(OffpisteError):
+    """What is needed to drive a vehicle is missing or wrong: its messages, a course, limits, a process."""
+
+
 class MissingExtra(OffpisteError):
     """A package that only an extra installs is not there."""
 

@@ -118,12 +118,12 @@ def test_plans_account_for_the_added_throttle():
 def test_added_throttle_is_removed_by_a_stop():
     held = straight_drive(stream={"reads": lambda t: not 1.2 <= t < 1.5, "truth": Held()}, wanted=1.0)
     held.run(1.2)
-    assert held.runtime._launch._more > 0.2, "more and more, since it does not move"
+    assert held.runtime.follower.launch.more > 0.2, "more and more, since it does not move"
     held.run(0.4)
     brake = commands(held)[:, 1]
     since = len(brake) - 1 - np.flatnonzero(brake == 0.5)[-1]
     assert 0 < since < 10
-    assert held.runtime._launch._more == pytest.approx(since * LaunchSettings().rate * DT)
+    assert held.runtime.follower.launch.more == pytest.approx(since * LaunchSettings().rate * DT)
     assert commands(held)[-1, 0] < 0.9
 
 
@@ -240,7 +240,7 @@ def speed_of(state):
 def test_after_a_long_stop_old_plans_are_forgotten():
     stream = straight_drive(stream={"scans": lambda t: not 1.0 <= t < 3.5})
     stream.run(3.4)
-    schedule = stream.runtime._schedule
+    schedule = stream.runtime.follower.schedule
     old = schedule.latest
     assert schedule.control(3.0) is not None
     stream.run(0.2)
@@ -263,14 +263,14 @@ def test_an_empty_map_stops_it():
 def test_a_plan_that_fails_leaves_the_last_one_for_a_while(monkeypatch):
     stream = straight_drive()
     stream.run(1.5)
-    planned = stream.runtime._schedule.latest.controls
+    planned = stream.runtime.follower.schedule.latest.controls
 
     def fails(*_, **__):
         raise PlanningError("none of 64 sampled trajectories has a finite cost")
 
     monkeypatch.setattr(mppi, "improve", fails)
     stream.run(0.5)
-    last = stream.runtime._schedule.latest
+    last = stream.runtime.follower.schedule.latest
     assert last.controls is planned
     row = round(last.start / DT)
     np.testing.assert_allclose(commands(stream)[row : row + 20], planned[:20], atol=1e-7)

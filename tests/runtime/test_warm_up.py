@@ -12,12 +12,18 @@ from runtime.stream import WHEELS, feature_model, parametric, sensor_setup, sett
 
 @pytest.mark.parametrize(("make", "with_camera"), [(parametric, False), (feature_model, True)])
 def test_it_plans_with_any_model(monkeypatch, make, with_camera):
-    made, plan = [], Runtime._improve
-    monkeypatch.setattr(Runtime, "_improve", lambda self, *given: (made.append(self), plan(self, *given)))
+    made, plan = [], Runtime._plan
+
+    def keep(self, *given):
+        plan(self, *given)
+        made.append(self)
+
+    monkeypatch.setattr(Runtime, "_plan", keep)
     model = make()
     before = {name: weights.clone() for name, weights in model.state_dict().items()}
     warm_up(model, sensor_setup(with_camera=with_camera), WHEELS, settings())
     assert made
+    assert made[0].predictions
     assert not made[0].failures
     assert made[0].dropped == {}
     assert all(torch.equal(weights, before[name]) for name, weights in model.state_dict().items())

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.illnesses.sensors.drives import CAMERA, LAYOUTS, LIDAR, Layout, SensorDrive
 from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Topic
+from offpiste.logs.mountings import given_mounting
 from offpiste.logs.opening import open_log
-from offpiste.logs.sensor_log import given_mounting
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.edits import Edit, edited

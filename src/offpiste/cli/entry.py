@@ -39,6 +39,9 @@ PIPELINE: Final = (
     "reproduce",
     "evidence",
     "drive",
+    "doctor",
+    "live",
+    "play",
     "check",
 )
 """Order of the commands in the help: as a log goes through them. Others follow."""

@@ -1,11 +1,14 @@
 """`offpiste simulate`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.robot_options import RobotOptions
 
 if TYPE_CHECKING:
     from offpiste.simulation.simulate import DriveSettings
@@ -55,8 +58,16 @@ class Simulate:
     cluster: str = ""
     """Record several drives on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
+    live: bool = False
+    """In real time, as a robot: `offpiste live proving_ground --drive` drives it along a course (extra `live`)."""
+    speed: float = 5.0
+    """Of --live: the course is chosen for it [m/s]."""
+    robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
+
     def run(self) -> int:
         """Make a world, drive through it, record."""
+        if self.live:
+            return self._run_live()
         from offpiste.errors import OffpisteError
         from offpiste.progress import show
         from offpiste.simulation.simulate import simulate
@@ -71,6 +82,14 @@ class Simulate:
         if self.twins or self.drive_seed is not None:
             raise OffpisteError("--drives goes with neither --twins nor --drive-seed", how="leave them out")
         self._record_all()
+        return 0
+
+    def _run_live(self) -> int:
+        from offpiste.live.simulated_robot import simulate_live
+
+        world = self._settings(self.seed, self.seed).world
+        robot = self.robot.settings()
+        simulate_live(world, robot, sensors=self.sensors, seconds=self.seconds, speed=self.speed)
         return 0
 
     def _record_all(self) -> None:

@@ -19,8 +19,9 @@ from offpiste.inspection.misfit import PRIOR, Misfit, Parameters, turned
 from offpiste.inspection.sensor_samples import Gathered, Grey, Scan, SmallCamera, gather, small_camera
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Lidar
+from offpiste.logs.mountings import body_from_sensor, given_mounting
 from offpiste.logs.poses import Poses
-from offpiste.logs.sensor_log import SensorLog, body_from_sensor, given_mounting, open_sensors
+from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.progress import track
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig

@@ -2,7 +2,7 @@
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final, TypeVar
 
 import numpy as np
@@ -13,11 +13,10 @@ from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, RawCloud, RawImage
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
 from offpiste.logs.poses import Poses, jump_note, poses_from_drive
-from offpiste.logs.transforms import Transform, between
-from offpiste.rig.camera import model_from_intrinsics
 from offpiste.rig.rig import Rig
-from offpiste.rig.sensors import CameraSource, LidarSource, Mounting
+from offpiste.rig.sensors import CameraSource, LidarSource
 
 _USELESS: Final = 10
 """Number of messages in a row without anything usable, after which a sensor is given up."""
@@ -220,58 +219,13 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
             f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="fix the rig"
         )
     if not rough:
-        _refuse_rough(log, present)
+        refuse_rough(log, present)
     transforms = log.transforms(rig.frames.topics)
-    cameras = {n: _camera(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
-    lidars = {n: _lidar(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
+    cameras = {n: camera_of(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, CameraSource)}
+    lidars = {n: lidar_of(log, rig, n, e, transforms) for n, e in present.items() if isinstance(e, LidarSource)}
     known = poses or poses_from_drive(drive_from_log(log, rig))
     notes = [f"no messages of {', '.join(absent)}: the log is read without"] if absent else []
     return SensorLog(log, rig, cameras, lidars, known, notes)
-
-
-def _camera(log: Log, rig: Rig, name: str, entry: CameraSource, transforms: list[Transform]) -> Camera:
-    camera_from_image = np.eye(4)
-    if entry.intrinsics is not None:
-        model = model_from_intrinsics(entry.intrinsics)
-    elif entry.info not in log.topics:
-        what = f"'{name}': images without calibration: no topic '{entry.info}'"
-        raise LogError(what, where=log.path, how=f"give cameras.{name}.intrinsics in the rig")
-    else:
-        model, camera_from_image = log.camera_model(entry.info, rectified=entry.rectified)
-    return Camera(name, model, body_from_sensor(log, rig, entry, transforms) @ camera_from_image, entry)
-
-
-def _lidar(log: Log, rig: Rig, name: str, entry: LidarSource, transforms: list[Transform]) -> Lidar:
-    return Lidar(name, body_from_sensor(log, rig, entry, transforms), entry)
-
-
-def _refuse_rough(log: Log, entries: Mapping[str, CameraSource | LidarSource]) -> None:
-    for name, entry in entries.items():
-        given = given_mounting(entry)
-        if given is not None and given.is_rough:
-            how = "run `offpiste inspect LOG --rig RIG --estimate-mountings`, and put its lines into the rig"
-            raise LogError(
-                f"the mounting of '{name}' is a rough guess, looks = \"{given.looks}\"", where=log.path, how=how
-            )
-
-
-def given_mounting(entry: CameraSource | LidarSource) -> Mounting | None:
-    """The mounting that the rig gives for a sensor, if it does."""
-    return entry.body_from_camera if isinstance(entry, CameraSource) else entry.body_from_lidar
-
-
-def body_from_sensor(
-    log: Log, rig: Rig, entry: CameraSource | LidarSource, transforms: Sequence[Transform]
-) -> Float[np.ndarray, "4 4"]:
-    """The mounting of a sensor, by the rig or else by the log's transforms.
-
-    Raises:
-        LogError: no chain of transforms joins its frame to the body's.
-    """
-    given = given_mounting(entry)
-    if given is not None:
-        return given.matrix(optical=isinstance(entry, CameraSource))
-    return between(transforms, rig.frames.body, entry.frame or log.frame(entry.topic), path=log.path)
 
 
 def _between(measured: Iterator[Image | Cloud], start: float, end: float) -> Iterator[Image | Cloud]:

@@ -64,6 +64,49 @@ class MappedScan(NamedTuple):
     keyframes: tuple[Keyframe, ...]
 
 
+class Keyframes:
+    """The last keyframe of each camera.
+
+    Args:
+        cameras: whose images are used.
+    """
+
+    def __init__(self, cameras: Mapping[str, PinholeCamera], settings: MapperSettings) -> None:
+        self._cameras, self._settings = cameras, settings
+        self._held: dict[str, Keyframe] = {}
+
+    def due(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
+        """Whether the vehicle has gone far enough since the camera's last keyframe (see `SensorMapper.is_keyframe`)."""
+        if image.camera not in self._held:
+            return True
+        before = self._held[image.camera].view
+        here = (pose @ before.camera.body_from_camera)[:3, 3]
+        moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
+        return bool(moved >= self._settings.keyframe_metres or image.time - before.time > self._settings.memory)
+
+    def add(
+        self,
+        camera: str,
+        time: float,
+        pose: Float[np.ndarray, "4 4"],
+        features: Float32[np.ndarray, "rows columns F"],
+        pixels: UInt8[np.ndarray, "h w 3"],
+    ) -> None:
+        """Make an image the camera's keyframe.
+
+        Args:
+            pose: `world_from_body` at its time.
+            features: of its patches.
+            pixels: rectified.
+        """
+        view = CameraView(self._cameras[camera], time, pose @ self._cameras[camera].body_from_camera)
+        self._held[camera] = Keyframe(view, features, pixels)
+
+    def recent(self, time: float) -> tuple[Keyframe, ...]:
+        """Those that scans of a time are projected onto."""
+        return tuple(k for k in self._held.values() if time - k.view.time <= self._settings.memory)
+
+
 class SensorMapper:
     """The map around a vehicle, from its images and scans.
 
@@ -72,6 +115,9 @@ class SensorMapper:
         lidars: of the scans.
         extract: backbone and PCA; on the vehicle, the encoder too.
         channels: of the features; 0 maps the scans alone.
+
+    Attributes:
+        keyframes: last images whose features scans get.
     """
 
     def __init__(
@@ -85,7 +131,7 @@ class SensorMapper:
         self._settings = settings or MapperSettings()
         self._cameras, self._lidars = cameras, lidars
         self._extract, self._channels = extract, channels
-        self._keyframes: dict[str, Keyframe] = {}
+        self.keyframes = Keyframes(cameras, self._settings)
         self.pipeline = MapPipeline(channels, self._settings.map)
 
     def is_keyframe(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
@@ -94,12 +140,7 @@ class SensorMapper:
         Args:
             pose: `world_from_body` at the image's time.
         """
-        if image.camera not in self._keyframes:
-            return True
-        before = self._keyframes[image.camera].view
-        here = (pose @ before.camera.body_from_camera)[:3, 3]
-        moved = np.linalg.norm(here - before.world_from_camera[:3, 3])
-        return bool(moved >= self._settings.keyframe_metres or image.time - before.time > self._settings.memory)
+        return self.keyframes.due(image, pose)
 
     def add_image(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> None:
         """Make an image the camera's keyframe: scans that follow get its features.
@@ -107,10 +148,8 @@ class SensorMapper:
         Args:
             pose: `world_from_body` at its time.
         """
-        camera = self._cameras[image.camera]
-        view = CameraView(camera, image.time, pose @ camera.body_from_camera)
-        pixels = camera.rectifier(image.pixels)
-        self._keyframes[image.camera] = Keyframe(view, self._extract(pixels), pixels)
+        pixels = self._cameras[image.camera].rectifier(image.pixels)
+        self.keyframes.add(image.camera, image.time, pose, self._extract(pixels), pixels)
 
     def add_scan(self, scan: Cloud, poses: Poses, pose: Float[np.ndarray, "4 4"]) -> MappedScan:
         """Put a scan into the map.
@@ -119,7 +158,7 @@ class SensorMapper:
             poses: over the whole scan; points at unknown ones are left out.
             pose: `world_from_body` at its time.
         """
-        recent = tuple(k for k in self._keyframes.values() if scan.time - k.view.time <= self._settings.memory)
+        recent = self.keyframes.recent(scan.time)
         lidar = self._lidars[scan.lidar]
         points = points_in_world(scan, lidar, poses)
         known = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])

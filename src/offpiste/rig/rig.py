@@ -13,6 +13,7 @@ from offpiste.channels import Actuator, Control, actuator_columns, all_actuators
 from offpiste.errors import RigError, did_you_mean
 from offpiste.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
+from offpiste.rig.outputs import Live, Output, check_outputs
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
 
@@ -91,7 +92,7 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vehicle, its log's channels, the channels that its log does not have, and its sensors by name."""
+    """A vehicle, its log's channels, the channels that its log does not have, its sensors and its commands by name."""
 
     name: str
     vehicle: Vehicle
@@ -104,6 +105,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frames: Frames = Frames()
     cameras: dict[str, CameraSource] = {}
     lidars: dict[str, LidarSource] = {}
+    outputs: dict[str, Output] = {}
+    live: Live = Live()
 
     @property
     def controls(self) -> tuple[Control, ...]:
@@ -144,7 +147,8 @@ def load_rig(name: str | Path) -> Rig:
     rig = parse_rig(rig_text(name), where=str(name))
     if _is_preset(name):
         return rig
-    return msgspec.structs.replace(rig, cameras=beside(rig.cameras, Path(name).resolve().parent))
+    folder = Path(name).resolve().parent
+    return msgspec.structs.replace(rig, cameras=beside(rig.cameras, folder), live=rig.live.beside(folder))
 
 
 def rig_text(name: str | Path) -> str:
@@ -206,3 +210,4 @@ def check_rig(rig: Rig) -> None:
             raise RigError(f"{key} is {number}", how="give a number above zero")
     check_vehicle(rig.vehicle, steers="steer" in rig.channels)
     check_sensors(rig.cameras, rig.lidars)
+    check_outputs(rig.outputs, rig.live, rig.vehicle.max_steer)

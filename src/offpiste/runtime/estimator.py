@@ -118,6 +118,13 @@ class VehicleTrack:
         orientation = Channel("orientation", "1", time, np.stack([r.orientation for r in self._readings]))
         return Poses(position, orientation, self._max_gap)
 
+    def pose_at(self, time: float) -> Float[np.ndarray, "4 4"] | None:
+        """`world_from_body` at a moment [s]; None where it is not known."""
+        if not self.enough:
+            return None
+        pose = self.poses().at(np.array([time]))[0]
+        return None if np.isnan(pose).any() else np.asarray(pose)
+
     def rows(self, now: float) -> TrackRows:
         """Rows of the last 0.2 s, up to `now` [s]; before the first reading, its values are repeated."""
         time = np.array([r.time for r in self._readings])

@@ -17,6 +17,7 @@ from offpiste.mapping.replay import ExtractFeatures, MapperSettings, SensorMappe
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera
 from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.follower import MapState
 
 
 class Stopwatch:
@@ -94,6 +95,11 @@ class OnlineMapper:
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
 
+    @property
+    def state(self) -> MapState:
+        """What the mode depends on."""
+        return MapState(self.scan_time, self.image_time if self.uses_features else np.inf)
+
     def image(self, image: Image) -> None:
         """Extract features from an image if it is a keyframe; it counts with its own stamp, however late it comes."""
         if not self.uses_features or image.camera not in self._sensors.cameras:
@@ -112,6 +118,15 @@ class OnlineMapper:
             self.dropped["images without finite features"] += 1
             return
         self.image_time = max(self.image_time, image.time)
+
+    def coded(self, camera: str, time: float, codes: Float32[np.ndarray, "rows columns E"] | None) -> None:
+        """Take the codes of an image, which were computed elsewhere; None of an image that is no keyframe."""
+        pose = self._pose(camera, time)
+        if pose is None:
+            return
+        if codes is not None:
+            self._mapper.keyframes.add(camera, time, pose, codes, np.zeros((0, 0, 3), np.uint8))
+        self.image_time = max(self.image_time, time)
 
     def scan(self, scan: Cloud) -> None:
         """Add the finite points of a scan to the map."""
@@ -140,24 +155,35 @@ class OnlineMapper:
         if not self._track.enough:
             self.dropped[f"{sensor}: before the first poses"] += 1
             return None
-        pose = self._track.poses().at(np.array([time]))[0]
-        if np.isnan(pose).any():
+        pose = self._track.pose_at(time)
+        if pose is None:
             self.dropped[f"{sensor}: stamped when the pose is not known"] += 1
             return None
         self._latest[sensor] = time
-        return np.asarray(pose)
+        return pose
 
-    @torch.no_grad()
     def _codes(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
-        """Codes of the patches of an image by backbone, PCA and encoder, so that the map never holds features."""
+        """Codes of the patches of an image, so that the map never holds features."""
         assert self._sensors.extract is not None
         assert self._encoder is not None
-        features = torch.from_numpy(self._sensors.extract(pixels))
-        if not features.isfinite().all():
-            raise PerceptionError("features are not finite")
-        flat = features.flatten(0, 1)
-        codes = self._encoder(flat, torch.ones(len(flat), dtype=torch.bool))
-        return codes.unflatten(0, features.shape[:2]).numpy()
+        return codes_of(pixels, self._sensors.extract, self._encoder)
+
+
+@torch.no_grad()
+def codes_of(
+    pixels: UInt8[np.ndarray, "h w 3"], extract: ExtractFeatures, encoder: FeatureEncoder
+) -> Float32[np.ndarray, "rows columns E"]:
+    """Codes of the patches of a rectified image by backbone, PCA and encoder.
+
+    Raises:
+        PerceptionError: the features are not finite.
+    """
+    features = torch.from_numpy(extract(pixels))
+    if not features.isfinite().all():
+        raise PerceptionError("features are not finite")
+    flat = features.flatten(0, 1)
+    codes = encoder(flat, torch.ones(len(flat), dtype=torch.bool))
+    return codes.unflatten(0, features.shape[:2]).numpy()
 
 
 def _no_codes(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.conventions import DT
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
@@ -106,6 +107,11 @@ class Prediction:
 
     time: float
     state: Float[np.ndarray, "T 6"]
+
+    def at(self, time: float) -> Float[np.ndarray, " 6"]:
+        """State at a moment [s], by the nearest step; the first before the plan begins, and the last after its end."""
+        step = round((time - self.time) / DT) - 1
+        return self.state[min(max(step, 0), len(self.state) - 1)]
 
 
 def model_state_of(

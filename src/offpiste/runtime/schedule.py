@@ -99,11 +99,15 @@ class LaunchSettings:
 
 
 class Launch:
-    """Throttle added to the planned one while the vehicle hardly moves."""
+    """Throttle added to the planned one while the vehicle hardly moves.
+
+    Attributes:
+        more: throttle that is added.
+    """
 
     def __init__(self, settings: LaunchSettings | None = None) -> None:
         self._settings = settings or LaunchSettings()
-        self._more = 0.0
+        self.more = 0.0
 
     def throttle(self, planned: float, speed: float) -> float:
         """Throttle for the next `conventions.DT`; never less than planned.
@@ -117,8 +121,8 @@ class Launch:
             self.reset()
             return planned
         rise = settings.rate * DT * (1 if speed < settings.below else -1)
-        self._more = min(max(self._more + rise, 0.0), 1.0 - planned)
-        return planned + self._more
+        self.more = min(max(self.more + rise, 0.0), 1.0 - planned)
+        return planned + self.more
 
     def ahead(self, planned: Float[np.ndarray, " N"], speed: float) -> Float[np.ndarray, " N"]:
         """Throttle of the steps to come, if the speed stays on its side of `LaunchSettings.below`."""
@@ -127,4 +131,4 @@ class Launch:
 
     def reset(self) -> None:
         """Remove the added throttle."""
-        self._more = 0.0
+        self.more = 0.0

@@ -174,7 +174,7 @@ class BagLog(Log):
         for topic in topics:
             if topic in self.topics:
                 for _, message in self._typed(topic, _TRANSFORMS):
-                    for transform in map(_transform, message.transforms):
+                    for transform in map(transform_of, message.transforms):
                         result.setdefault((transform.parent, transform.child), transform)
         return list(result.values())
 
@@ -251,7 +251,8 @@ def _clouds(messages: Iterator[tuple[float, Any]]) -> Iterator[RawCloud]:
         yield RawCloud(time, _frame(message), points_from_message(message))
 
 
-def _transform(message: Any) -> Transform:
+def transform_of(message: Any) -> Transform:
+    """The transform of a geometry_msgs/TransformStamped."""
     t, q = message.transform.translation, message.transform.rotation
     matrix = np.eye(4)
     matrix[:3, 3] = t.x, t.y, t.z

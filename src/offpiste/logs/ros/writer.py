@@ -4,7 +4,7 @@ import functools
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -13,30 +13,44 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
 
-_GRID_MAP_INFO = """
-float64 resolution
-float64 length_x
-float64 length_y
-geometry_msgs/Pose pose
-"""
-_GRID_MAP = """
-std_msgs/Header header
-GridMapInfo info
-string[] layers
-string[] basic_layers
-std_msgs/Float32MultiArray[] data
-uint16 outer_start_index
-uint16 inner_start_index
-"""
-"""Fields of grid_map_msgs for ROS 2 (ANYbotics/grid_map, branch ros2)."""
+DEFINITIONS: Final = {
+    "grid_map_msgs/msg/GridMapInfo": """
+        float64 resolution
+        float64 length_x
+        float64 length_y
+        geometry_msgs/Pose pose
+    """,
+    "grid_map_msgs/msg/GridMap": """
+        std_msgs/Header header
+        GridMapInfo info
+        string[] layers
+        string[] basic_layers
+        std_msgs/Float32MultiArray[] data
+        uint16 outer_start_index
+        uint16 inner_start_index
+    """,
+    "ackermann_msgs/msg/AckermannDrive": """
+        float32 steering_angle
+        float32 steering_angle_velocity
+        float32 speed
+        float32 acceleration
+        float32 jerk
+    """,
+    "ackermann_msgs/msg/AckermannDriveStamped": """
+        std_msgs/Header header
+        AckermannDrive drive
+    """,
+}
+"""Fields of types that rosbags lacks: grid_map_msgs (ANYbotics/grid_map) and ackermann_msgs
+(ros-drivers/ackermann_msgs), both of their branches ros2."""
 
 
 @functools.cache
 def message_types() -> Typestore:
     """All message types that offpiste writes; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"))
-    store.register(get_types_from_msg(_GRID_MAP, "grid_map_msgs/msg/GridMap"))
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
     return store
 
 
@@ -115,6 +129,7 @@ class McapWriter:
         self._mcap.start(profile="ros2", library="offpiste")
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
+        self._definitions: dict[str, str] = {}
         self._batch: list[_Entry] = []
         self._size = 0
         self._worker = ThreadPoolExecutor(max_workers=1)
@@ -130,8 +145,22 @@ class McapWriter:
         """Append a message (of `offpiste.logs.ros.writer`), stamped [ns since 1970]; it is serialised at once."""
         msgtype = message.__msgtype__
         data = bytes(message_types().serialize_cdr(message, msgtype, little_endian=True))
-        self._batch.append(_Entry(topic, msgtype, stamp_ns, data))
-        self._size += len(data)
+        self._append(_Entry(topic, msgtype, stamp_ns, data))
+
+    def write_serialised(self, topic: str, msgtype: str, data: bytes, definition: str, stamp_ns: int) -> None:
+        """Append a message that is CDR already, of any type.
+
+        Args:
+            definition: of the type, with those that it is made of.
+        """
+        if msgtype not in self._definitions:
+            self._definitions[msgtype] = definition
+        self._append(_Entry(topic, msgtype, stamp_ns, data))
+
+    def _append(self, entry: _Entry) -> None:
+        self._batch.append(entry)
+        self._size += len(entry.data)
+        stamp_ns = entry.stamp
         if self._size >= _CHUNK_SIZE or stamp_ns - self._batch[0].stamp >= _CHUNK_TIME:
             self._hand_over()
 
@@ -174,7 +203,7 @@ class McapWriter:
 
     def _channel(self, topic: str, msgtype: str) -> int:
         if msgtype not in self._schemas:
-            definition, _ = message_types().generate_msgdef(msgtype, ros_version=2)
+            definition = self._definitions.get(msgtype) or message_types().generate_msgdef(msgtype, ros_version=2)[0]
             self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", definition.encode())
         if (topic, msgtype) not in self._channels:
             self._channels[topic, msgtype] = self._mcap.register_channel(topic, "cdr", self._schemas[msgtype])

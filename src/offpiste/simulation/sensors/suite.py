@@ -159,6 +159,13 @@ class Sensing:
         """All measurements that this sample completes."""
         return [message for measure in self.measurements(sample, stamp_ns) for message in measure()]
 
+    def pass_by(self, sample: VehicleSample) -> int:
+        """Take note of a sample without measuring; the number of measurements that it would have completed."""
+        self._past.append(sample)
+        row = round(sample.time / DT)
+        rates = [*(c.settings.rate for c in self._cameras), *(one.settings.rate for one in self._lidars)]
+        return sum(row % round(1 / (rate * DT)) == 0 for rate in rates)
+
     def measurements(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[Callable[[], Messages]]:
         """All measurements that this sample completes, as functions that may be called at any time, in any thread.
 

@@ -1,0 +1,81 @@
+"""`offpiste live`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from offpiste.cli.entry import COMMANDS
+from offpiste.cli.robot_options import RobotOptions
+from offpiste.conventions import PERCEPTION_LATENCY
+
+
+@COMMANDS.register("live")
+@dataclass(frozen=True)
+class Live:
+    """Drive a vehicle that runs ROS 2, or watch what would be commanded: the default (needs the extra `live`)."""
+
+    rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
+    """Of the vehicle, with [outputs]: a .toml file, or a preset's name."""
+    run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = "pretrained:proving-ground/b"
+    """A folder that `train` wrote, or `pretrained:NAME`."""
+    pca: Path | None = None
+    """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""
+    course: Path | None = None
+    """Course: a table (.csv) with the columns x, y and, if need be, speed, in the frame of the poses."""
+    course_topic: str = ""
+    """Course: a topic with a nav_msgs/Path; a new one replaces it."""
+    goal: tuple[float, float] | None = None
+    """Course: straight to x, y [m]."""
+    speed: float = 3.0
+    """Wanted where the course gives none [m/s]."""
+    drive: bool = False
+    """Send the commands to the vehicle. Without it, shadow mode: nothing is sent to it."""
+    latency: float = PERCEPTION_LATENCY
+    """From the data of a plan to its first control [s]."""
+    clock: Literal["system", "clock", "stamps"] = "system"
+    """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
+    seed: int = 0
+    """Of the sampled controls."""
+    seconds: float = float("inf")
+    """End after this time."""
+    lockstep: bool = False
+    """A command for each message on /clock, however long it takes, in one process: for tests and `play --lockstep`."""
+    replay: Path | None = None
+    """Take the messages from a log instead, without a robot: what would have been commanded."""
+    commands: Path | None = None
+    """Write each command to this table (.csv), of --lockstep and --replay."""
+    record: Path | None = None
+    """Record what is received and what is sent as a log (.mcap)."""
+    status: Path | None = None
+    """Write how all processes are, twice a second, to this table (.csv)."""
+    robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
+
+    def run(self) -> int:
+        """Load, connect, drive."""
+        from offpiste.live.commands import run_live
+        from offpiste.live.reception import CourseRequest
+        from offpiste.live.session import LiveSettings
+        from offpiste.runtime.settings import RuntimeSettings
+
+        run_live(
+            LiveSettings(
+                self.rig,
+                self.run_folder,
+                self.pca,
+                CourseRequest(self.course, self.course_topic, self.goal, self.speed),
+                RuntimeSettings(latency=self.latency),
+                self.robot.settings(),
+                drive=self.drive,
+                clock=self.clock,
+                seed=self.seed,
+                seconds=self.seconds,
+                record=self.record,
+                status=self.status,
+            ),
+            lockstep=self.lockstep,
+            replay=self.replay,
+            commands=self.commands,
+        )
+        return 0

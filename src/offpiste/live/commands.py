@@ -1,0 +1,127 @@
+"""The work of `offpiste live` and `offpiste play`."""
+
+import csv
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from offpiste.closed_loop.planner import load_planner
+from offpiste.errors import LiveError, require
+from offpiste.files import write_whole
+from offpiste.live.command_messages import CommandMessages
+from offpiste.live.driver import Step, StepDriver
+from offpiste.live.lockstep import Lockstep
+from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.play import LogPlayer
+from offpiste.live.reception import Reception
+from offpiste.live.replay import OnStep, replayed
+from offpiste.live.session import LiveSettings
+from offpiste.live.supervisor import supervise
+from offpiste.progress import track
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.training.fitness import differing_vehicle
+from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+
+logger = logging.getLogger(__name__)
+
+
+def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, commands: Path | None) -> None:
+    """Drive, or watch.
+
+    Raises:
+        OffpisteError: the rig, the run, the course or the connection is wrong.
+    """
+    require("live", "zenoh")
+    rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
+    if settings.drive and not rig.outputs:
+        how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
+        raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
+    if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
+        logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
+    if settings.record is not None and settings.record.exists():
+        raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
+    reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
+    driver = StepDriver(rig, planner, reception, settings.runtime, shadow=not settings.drive, seed=settings.seed)
+    with _table_of(commands) as on_step:
+        if replay is not None:
+            _replay(settings, rig, driver, reception, replay, on_step)
+        elif lockstep:
+            _lockstep(settings, rig, driver, reception, on_step)
+        else:
+            supervise(settings, planner, [Path(name) for name in rig.live.definitions])
+
+
+def _replay(
+    settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, log: Path, on_step: OnStep
+) -> None:
+    drive = RecordedDrive(log, rig, tuple(reception.topics))
+    steps = replayed(drive, driver, MessageTypes([Path(name) for name in rig.live.definitions]))
+    total = round(min(drive.seconds, settings.seconds) / 0.02)
+    for _, (now, step) in zip(track(range(total + 1), f"replay {log.name}"), steps, strict=False):
+        on_step(now, step)
+    if driver.runtime is None:
+        raise LiveError(
+            f"nothing could be planned: it lacks {reception.waiting_for}", where=log, how="see docs/live.md"
+        )
+
+
+def _lockstep(settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, on_step: OnStep) -> None:
+    definitions = [Path(name) for name in rig.live.definitions]
+    with closing(ZenohTransport(settings.robot, definitions)) as transport:
+        outputs = CommandMessages(rig, transport.types) if settings.drive else None
+        Lockstep(transport, driver, reception, outputs).run(on_step, threading.Event())
+        for what, count in sorted(transport.refused.items()):
+            logger.warning(f"refused {count} messages: {what}")
+
+
+@contextmanager
+def _table_of(path: Path | None) -> Iterator[OnStep]:
+    """Collects steps for a table, which is written whole at the end."""
+    rows: list[tuple[str, ...]] = []
+
+    def on_step(now: float, step: Step | None) -> None:
+        if step is not None and path is not None:
+            control = (repr(float(value)) for value in step.command.control)
+            rows.append((repr(now), *control, step.controls.mode, step.controls.why or step.why))
+
+    try:
+        yield on_step
+    finally:
+        if path is not None and rows:
+            write_whole(path, lambda partial: _write(partial, rows))
+
+
+def _write(path: Path, rows: list[tuple[str, ...]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([("time", "throttle", "brake", "steer", "mode", "why"), *rows])
+
+
+def play_log(
+    log: Path, rig: str, robot: ZenohSettings, rate: float, seconds: float, *, lockstep: bool, without: tuple[str, ...]
+) -> None:
+    """Play a log.
+
+    Raises:
+        OffpisteError: the log, the rig or the connection is wrong.
+    """
+    require("live", "zenoh")
+    known = load_rig(rig) if rig else None
+    topics = None if known is None else _topics(known)
+    drive = RecordedDrive(log, known, topics)
+    with closing(ZenohTransport(robot)) as transport:
+        player = LogPlayer(drive, transport, without)
+        if player.left_out:
+            logger.info(f"left out: {', '.join(player.left_out)}")
+        played = player.play_in_lockstep(seconds) if lockstep else player.play(rate, seconds)
+    late = f", {1e3 * played.late:.0f} ms late at worst" if not lockstep else ""
+    logger.info(f"played {played.messages} messages in {played.steps} steps{late}")
+
+
+def _topics(rig: Rig) -> tuple[str, ...]:
+    """Topics of a rig."""
+    sensors = [*(camera.topic for camera in rig.cameras.values()), *(lidar.topic for lidar in rig.lidars.values())]
+    infos = [camera.info for camera in rig.cameras.values() if camera.info]
+    return tuple(dict.fromkeys([*(c.topic for c in rig.channels.values()), *sensors, *infos, *rig.frames.topics]))

@@ -1,0 +1,81 @@
+"""Courses for a vehicle: from a file, from a nav_msgs/Path, or straight to a goal."""
+
+import csv
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import LiveError
+from offpiste.planning.course import Course
+
+_LONGEST: Final = 100_000
+"""Number of points of a course that is accepted."""
+_FASTEST: Final = 30.0
+_APART: Final = 0.05
+"""Points that are nearer to each other count once [m]."""
+
+
+def read_course(path: Path, speed: float) -> Course:
+    """A course from a table with the columns x, y [m] in the world of the poses and, if there is one, speed [m/s].
+
+    Args:
+        speed: where the table has none.
+
+    Raises:
+        LiveError: no such file, or no course in it.
+    """
+    how = "give a .csv with a line 'x,y' or 'x,y,speed' first, in metres of the poses' frame"
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = [row for _, row in zip(range(_LONGEST + 1), csv.DictReader(file), strict=False)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LiveError(f"no course: {error}", where=path, how=how) from error
+    try:
+        xy = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)
+        has_speed = bool(rows) and rows[0].get("speed") not in (None, "")
+        speeds = np.array([float(row["speed"]) for row in rows]) if has_speed else np.full(len(xy), speed)
+    except (KeyError, TypeError, ValueError) as error:
+        raise LiveError(f"a row without a number: {error}", where=path, how=how) from error
+    return course_of(xy, speeds, where=str(path))
+
+
+def course_from_message(message: Any, speed: float, topic: str) -> Course:
+    """The course of a nav_msgs/Path, whose poses are in the world of the vehicle's poses.
+
+    Raises:
+        LiveError: it has no two points.
+    """
+    places = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses[: _LONGEST + 1]]
+    xy = np.array(places, dtype=np.float64).reshape(-1, 2)
+    return course_of(xy, np.full(len(xy), speed), where=f"topic '{topic}'")
+
+
+def course_to(goal: Float[np.ndarray, " 2"], start: Float[np.ndarray, " 2"], speed: float) -> Course:
+    """A straight course from where the vehicle is to a goal [m].
+
+    Raises:
+        LiveError: the vehicle is there.
+    """
+    return course_of(np.stack((start, goal)), np.full(2, speed), where="the goal")
+
+
+def course_of(xy: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], *, where: str) -> Course:
+    """A course of points that are checked, those that repeat left out.
+
+    Raises:
+        LiveError: fewer than two points, or one that is no place or no speed.
+    """
+    if len(xy) > _LONGEST:
+        raise LiveError(f"a course of more than {_LONGEST} points", where=where, how="thin it out")
+    if not np.isfinite(xy).all() or not ((speed > 0) & (speed <= _FASTEST)).all():
+        how = f"give finite metres, and speeds above 0 and at most {_FASTEST:g} m/s"
+        raise LiveError("a point of the course is no place, or its speed is none", where=where, how=how)
+    keep = [0] if len(xy) else []
+    for k in range(1, len(xy)):
+        if np.linalg.norm(xy[k] - xy[keep[-1]]) >= _APART:
+            keep.append(k)
+    if len(keep) < 2:
+        raise LiveError("no course: fewer than two points apart", where=where, how="give where it leads")
+    return Course(xy[keep], speed[keep])

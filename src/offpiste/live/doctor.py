@@ -1,0 +1,209 @@
+"""Before anything moves: the computer, the rig, the model, the connection, and what is heard of the robot."""
+
+import os
+import shutil
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from offpiste.closed_loop.planner import load_planner
+from offpiste.errors import LiveError, OffpisteError, did_you_mean, require
+from offpiste.live.command_messages import CommandMessages
+from offpiste.live.driver import refuse_ceiling
+from offpiste.live.sensor_messages import SensorMessages
+from offpiste.live.session import Source
+from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.parallel import usable_cores
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.training.fitness import differing_vehicle
+from offpiste.transport.interface import Received
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+
+Level = Literal["ok", "warning", "error"]
+_CORES: Final = 4
+_FREE_MEMORY: Final = 3.0
+"""Of a drive with a model that reads images, about [GB]."""
+_SHARED_MEMORY: Final = 0.5
+"""Of its rings [GB]."""
+_OLD: Final = 0.3
+"""Readings and scans that are older than this when they come are late [s]."""
+
+
+class Finding(NamedTuple):
+    """One line of the doctor's."""
+
+    level: Level
+    what: str
+
+
+@dataclass
+class Heard:
+    """What was heard on a topic: types, arrivals, and ages by the stamps [s]."""
+
+    types: set[str] = field(default_factory=set)
+    times: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+
+
+def examined(
+    rig_name: str, run: str, pca: Path | None, robot: ZenohSettings, seconds: float, clock: Source
+) -> Iterator[Finding]:
+    """Findings, one after the other; those that cannot be looked for without another are left out.
+
+    Args:
+        run: "" to look at none.
+        seconds: how long the robot is listened to [s].
+        clock: as `offpiste live` will have it: ages count only with the computer's.
+    """
+    require("live", "zenoh")
+    yield from _computer()
+    try:
+        rig = load_rig(rig_name)
+    except OffpisteError as error:
+        yield Finding("error", str(error))
+        return
+    yield Finding("ok", f"rig '{rig.name}'")
+    yield from _for_driving(rig)
+    cameras = True
+    if run:
+        found, cameras = _model(rig, run, pca)
+        yield from found
+    try:
+        transport = ZenohTransport(robot, [Path(name) for name in rig.live.definitions])
+    except OffpisteError as error:
+        yield Finding("error", str(error))
+        return
+    with closing(transport):
+        yield Finding("ok", f"connected, {transport.routers()} router{'s' * (transport.routers() != 1)}")
+        yield from _outputs(rig, transport)
+        yield from _Listener(rig, transport, cameras=cameras).findings(seconds, clock)
+
+
+def _computer() -> Iterator[Finding]:
+    cores = usable_cores()
+    few = f"{cores} cores: plans and maps will be late; {_CORES} or more are better"
+    yield Finding("warning", few) if cores < _CORES else Finding("ok", f"{cores} cores")
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    yield Finding("ok" if free > _FREE_MEMORY else "warning", f"{free:.1f} GB of memory are free")
+    shared = Path("/dev/shm")
+    room = shutil.disk_usage(shared).free / 1e9 if shared.is_dir() else 0.0
+    much = room > _SHARED_MEMORY
+    hint = "" if much else "; in a container, give it more: --shm-size 1g"
+    yield Finding("ok" if much else "error", f"{room:.1f} GB of shared memory are free{hint}")
+
+
+def _for_driving(rig: Rig) -> Iterator[Finding]:
+    try:
+        VehicleMessages(rig)
+    except OffpisteError as error:
+        yield Finding("error", str(error))
+    if not rig.lidars:
+        yield Finding("error", "the rig has no LiDAR: there is no map without one")
+    if not rig.outputs:
+        yield Finding("warning", "the rig has no [outputs]: nothing can be sent, shadow mode alone")
+    elif rig.live.enable is None:
+        yield Finding("warning", "the rig has no [live.enable]: commands are sent without a dead man's switch")
+
+
+def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
+    """Findings, and whether the model reads images."""
+    try:
+        planner = load_planner(run, pca)
+        refuse_ceiling(planner)
+    except OffpisteError as error:
+        return [Finding("error", str(error))], True
+    found = [Finding("ok", f"run {run}: {planner.name}")]
+    lacks = [name for name in planner.dynamics.vehicle.actuators if name not in rig.present_actuators]
+    if lacks:
+        found.append(Finding("error", f"the model reads {', '.join(lacks)}, which the rig does not have"))
+    if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
+        found.append(Finding("warning", f"the model was trained on another vehicle: {apart}"))
+    if planner.extractor is not None and not rig.cameras:
+        found.append(Finding("error", "the model reads images, and the rig has no cameras"))
+    return found, planner.extractor is not None
+
+
+def _outputs(rig: Rig, transport: ZenohTransport) -> Iterator[Finding]:
+    try:
+        messages = CommandMessages(rig, transport.types)
+    except OffpisteError as error:
+        yield Finding("error", str(error))
+        return
+    for topic, msgtype in messages.topics.items():
+        yield Finding("ok", f"{topic}: {msgtype} can be sent")
+
+
+class _Listener:
+    """Listens to all topics of a rig."""
+
+    def __init__(self, rig: Rig, transport: ZenohTransport, *, cameras: bool) -> None:
+        self._rig, self._transport = rig, transport
+        self._vehicle, self._sensors = VehicleMessages(rig), SensorMessages(rig, cameras=cameras)
+        self._heard: defaultdict[str, Heard] = defaultdict(Heard)
+        self._received: list[Received] = []
+        enable = [] if rig.live.enable is None else [rig.live.enable.topic]
+        self._static = set(rig.frames.topics)
+        self._optional = {one.topic for one in rig.cameras.values() if one.optional}
+        self._optional |= {one.topic for one in rig.lidars.values() if one.optional}
+        self._optional |= {c.info for c in rig.cameras.values() if c.optional}
+        self._commands = {output.topic for output in rig.outputs.values()}
+        self._needed = dict.fromkeys([*self._vehicle.topics, *self._sensors.topics, *enable])
+        for topic in {*self._needed, *self._commands}:
+            wanted = rig.live.types.get(topic, "")
+            transport.subscribe(topic, self._received.append, msgtype=wanted, history=topic in self._static)
+
+    def findings(self, seconds: float, clock: Source) -> Iterator[Finding]:
+        """Listen, and say what was heard."""
+        if not 0 < seconds <= 600:
+            raise LiveError(f"listening for {seconds:g} s", where="--seconds", how="give more than 0, and at most 600")
+        time.sleep(seconds)
+        for received in self._received:
+            self._take(received)
+        others = self._transport.topics()
+        for topic in self._needed:
+            yield self._of(topic, seconds, clock, others)
+        for topic in self._commands & set(self._heard) - set(self._vehicle.topics):
+            yield Finding("warning", f"{topic}: someone else commands; with --drive the vehicle would be stopped")
+        for what, count in sorted((self._vehicle.dropped + self._sensors.dropped).items()):
+            yield Finding("error", f"{what} ({count} times)")
+        for what, count in sorted(self._transport.refused.items()):
+            yield Finding("error", f"refused {count} times: {what}")
+        self._sensors.settle()
+        if self._sensors.waiting_for:
+            yield Finding("error", f"sensors cannot be set up: {self._sensors.waiting_for}")
+
+    def _take(self, received: Received) -> None:
+        message = self._transport.decode(received)
+        if message is None:
+            return
+        heard = self._heard[received.topic]
+        heard.types.add(received.type)
+        heard.times.append(received.received)
+        stamp = stamp_of(round(received.received * 1e9), message, "header")
+        heard.ages.append(received.received - stamp)
+        self._vehicle.take(received.topic, message, received.received)
+        if received.topic in self._sensors.topics:
+            self._sensors.take(received.topic, message, received.received)
+
+    def _of(self, topic: str, seconds: float, clock: Source, others: dict[str, str]) -> Finding:
+        if topic not in self._heard:
+            near = "" if topic in others else did_you_mean(topic, others)
+            there = f"; {near}" if near else "" if topic not in others else f"; it is published, as {others[topic]}"
+            optional = topic in self._optional or topic in self._commands
+            return Finding("warning" if optional else "error", f"{topic}: nothing heard{there}")
+        heard = self._heard[topic]
+        kind = ", ".join(sorted(heard.types))
+        if topic in self._static:
+            return Finding("ok", f"{topic}: {kind}")
+        age, rate = float(np.median(heard.ages)), len(heard.times) / seconds
+        what = f"{topic}: {kind}, {rate:.1f} a second, {1e3 * age:.0f} ms old"
+        if clock == "system" and not -0.05 < age < _OLD:
+            return Finding("error", f"{what}: synchronise the clocks (chrony), or give --clock stamps")
+        return Finding("ok", what)

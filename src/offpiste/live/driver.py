@@ -1,0 +1,171 @@
+"""A vehicle driven in one process, step by step of a clock: the same messages give the same commands, to the bit.
+
+Lockstep over the transport, the replay of a log, and the tests that compare them use it.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from offpiste.closed_loop.planner import Planner
+from offpiste.conventions import DT
+from offpiste.errors import LiveError
+from offpiste.live.command_messages import Command
+from offpiste.live.gate import Gate, Passed
+from offpiste.live.reception import Pressed, Reception, Taken
+from offpiste.live.sensor_messages import Sensors
+from offpiste.logs.measurements import Cloud, Image
+from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.perception.camera import make_pinhole_camera
+from offpiste.planning.course import Course
+from offpiste.rig.rig import Rig
+from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.modes import Controls
+from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.runtime import Runtime
+from offpiste.runtime.settings import RuntimeSettings
+
+
+class Heard(NamedTuple):
+    """A decoded message, and when it came [s]."""
+
+    topic: str
+    message: Any
+    received: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a step came to.
+
+    Attributes:
+        controls: of the run time.
+        command: what is sent where commands are; what would be, in shadow mode.
+        why: why the gate made it a stop.
+    """
+
+    controls: Controls
+    command: Command
+    why: str
+
+
+class StepDriver:
+    """Takes messages, and commands once a step.
+
+    Args:
+        shadow: someone else drives: plans are made from their commands, as far as the rig's channels have them.
+        seed: of the sampled controls.
+
+    Attributes:
+        runtime: None until all that it needs was heard.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        planner: Planner,
+        reception: Reception,
+        settings: RuntimeSettings | None = None,
+        *,
+        shadow: bool = True,
+        seed: int = 0,
+    ) -> None:
+        refuse_ceiling(planner)
+        self._rig, self._planner, self._reception = rig, planner, reception
+        self._settings, self._shadow, self._seed = settings or RuntimeSettings(), shadow, seed
+        self._gate = Gate(rig.live.limits, rig.live.enable, self._settings.stop)
+        self.runtime: Runtime | None = None
+
+    def step(self, heard: Iterable[Heard], now: float) -> Step | None:
+        """Messages that came since the last step, and the command for the next `conventions.DT`.
+
+        Args:
+            now: time [s].
+
+        Returns:
+            None while something is missing that driving needs.
+        """
+        for topic, message, received in self._in_order(heard):
+            for taken in self._reception.take(topic, message, received):
+                self._pass_on(taken, now)
+        if self.runtime is None:
+            return None
+        passed: list[Passed] = []
+
+        def applied(controls: Controls) -> np.ndarray:
+            passed.append(self._passed(controls, now))
+            driven = self._reception.vehicle.control(now) if self._shadow else None
+            return passed[-1].control if driven is None else driven
+
+        if self._shadow:  # who drives need not complete our stops
+            self.runtime.follower.stopping = False
+        held = "" if self._shadow else self._gate.blocked(now)
+        controls = self.runtime.command(now, applied, held)
+        followed = self.runtime.prediction_at(now) if controls.mode in ("driving", "degraded") else None
+        stopped = passed[-1].why != ""
+        command = Command(now, passed[-1].control, self._settings.gear, None if stopped else followed)
+        return Step(controls, command, passed[-1].why)
+
+    def _in_order(self, heard: Iterable[Heard]) -> list[Heard]:
+        """The vehicle's messages by their stamps, the position last of those of one stamp; then all others."""
+        vehicle = self._reception.vehicle
+
+        def order(one: Heard) -> tuple[bool, float, bool]:
+            if one.topic not in vehicle.topics:
+                return True, 0.0, False
+            stamp = stamp_of(round(one.received * 1e9), one.message, self._rig.clock.stamps)
+            return False, stamp, one.topic == vehicle.position_topic
+
+        return sorted(heard, key=order)
+
+    def _pass_on(self, taken: Taken, now: float) -> None:
+        if isinstance(taken, Pressed):
+            self._gate.enabled(taken.pressed, now)
+        if self.runtime is None:
+            sensors, course = self._reception.sensors.sensors, self._reception.course
+            if sensors is None or course is None:
+                return
+            setup = sensor_setup_of(self._planner, sensors)
+            wheels = self._rig.wheel_positions()
+            self.runtime = Runtime(self._planner.dynamics, setup, wheels, course, self._settings, seed=self._seed)
+        if isinstance(taken, VehicleReading):
+            self.runtime.vehicle(taken)
+        elif isinstance(taken, Image):
+            self.runtime.image(taken)
+        elif isinstance(taken, Cloud):
+            self.runtime.scan(taken)
+        elif isinstance(taken, Course):
+            self.runtime.follower.tracker = CourseTracker(taken)
+
+    def _passed(self, controls: Controls, now: float) -> Passed:
+        assert self.runtime is not None
+        stopping = controls.mode in ("stopping", "stopped")
+        return self._gate.passed(controls.command, self.runtime.follower.speed, now, stopping=stopping)
+
+
+def sensor_setup_of(planner: Planner, sensors: Sensors) -> SensorSetup:
+    """Sensors of a robot as a planner's run time reads them."""
+    cameras, lidars = sensors
+    if planner.extractor is None:
+        return SensorSetup(lidars)
+    patch = planner.extractor.patch
+    pinholes = {name: make_pinhole_camera(camera, patch) for name, camera in cameras.items()}
+    return SensorSetup(lidars, pinholes, planner.extractor.extract)
+
+
+def refuse_ceiling(planner: Planner) -> None:
+    """Refuse a model that reads the simulator's own ground.
+
+    Raises:
+        LiveError: it does.
+    """
+    if planner.knows_ground:
+        how = "give a run trained on visual features, or on none"
+        raise LiveError("reads the ground's true properties, which no robot has", where=planner.folder, how=how)
+
+
+STEP_NS = round(DT * 1e9)
+"""Time from step to step [ns]."""

@@ -1,0 +1,55 @@
+"""Images to codes: backbone, PCA and encoder, of each camera's keyframes."""
+
+import time
+
+from offpiste.closed_loop.planner import load_planner
+from offpiste.errors import PerceptionError
+from offpiste.live.packing import image_from, packed, unpacked
+from offpiste.live.part import Part, TrackFeed
+from offpiste.live.parts.setup import load_kernels, wait_for_sensors
+from offpiste.live.session import Session
+from offpiste.logs.measurements import Image
+from offpiste.mapping.replay import Keyframes
+from offpiste.runtime.perception import codes_of
+
+
+def codes(session: Session) -> None:
+    """The process that extracts features."""
+    part = Part("codes", session)
+    planner = load_planner(part.settings.run, part.settings.pca)
+    load_kernels(part, planner)
+    setup = wait_for_sensors(part, planner)
+    if setup is None or planner.extractor is None:
+        return
+    encoder, extract = planner.dynamics.eval().requires_grad_(False).encoder, planner.extractor.extract
+    assert encoder is not None
+    feed, number = TrackFeed(part, planner.dynamics.vehicle.actuators), part.ring("images").written
+    keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
+    while not part.ending:
+        if feed.update(part.now()):
+            keyframes = Keyframes(setup.cameras, part.settings.runtime.replay)
+        newest: dict[str, Image] = {}
+        for entry in part.ring("images").since(number):
+            part.dropped["images: overwritten"] += entry.number - number - 1
+            number, image = entry.number, image_from(unpacked(entry.data))
+            part.dropped["images: replaced by a newer one"] += image.camera in newest
+            newest[image.camera] = image
+        for image in newest.values():
+            pose = feed.track.pose_at(image.time)
+            if pose is None or image.camera not in setup.cameras:
+                part.dropped["images: stamped when the pose is not known"] += 1
+                continue
+            found = None
+            if keyframes.due(image, pose):
+                began = time.monotonic()
+                try:
+                    found = codes_of(setup.cameras[image.camera].rectifier(image.pixels), extract, encoder)
+                except PerceptionError:
+                    part.dropped["images without finite features"] += 1
+                    continue
+                took = time.monotonic() - began
+                keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])
+            part.ring("codes").write(packed({"camera": image.camera, "time": image.time, "codes": found}))
+        part.beat("ready", extract_ms=1e3 * took)
+        if not newest:
+            time.sleep(0.01)

@@ -1,0 +1,181 @@
+"""Control at 50 Hz: follows the newest plan, or stops; what it sends has passed the gate."""
+
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from offpiste.closed_loop.planner import load_planner
+from offpiste.conventions import DT
+from offpiste.live.command_messages import Command, CommandMessages
+from offpiste.live.gate import Gate, Passed
+from offpiste.live.lockstep import COMMAND
+from offpiste.live.packing import packed, plan_from, unpacked
+from offpiste.live.part import Part, TrackFeed
+from offpiste.live.parts.setup import NewestCourse
+from offpiste.live.session import Session
+from offpiste.logs.ros.bag_files import field_getter
+from offpiste.logs.ros.writer import header, make
+from offpiste.rig.rig import load_rig
+from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.runtime.follower import Follower, MapState
+from offpiste.runtime.modes import Controls, ModeDecision
+from offpiste.runtime.prediction import Prediction
+from offpiste.transport.interface import Received
+from offpiste.transport.zenoh_transport import ZenohTransport
+
+MODE = "/offpiste/mode"
+"""Topic of the mode and the reason for it (std_msgs/String), when either changes."""
+
+
+class Controller:
+    """Commands once every `conventions.DT`."""
+
+    def __init__(self, part: Part) -> None:
+        self.part, settings, rig = part, part.settings, load_rig(part.settings.rig)
+        self.follower: Follower | None = None
+        self._feed = TrackFeed(part, load_planner(settings.run, settings.pca).dynamics.vehicle.actuators)
+        self._gate = Gate(rig.live.limits, rig.live.enable, settings.runtime.stop)
+        self._course, self._plan_number, self._empty = NewestCourse(part), part.ring("plans").written, False
+        self._predictions: deque[Prediction] = deque(maxlen=32)
+        self.transport = ZenohTransport(settings.robot, [Path(name) for name in rig.live.definitions])
+        self._outputs = CommandMessages(rig, self.transport.types)
+        self._send = {}
+        if settings.drive:
+            for topic, msgtype in self._outputs.topics.items():
+                self._send[topic] = self.transport.publisher(topic, msgtype)
+                self.transport.subscribe(topic, self._other)
+        self._preview = self.transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
+        self._mode = self.transport.publisher(MODE, "std_msgs/msg/String", keep=True)
+        self._said, self.late, self.ages = "", deque[float](maxlen=3000), deque[tuple[float, float]](maxlen=3000)
+        if rig.live.enable is not None:
+            get = field_getter(rig.live.enable.field)
+            self.transport.subscribe(rig.live.enable.topic, lambda received: self._enable(received, get))
+
+    def _enable(self, received: Received, get: Any) -> None:
+        message = self.transport.decode(received)
+        try:
+            pressed = message is not None and float(get(message)) > 0.5
+        except (AttributeError, TypeError, ValueError):
+            pressed = False
+        self._gate.enabled(pressed, time.monotonic())
+
+    def _other(self, received: Received) -> None:
+        if received.publisher[:8] != self.transport.identity:
+            self.part.dropped[f"{received.topic}: commands of another publisher"] += 1
+            self._gate.other(time.monotonic())
+
+    def tick(self) -> str:
+        """Command once; the state in words."""
+        now = self.part.now()
+        if self._feed.update(now) and self.follower is not None:
+            self.follower.restart()
+        if (course := self._course.changed()) is not None:
+            self._take_course(CourseTracker(course))
+        latest = self._feed.track.latest
+        if self.follower is None or latest is None:
+            return "waits for a course" if self.follower is None else "waits for readings of the vehicle"
+        self.follower.tracker.move(latest.position[:2])
+        self._take_plans(self.follower)
+        controls = self._command(self.follower, now)
+        self._say(controls)
+        return f"{controls.mode}: {controls.why}" if controls.why else controls.mode
+
+    def _command(self, follower: Follower, now: float) -> Controls:
+        newest = self.part.ring("map-state").newest()
+        known = {} if newest is None else unpacked(newest.data)
+        state = MapState(known.get("scan_time", -np.inf), known.get("image_time", -np.inf), self._empty)
+        decision, drive = follower.mode(now, state), self.part.settings.drive
+        held = self._gate.blocked(time.monotonic()) if drive else ""
+        if held and decision.mode != "stopping":
+            decision = ModeDecision("stopping", held)
+        if not drive:  # who drives need not complete our stops
+            follower.stopping = False
+        passed: list[Passed] = []
+
+        def applied(controls: Controls) -> np.ndarray:
+            stopping = controls.mode in ("stopping", "stopped")
+            passed.append(self._gate.passed(controls.command, follower.speed, time.monotonic(), stopping=stopping))
+            given = self._feed.control
+            return passed[-1].control if drive or given is None else np.asarray(given)
+
+        controls = follower.follow(now, decision, applied)
+        self._publish(controls, passed[-1], now)
+        acting = follower.schedule.acting(now)
+        self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
+        about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping}
+        self.part.ring("commands").write(packed(about | {"launch": follower.launch.more, "mode": controls.mode}))
+        return controls
+
+    def _publish(self, controls: Controls, passed: Passed, now: float) -> None:
+        moving = controls.mode in ("driving", "degraded") and not passed.why
+        followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
+        command = Command(now, passed.control, self.part.settings.runtime.gear, followed)
+        if self._send:
+            for topic, message in self._outputs.messages(command).items():
+                self._send[topic](message)
+        axes = passed.control.astype(np.float32)
+        head = header(max(round(now * 1e9), 0), "base_link")
+        self._preview(make("sensor_msgs/Joy", header=head, axes=axes, buttons=np.zeros(0, np.int32)))
+
+    def _take_course(self, tracker: CourseTracker) -> None:
+        if self.follower is None:
+            self.follower = Follower(self.part.settings.runtime, self._feed.track, tracker)
+        self.follower.tracker = tracker
+
+    def _take_plans(self, follower: Follower) -> None:
+        for entry in self.part.ring("plans").since(self._plan_number):
+            self._plan_number, values = entry.number, unpacked(entry.data)
+            self._empty = bool(values["empty"])
+            if "start" in values:
+                timed, prediction = plan_from(values)
+                latest = follower.schedule.latest
+                if latest is None or timed.start > latest.start:
+                    follower.schedule.add(timed)
+                    self._predictions.append(prediction)
+
+    def _say(self, controls: Controls) -> None:
+        said = f"{controls.mode}: {controls.why}" if controls.why else controls.mode
+        if said != self._said:
+            self._said = said
+            self._mode(make("std_msgs/String", data=said))
+
+
+def control(session: Session) -> None:
+    """The process that commands; when its parent is gone, it stops the vehicle and ends."""
+    part = Part("control", session)
+    controller = Controller(part)
+    due = time.monotonic()
+    stops_until = np.inf
+    while time.monotonic() < stops_until:
+        if part.ending and stops_until == np.inf:
+            stops_until = time.monotonic() + 1.0
+        if stops_until < np.inf and controller.follower is not None:
+            controller.follower.restart()  # without a plan it stops
+        state = controller.tick()
+        controller.late.append(time.monotonic() - due)
+        part.beat(state, **_numbers(controller))
+        due += DT
+        if time.monotonic() - due > 5 * DT:  # the process was stopped, or starved: what is missed is not made up for
+            part.dropped["ticks missed"] += round((time.monotonic() - due) / DT)
+            due = time.monotonic()
+        time.sleep(max(due - time.monotonic(), 0.0))
+    controller.transport.close()
+
+
+def _numbers(controller: Controller) -> dict[str, Any]:
+    late = 1e3 * np.array(controller.late)
+    ages = 1e3 * np.array(controller.ages).reshape(-1, 2)
+    known = ages[np.isfinite(ages).all(axis=1)]
+    p99 = np.percentile(known, 99, axis=0) if len(known) else np.full(2, np.nan)
+    return {
+        "tick_p50_ms": float(np.percentile(late, 50)),
+        "tick_p99_ms": float(np.percentile(late, 99)),
+        "map_age_p99_ms": float(p99[0]),
+        "plan_age_p99_ms": float(p99[1]),
+        "speed_mps": controller.follower.speed if controller.follower is not None else np.nan,
+        "progress_m": controller.follower.tracker.progress if controller.follower is not None else 0.0,
+        "refused": dict(controller.transport.refused),
+    }

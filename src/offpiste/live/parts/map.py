@@ -1,0 +1,72 @@
+"""Scans and codes to the map of the ground around the vehicle."""
+
+import time
+
+import numpy as np
+
+from offpiste.closed_loop.planner import load_planner
+from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.live.packing import cloud_from, pack_layers, packed, unpacked
+from offpiste.live.part import Part, TrackFeed
+from offpiste.live.parts.setup import load_kernels, wait_for_sensors
+from offpiste.live.session import Session
+from offpiste.logs.measurements import Cloud
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.perception import OnlineMapper, Stopwatch
+from offpiste.runtime.prediction import cropped
+
+_SPARE = 4.0
+"""The map reaches so much further than a plan from where the vehicle was when it was made [m]."""
+
+
+def map_ground(session: Session) -> None:
+    """The process that maps."""
+    part = Part("map", session)
+    planner = load_planner(part.settings.run, part.settings.pca)
+    load_kernels(part, planner)
+    setup = wait_for_sensors(part, planner)
+    if setup is None:
+        return
+    encoder = planner.dynamics.eval().requires_grad_(False).encoder
+    feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch()
+    mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
+    mapper.dropped = part.dropped
+    scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
+    while not part.ending:
+        if feed.update(part.now()):
+            mapper.restart()
+            part.ring("map").write(pack_layers(None))
+        for entry in part.ring("codes").since(code_number):
+            code_number, values = entry.number, unpacked(entry.data)
+            mapper.coded(values["camera"], values["time"], values["codes"])
+        newest: dict[str, Cloud] = {}
+        for entry in part.ring("scans").since(scan_number):
+            part.dropped["scans: overwritten"] += entry.number - scan_number - 1
+            scan_number, cloud = entry.number, cloud_from(unpacked(entry.data))
+            part.dropped["scans: replaced by a newer one"] += cloud.lidar in newest
+            newest[cloud.lidar] = cloud
+        began = time.monotonic()
+        for cloud in newest.values():
+            if not feed.intake.ahead(cloud.lidar, cloud.time):
+                mapper.scan(cloud)
+        if newest and mapper.scan_time > -np.inf:
+            layers = _within_reach(mapper.layers(), feed.track, part.settings.runtime.margin)
+            part.ring("map").write(pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
+            took = time.monotonic() - began
+        state = mapper.state
+        part.ring("map-state").write(packed({"scan_time": state.scan_time, "image_time": state.image_time}))
+        part.beat("ready" if mapper.scan_time > -np.inf else "waits for a scan", map_ms=1e3 * took)
+        if not newest:
+            time.sleep(0.01)
+
+
+def _within_reach(layers: TerrainLayers, track: VehicleTrack, margin: float) -> TerrainLayers:
+    """What a plan can reach."""
+    latest = track.latest
+    assert latest is not None
+    half = 0.5 * max(float(np.hypot(*latest.velocity[:2])), 3.0) * DT * HORIZON_STEPS
+    rows = track.rows(latest.time)
+    yaw = float(rows.state[-1, 2])
+    ahead = half * np.array((np.cos(yaw), np.sin(yaw)))
+    return cropped(layers, latest.position[:2] + ahead, half + margin + _SPARE)

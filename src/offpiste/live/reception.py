@@ -1,0 +1,153 @@
+"""A robot's messages as the run time takes them: readings, images, scans, courses, and the dead man's switch."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from offpiste.errors import LiveError, OffpisteError
+from offpiste.live.course import course_from_message, course_to, read_course
+from offpiste.live.sensor_messages import SensorMessages
+from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.logs.measurements import Cloud, Image
+from offpiste.logs.ros.bag_files import field_getter
+from offpiste.planning.course import Course
+from offpiste.rig.rig import Rig
+from offpiste.runtime.estimator import VehicleReading
+
+SETTLE = 1.0
+"""Time after the first reading, at which sensors that are optional and were not heard are left out [s]."""
+
+
+@dataclass(frozen=True)
+class CourseRequest:
+    """Where the course comes from: one of the three.
+
+    Attributes:
+        file: a table.
+        topic: of nav_msgs/Path; a new one replaces the course.
+        goal: x, y [m].
+        speed: where they give none [m/s].
+    """
+
+    file: Path | None = None
+    topic: str = ""
+    goal: tuple[float, float] | None = None
+    speed: float = 3.0
+
+    def check(self) -> None:
+        """Refuse none and several.
+
+        Raises:
+            LiveError: which is wrong.
+        """
+        how = "give one of --course FILE.csv, --course-topic TOPIC and --goal X Y"
+        if sum((self.file is not None, bool(self.topic), self.goal is not None)) != 1:
+            raise LiveError("there is no course, or more than one", how=how)
+        if not 0 < self.speed <= 30:
+            raise LiveError(f"a wanted speed of {self.speed:g} m/s", how="give --speed above 0, and at most 30")
+        if self.goal is not None and not np.isfinite(self.goal).all():
+            raise LiveError("the goal is no place", where="--goal", how="give metres in the frame of the poses")
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """The dead man's switch was heard."""
+
+    pressed: bool
+
+
+Taken = VehicleReading | Image | Cloud | Course | Pressed
+"""What a message can be to the run time."""
+
+
+class Reception:
+    """Takes messages.
+
+    Args:
+        rig: of the vehicle.
+        request: of the course.
+        cameras: whether images are needed.
+
+    Attributes:
+        vehicle: reads the vehicle's messages.
+        sensors: reads cameras and LiDARs.
+        refusals: courses that were refused, in words.
+
+    Raises:
+        LiveError, RigError: a setting, a file or the rig is wrong.
+    """
+
+    def __init__(self, rig: Rig, request: CourseRequest, *, cameras: bool) -> None:
+        request.check()
+        if not rig.lidars:
+            raise LiveError(f"rig '{rig.name}' has no LiDAR", where="lidars", how="a map of the ground needs one")
+        self._rig, self._request = rig, request
+        self.vehicle, self.sensors = VehicleMessages(rig), SensorMessages(rig, cameras=cameras)
+        self.course = None if request.file is None else read_course(request.file, request.speed)
+        self._first: float | None = None
+        enable = rig.live.enable
+        self._enable = None if enable is None else (enable.topic, field_getter(enable.field))
+        self.refusals: list[str] = []
+
+    @property
+    def topics(self) -> dict[str, bool]:
+        """Topics that are needed, and whether messages before ours are asked for."""
+        found = dict.fromkeys((*self.vehicle.topics, *self.sensors.topics), False)
+        found |= dict.fromkeys(self._rig.frames.topics, True)
+        if self._request.topic:
+            found[self._request.topic] = True
+        if self._enable is not None:
+            found[self._enable[0]] = False
+        return found
+
+    @property
+    def waiting_for(self) -> str:
+        """What is missing before driving can begin, in words; empty once nothing is."""
+        if self._first is None:
+            return f"readings of the vehicle on {', '.join(self.vehicle.topics)}"
+        if self.sensors.waiting_for:
+            return self.sensors.waiting_for
+        return "" if self.course is not None else f"a course on {self._request.topic}"
+
+    def take(self, topic: str, message: Any, received: float) -> list[Taken]:
+        """What a message is.
+
+        Args:
+            received: when it came [s].
+        """
+        taken: list[Taken] = []
+        if self._enable is not None and topic == self._enable[0]:
+            taken.append(Pressed(_pressed(self._enable[1], message)))
+        if topic == self._request.topic:
+            taken += self._new_course(message)
+        if topic in self.vehicle.topics and (reading := self.vehicle.take(topic, message, received)) is not None:
+            taken += self._reading(reading)
+        measured = self.sensors.take(topic, message, received) if topic in self.sensors.topics else None
+        return taken if measured is None else [*taken, measured]
+
+    def _reading(self, reading: VehicleReading) -> list[Taken]:
+        if self._first is None or reading.time < self._first:
+            self._first = reading.time
+        if reading.time - self._first > SETTLE:
+            self.sensors.settle()
+        if self._request.goal is None or self.course is not None:
+            return [reading]
+        self.course = course_to(np.array(self._request.goal), reading.position[:2], self._request.speed)
+        return [self.course, reading]
+
+    def _new_course(self, message: Any) -> list[Taken]:
+        try:
+            self.course = course_from_message(message, self._request.speed, self._request.topic)
+        except (OffpisteError, AttributeError) as error:
+            self.refusals.append(str(error))
+            return []
+        return [self.course]
+
+
+def _pressed(get: Any, message: Any) -> bool:
+    try:
+        return float(get(message)) > 0.5
+    except (AttributeError, TypeError, ValueError):
+        return False

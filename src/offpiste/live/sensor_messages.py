@@ -1,0 +1,154 @@
+"""Cameras and LiDARs of a robot from its first messages, and then its images and scans."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import LogError, PerceptionError
+from offpiste.logs.formats.bag import transform_of
+from offpiste.logs.log import Log, RawCloud, Samples, Topic
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
+from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.logs.ros.sensor_messages import decompressed, points_from_message, raw_pixels
+from offpiste.logs.transforms import Transform
+from offpiste.rig.camera import CameraModel, model_from_message
+from offpiste.rig.rig import Rig
+from offpiste.rig.sensors import CameraSource, LidarSource
+
+Sensors = tuple[dict[str, Camera], dict[str, Lidar]]
+"""Cameras and LiDARs by name."""
+
+
+class HeardLog(Log):
+    """What was heard so far, as a log: calibrations, frames and transforms."""
+
+    description = "what was heard of a robot"
+    has_sensors = True
+
+    def __init__(self) -> None:
+        self.path = Path("the robot")
+        self.first: dict[str, Any] = {}
+        self._transforms: dict[tuple[str, str], Transform] = {}
+
+    def hear(self, topic: str, message: Any, *, is_transforms: bool) -> None:
+        """Keep the first message of a topic, and all transforms."""
+        self.first.setdefault(topic, message)
+        if is_transforms:
+            for transform in map(transform_of, message.transforms):
+                self._transforms.setdefault((transform.parent, transform.child), transform)
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """Topics that were heard."""
+        return {name: Topic(name, message.__msgtype__, 1, ()) for name, message in self.first.items()}
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        raise LogError("numbers are read as they come", where=self.path)
+
+    def transforms(self, topics: Sequence[str]) -> list[Transform]:
+        """Those of all topics that the rig names."""
+        return list(self._transforms.values())
+
+    def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
+        """Calibration by the topic's first CameraInfo."""
+        return model_from_message(self.first[topic], topic, rectified=rectified)
+
+    def frame(self, topic: str) -> str:
+        """Frame in the first message's header."""
+        return str(self.first[topic].header.frame_id).lstrip("/")
+
+
+class SensorMessages:
+    """Images and scans, once the calibrations that the rig needs were heard.
+
+    Args:
+        rig: of the vehicle.
+        cameras: whether images are needed.
+
+    Attributes:
+        topics: that are needed.
+        dropped: number of messages that cannot be used, by sensor and reason.
+    """
+
+    def __init__(self, rig: Rig, *, cameras: bool) -> None:
+        self._rig, self._log = rig, HeardLog()
+        self._cameras = dict(rig.cameras) if cameras else {}
+        self._entries: dict[str, CameraSource | LidarSource] = {**self._cameras, **rig.lidars}
+        self._of = {entry.topic: name for name, entry in self._entries.items()}
+        infos = [camera.info for camera in self._cameras.values() if camera.info]
+        self.topics = (*self._of, *infos, *rig.frames.topics)
+        self.dropped: Counter[str] = Counter()
+        self.sensors: Sensors | None = None
+        self._why: dict[str, str] = {}
+
+    @property
+    def waiting_for(self) -> str:
+        """What is missing before images and scans can be used, in words; empty once nothing is."""
+        if self.sensors is not None:
+            return ""
+        silent = [entry.topic for entry in self._entries.values() if entry.topic not in self._log.first]
+        heard = f"messages on {', '.join(silent)}" if silent else ""
+        return "; ".join(text for text in (*self._why.values(), heard) if text) or "the first messages of its sensors"
+
+    def take(self, topic: str, message: Any, received: float) -> Image | Cloud | None:
+        """Add a message; the image or scan that it is, once it can be used."""
+        name = self._of.get(topic)
+        if name is None or topic not in self._log.first:
+            self._log.hear(topic, message, is_transforms=topic in self._rig.frames.topics)
+            if self.sensors is None:
+                self._set_up(complete=False)
+        if name is None or self.sensors is None:
+            return None
+        cameras, lidars = self.sensors
+        time = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
+        try:
+            if name in cameras:
+                return self._image(cameras[name], topic, message, time)
+            return self._cloud(lidars[name], message, time) if name in lidars else None
+        except (LogError, AttributeError, ValueError) as error:
+            self.dropped[f"{name}: {str(error).splitlines()[0][:100]}"] += 1
+            return None
+
+    def settle(self) -> None:
+        """Take the sensors that were heard, if all are there but for optional ones (see `waiting_for`)."""
+        if self.sensors is None:
+            self._set_up(complete=True)
+
+    def _set_up(self, *, complete: bool) -> None:
+        """Set up all sensors; with `complete`, those optional ones that were heard."""
+        cameras, lidars = dict[str, Camera](), dict[str, Lidar]()
+        transforms = self._log.transforms(())
+        self._why, missing = {}, False
+        for name, entry in self._entries.items():
+            if entry.topic not in self._log.first:
+                missing |= not (entry.optional and complete)
+                continue
+            try:
+                refuse_rough(self._log, {name: entry})
+                if name in self._cameras:
+                    cameras[name] = camera_of(self._log, self._rig, name, self._cameras[name], transforms)
+                else:
+                    lidars[name] = lidar_of(self._log, self._rig, name, self._rig.lidars[name], transforms)
+            except (LogError, PerceptionError) as error:
+                self._why[name] = str(error)
+        if not missing and not self._why and lidars:
+            self.sensors = cameras, lidars
+
+    def _image(self, camera: Camera, topic: str, message: Any, time: float) -> Image | None:
+        pixels = decompressed(message) if hasattr(message, "format") else raw_pixels(message, topic)
+        if pixels is None or (pixels.shape[1], pixels.shape[0]) != (camera.model.width, camera.model.height):
+            self.dropped[f"{camera.name}: images that cannot be decoded, or of another size than calibrated"] += 1
+            return None
+        return Image(time - camera.source.delay, camera.name, pixels)
+
+    def _cloud(self, lidar: Lidar, message: Any, time: float) -> Cloud | None:
+        cloud = cloud_from_records(RawCloud(time, lidar.name, points_from_message(message)), lidar)
+        if not len(cloud.points):
+            self.dropped[f"{lidar.name}: clouds without a usable point"] += 1
+            return None
+        return cloud

@@ -1,0 +1,101 @@
+"""A drive on a vehicle: its settings, and the shared memory through which its processes hand on messages."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal
+
+from offpiste.errors import LiveError
+from offpiste.live.reception import CourseRequest
+from offpiste.live.ring import Ring
+from offpiste.runtime.settings import RuntimeSettings
+from offpiste.transport.zenoh_transport import ZenohSettings
+
+Source = Literal["system", "clock", "stamps"]
+"""The clock that stamps are compared with: the computer's, the one on /clock, or the readings' own stamps."""
+_KIB, _MIB = 1 << 10, 1 << 20
+RINGS: Final = {
+    "readings": (64, 4 * _KIB),
+    "images": (8, 32 * _MIB),
+    "scans": (4, 64 * _MIB),
+    "codes": (8, 16 * _MIB),
+    "map": (3, 128 * _MIB),
+    "map-state": (4, 1 * _KIB),
+    "plans": (8, 64 * _KIB),
+    "commands": (512, 1 * _KIB),
+    "course": (2, 4 * _MIB),
+    "sensors": (2, 1 * _MIB),
+    "clock": (4, 64),
+    "end": (2, 64),
+}
+"""Slots, and the largest message [bytes], of each ring; memory is taken only where it is written."""
+PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record")
+"""Processes of a drive; each has a ring for its status beside these."""
+_PREFIX: Final = "offpiste-live-"
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Settings of a drive on a vehicle (options as in `cli.live.Live`)."""
+
+    rig: str
+    run: str
+    pca: Path | None
+    course: CourseRequest
+    runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
+    robot: ZenohSettings = field(default_factory=ZenohSettings)
+    drive: bool = False
+    clock: Source = "system"
+    seed: int = 0
+    seconds: float = float("inf")
+    record: Path | None = None
+    status: Path | None = None
+
+
+@dataclass(frozen=True)
+class Session:
+    """What each process of a drive is given.
+
+    Attributes:
+        folder: with the rings.
+    """
+
+    settings: LiveSettings
+    folder: Path
+
+    def ring(self, name: str) -> Ring:
+        """One of `RINGS`, or `status-PART`."""
+        return Ring(self.folder / name)
+
+
+@contextmanager
+def new_session(settings: LiveSettings) -> Iterator[Session]:
+    """A session whose memory is released at its end; what killed sessions left is removed.
+
+    Raises:
+        LiveError: there is no memory for it.
+    """
+    base = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
+    _remove_left_over(base)
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-", dir=base))
+    except OSError as error:
+        raise LiveError(f"no shared memory: {error.strerror}", where=base, how="make room there") from error
+    try:
+        sizes = RINGS | {f"status-{part}": (2, 64 * _KIB) for part in PARTS}
+        for name, (slots, size) in sizes.items():
+            Ring.create(folder / name, slots=slots, size=size).close()
+        yield Session(settings, folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _remove_left_over(base: Path) -> None:
+    for folder in base.glob(f"{_PREFIX}*"):
+        owner = folder.name.removeprefix(_PREFIX).split("-")[0]
+        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
+            shutil.rmtree(folder, ignore_errors=True)

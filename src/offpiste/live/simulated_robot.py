@@ -1,0 +1,225 @@
+"""The proving ground as a robot: in real time over the transport, driven by whoever publishes its commands."""
+
+import logging
+import queue
+import threading
+import time
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course
+from offpiste.closed_loop.lockstep import Driving, time_of
+from offpiste.closed_loop.scores import summary, trace_of
+from offpiste.conventions import DT
+from offpiste.errors import require
+from offpiste.live.lockstep import CLOCK
+from offpiste.live.play import clock_message
+from offpiste.logs.ros.writer import header, make, quaternion, vector
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.progress import track
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.runtime.modes import Controls
+from offpiste.simulation.recorder import MAP, stamp_ns, vehicle_messages
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
+from offpiste.simulation.sensors.messages import mountings_message
+from offpiste.simulation.sensors.suite import Sensing, sensor_suite
+from offpiste.simulation.simulate import drive
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
+from offpiste.transport.interface import Received
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+
+logger = logging.getLogger(__name__)
+
+COURSE: Final = "/course"
+"""Topic of the course that was chosen (nav_msgs/Path), kept for those who come later."""
+OWN_STOP: Final = 0.25
+"""Without a command for so long, the simulated vehicle brakes by itself [s], as a drive-by-wire unit does."""
+_BEHIND: Final = 0.2
+"""Sensors that are so far behind leave a measurement out [s]."""
+_STANDS: Final = 2.0
+"""The drive ends when the vehicle has stood at the end of its course for so long [s]."""
+_NEAR: Final = 4.0
+
+
+@dataclass
+class RemoteCommands:
+    """The last command that was received (a `simulation.simulate.Controller`).
+
+    Attributes:
+        stuck: never: whoever drives may take its time.
+        lost: number of steps without a command that is recent enough.
+    """
+
+    stuck: bool = False
+    lost: int = 0
+    given: list[Float[np.ndarray, " 3"]] = field(default_factory=list)
+    _command: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.array((0.0, 1.0, 0.0)))
+    _at: float = -np.inf
+
+    def received(self, axes: Float[np.ndarray, " n"]) -> None:
+        """Throttle, brake and steer of a sensor_msgs/Joy; what is not that, or not finite, is left out."""
+        if len(axes) >= 3 and np.isfinite(axes[:3]).all():
+            limited = np.clip(np.asarray(axes[:3], np.float64), (0.0, 0.0, -1.0), 1.0)
+            self._command, self._at = limited, time.monotonic()
+
+    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
+        """The command for the next step."""
+        command = self._command
+        if time.monotonic() - self._at > OWN_STOP:
+            self.lost += np.isfinite(self._at)
+            command = np.array((0.0, 1.0, command[2]))
+        self.given.append(command)
+        return command
+
+
+class SimulatedSensors:
+    """Cameras and LiDARs, simulated beside the vehicle; what the machine is too slow for is left out and counted.
+
+    Attributes:
+        left_out, published: number of measurements.
+    """
+
+    def __init__(self, world: World, suite_name: str, seed: int, transport: ZenohTransport) -> None:
+        self.suite, self._transport = sensor_suite(suite_name), transport
+        self._sensing = Sensing(world, self.suite, np.random.default_rng([seed, 2]))
+        self._publish: dict[str, Any] = {}
+        self._waiting: queue.SimpleQueue[VehicleSample | None] = queue.SimpleQueue()
+        self.left_out = self.published = 0
+        self._latest = 0.0
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def measure(self, sample: VehicleSample) -> None:
+        """Measure, as soon as there is time."""
+        self._latest = sample.time
+        self._waiting.put(sample)
+
+    def end(self) -> None:
+        """End the thread."""
+        self._waiting.put(None)
+        self._thread.join(5.0)
+
+    def _work(self) -> None:
+        while (sample := self._waiting.get()) is not None:
+            if self._latest - sample.time > _BEHIND:
+                self.left_out += self._sensing.pass_by(sample)
+                continue
+            for topic, message in self._sensing.observe(sample, stamp_ns):
+                if topic not in self._publish:
+                    self._publish[topic] = self._transport.publisher(topic, message.__msgtype__)
+                self._publish[topic](message)
+                self.published += 1
+
+
+class SimulatedRobot:
+    """A vehicle of the proving ground on the transport.
+
+    Args:
+        world, chosen: where it drives.
+        sensors: profile of `simulation.sensors`.
+    """
+
+    def __init__(self, transport: ZenohTransport, world: World, chosen: ChosenCourse, sensors: str, seed: int) -> None:
+        self._transport, self.world, self.chosen = transport, world, chosen
+        self._rig, self._parameters = load_rig("proving_ground"), load_vehicle()
+        self.commands = RemoteCommands()
+        self._rng, self._publish = np.random.default_rng([seed, 3]), dict[str, Any]()
+        transport.subscribe(_command_topic(self._rig), self._commanded, msgtype="sensor_msgs/msg/Joy")
+        self._clock = transport.publisher(CLOCK, "rosgraph_msgs/msg/Clock")
+        self._sensors = SimulatedSensors(world, sensors, seed, transport)
+        mountings = mountings_message(self._sensors.suite.mountings(), stamp_ns(0.0))
+        transport.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(mountings)
+        transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
+
+    def drive(self, seconds: float) -> Driving:
+        """Drive in real time until the course is driven, the vehicle cannot go on, or the time is up."""
+        samples, stands, slow = list[VehicleSample](), 0.0, 0.0
+        end, due = self.chosen.course.driven[-1], time.monotonic()
+        steps = round(seconds / DT)
+        run = drive(self.world, self._parameters, self.chosen.start, self.commands, steps=steps)
+        for _, sample in zip(track(range(steps), "simulate"), run, strict=False):
+            samples.append(sample)
+            self._publish_vehicle(sample)
+            self._sensors.measure(sample)
+            moving = float(np.hypot(*sample.velocity[:2])) > 0.1
+            there = not moving and np.linalg.norm(sample.position[:2] - end) < _NEAR
+            stands = stands + DT if there else 0.0
+            if stands > _STANDS:
+                break
+            due += DT
+            if time.monotonic() - due > 5 * DT:  # simulated time falls behind rather than hurry after
+                slow += time.monotonic() - due
+                due = time.monotonic()
+            time.sleep(max(due - time.monotonic(), 0.0))
+        self._sensors.end()
+        if slow > 0.05 * len(samples) * DT:
+            logger.warning(f"this machine is too slow: simulated time fell behind by {slow:.1f} s")
+        if self._sensors.left_out:
+            measured = self._sensors.left_out + self._sensors.published
+            logger.warning(f"this machine is too slow: {self._sensors.left_out} of {measured} measurements left out")
+        controls = [Controls(time_of(s.time), given, "driving") for s, given in zip(samples, self.commands.given)]  # noqa: B905
+        return Driving(samples, controls)
+
+    def _publish_vehicle(self, sample: VehicleSample) -> None:
+        stamp = stamp_ns(sample.time)
+        measured = with_noise(sample, Noise(), Imperfections(), self._rng)
+        messages = vehicle_messages(measured, stamp, wheel_radius=self._parameters.rolling_radius)
+        del messages[_command_topic(self._rig)]
+        odometry = messages.pop("/odometry")  # last: a reading is made when it comes
+        for topic, message in {**messages, "/odometry": odometry}.items():
+            if topic not in self._publish:
+                self._publish[topic] = self._transport.publisher(topic, message.__msgtype__)
+            self._publish[topic](message)
+        self._clock(clock_message(stamp))
+
+    def _commanded(self, received: Received) -> None:
+        message = self._transport.decode(received)
+        if message is not None:
+            self.commands.received(message.axes)
+
+
+def simulate_live(
+    world: WorldSettings, robot: ZenohSettings, *, sensors: str, seconds: float, speed: float
+) -> dict[str, Any]:
+    """Let the proving ground's vehicle be driven over the transport; what its drive came to is logged and returned.
+
+    Raises:
+        OffpisteError: no such world, or no connection.
+    """
+    require("live", "zenoh")
+    made = make_world(world)
+    chosen = choose_course(made, world.seed, CourseSettings(speed=speed))
+    with closing(ZenohTransport(robot)) as transport:
+        simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed)
+        logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
+        driving = simulated.drive(seconds)
+    trace = trace_of(driving, chosen.course)
+    length = float(np.linalg.norm(np.diff(chosen.course.driven, axis=0), axis=1).sum())
+    result = summary(driving, trace, length, seconds, CostWeights(path=5.0))
+    result["steps_without_command"] = simulated.commands.lost
+    ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {length:.0f} m"
+    logger.info(
+        f"{ending} in {result['time_s']:.1f} s, {result['mean_speed_mps']:.1f} m/s, {result['mean_path_error_m']:.2f} m"
+        f" off the course, cost {result['driven_cost']:.0f}; {simulated.commands.lost} steps without a command"
+    )
+    return result
+
+
+def _command_topic(rig: Rig) -> str:
+    return rig.outputs["command"].topic
+
+
+def _path(chosen: ChosenCourse) -> Any:
+    poses = []
+    for x, y in chosen.course.driven.tolist():
+        place = vector((x, y, 0.0), "geometry_msgs/Point")
+        pose = make("geometry_msgs/Pose", position=place, orientation=quaternion((0, 0, 0, 1)))
+        poses.append(make("geometry_msgs/PoseStamped", header=header(stamp_ns(0.0), MAP), pose=pose))
+    return make("nav_msgs/Path", header=header(stamp_ns(0.0), MAP), poses=poses)

@@ -1,0 +1,172 @@
+"""What goes out to the vehicle: topics, types and fields of commands, and what must hold before they are sent."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from offpiste.errors import RigError
+from offpiste.rig.channels import unit_factor
+
+Quantity = Literal["throttle", "brake", "steer", "gear", "pedal", "speed", "yaw_rate", "constant"]
+"""What a field can hold: a control, the pedal (throttle minus brake), or what the plan leads to in `ahead` seconds."""
+_CHANNELS: Final = {"pedal": "throttle", "speed": "linear_velocity"}
+"""Channel in whose units a quantity is given, where it is not one itself."""
+_PATH: Final = re.compile(r"[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?")
+_TYPE: Final = re.compile(r"[a-zA-Z]\w*/msg/[A-Z]\w*")
+_TOPIC: Final = re.compile(r"(/[a-zA-Z_]\w*)+")
+
+
+class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A field of a command: what it holds, such that the channel with the same entries reads it back.
+
+    value = sign * (field * scale + offset), then from `unit`, as of a `ChannelSource`.
+
+    Attributes:
+        of: what it holds.
+        value: of a constant.
+        ahead: how far ahead the plan's speed or yaw rate is taken [s].
+        clip: the field is limited to this interval.
+    """
+
+    of: Quantity
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    sign: Literal[-1, 1] = 1
+    value: float = 0.0
+    ahead: float = 0.2
+    clip: tuple[float, float] | None = None
+
+    def written(self, value: float, max_steer: float) -> float:
+        """The field for a value in offpiste's unit."""
+        if self.of == "constant":
+            return self.value
+        factor = unit_factor(_CHANNELS.get(self.of, self.of), self.unit, max_steer)
+        field = (self.sign * value / factor - self.offset) / self.scale
+        return field if self.clip is None else min(max(field, self.clip[0]), self.clip[1])
+
+
+class Output(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A topic with commands.
+
+    Attributes:
+        type: as `ackermann_msgs/msg/AckermannDriveStamped`.
+        fields: by their paths, as `drive.speed` or `axes[2]`; all others are zero, or empty.
+        frame: of the header, where there is one.
+    """
+
+    topic: str
+    type: str
+    fields: dict[str, OutputField]
+    frame: str = "base_link"
+
+
+class Enable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A dead man's switch: commands are sent only while it is heard and pressed.
+
+    Attributes:
+        field: a number or a boolean; above 0.5 is pressed.
+        timeout: what is older does not count [s].
+    """
+
+    topic: str
+    field: str = "data"
+    timeout: float = 0.3
+
+
+class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits of what is sent, whatever is planned.
+
+    Attributes:
+        throttle, brake, steer: largest commands; the brake of a stop is not limited.
+        throttle_rate, brake_rate, steer_rate: fastest changes [1/s]; throttle is released, and the brake of a stop
+            applied, at once.
+        speed: faster, the throttle is released [m/s].
+    """
+
+    throttle: float = 1.0
+    brake: float = 1.0
+    steer: float = 1.0
+    throttle_rate: float = 4.0
+    brake_rate: float = 8.0
+    steer_rate: float = 4.0
+    speed: float = np.inf
+
+
+class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What driving on a vehicle needs besides its channels and sensors.
+
+    Attributes:
+        enable: without it, commands need no switch.
+        types: message types of topics, where their keys do not say them (zenoh-bridge-ros2dds).
+        definitions: files PACKAGE/msg/NAME.msg of types that rosbags does not know, beside the rig file.
+    """
+
+    enable: Enable | None = None
+    limits: CommandLimits = CommandLimits()
+    types: dict[str, str] = {}
+    definitions: tuple[str, ...] = ()
+
+    def beside(self, folder: Path) -> "Live":
+        """The same with the files of definitions made absolute."""
+        return replace(self, definitions=tuple(str(folder / name) for name in self.definitions))
+
+
+def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -> None:
+    """Refuse impossible numbers, names and types.
+
+    Raises:
+        RigError: which key, and how to fix it.
+    """
+    for name, output in outputs.items():
+        key = f"outputs.{name}"
+        _check_topic(f"{key}.topic", output.topic)
+        _check_type(f"{key}.type", output.type)
+        if not output.fields:
+            raise RigError(f"{key}.fields is empty", how='give what goes where: "drive.speed" = { of = "speed" }')
+        for path, field in output.fields.items():
+            _check_field(f'{key}.fields."{path}"', path, field, max_steer)
+    if len({output.topic for output in outputs.values()}) < len(outputs):
+        raise RigError("two outputs have one topic", how="put their fields into one of them")
+    for topic, msgtype in live.types.items():
+        _check_topic("live.types", topic)
+        _check_type(f'live.types."{topic}"', msgtype)
+    if live.enable is not None:
+        _check_topic("live.enable.topic", live.enable.topic)
+        if not _PATH.fullmatch(live.enable.field) or not 0 < live.enable.timeout < np.inf:
+            raise RigError("live.enable: no such field or timeout", how='give field = "data" and seconds above zero')
+    for limit in CommandLimits.__struct_fields__:
+        number = getattr(live.limits, limit)
+        if not number > 0 or (limit in ("throttle", "brake", "steer") and number > 1):
+            how = "give a number above zero" + ("" if "_" in limit or limit == "speed" else ", and at most 1")
+            raise RigError(f"live.limits.{limit} is {number}", how=how)
+
+
+def _check_topic(key: str, topic: str) -> None:
+    if not _TOPIC.fullmatch(topic):
+        raise RigError(f"{key}: '{topic}' is no topic", how="give a name such as /vehicle/command")
+
+
+def _check_type(key: str, msgtype: str) -> None:
+    if not _TYPE.fullmatch(msgtype):
+        raise RigError(f"{key}: '{msgtype}' is no message type", how="give one such as geometry_msgs/msg/Twist")
+
+
+def _check_field(key: str, path: str, field: OutputField, max_steer: float) -> None:
+    if not _PATH.fullmatch(path):
+        raise RigError(f"{key}: no path of a field", how="give one such as drive.steering_angle or axes[2]")
+    if not np.isfinite([field.scale, field.offset, field.value]).all() or field.scale == 0:
+        raise RigError(f"{key}: scale, offset or value is no number that can be used", how="scale is not zero")
+    if not 0 <= field.ahead <= 5:
+        raise RigError(f"{key}.ahead is {field.ahead}", how="give seconds within the plan: 0 to 5")
+    if field.clip is not None and not field.clip[0] < field.clip[1]:
+        raise RigError(f"{key}.clip is no interval", how="give the lowest and the highest value")
+    try:
+        field.written(0.0, max_steer)
+    except RigError as error:
+        raise RigError(f"{key}: {error.what}", how=error.how) from None

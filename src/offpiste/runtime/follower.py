@@ -1,0 +1,132 @@
+"""Which control is due: that of the plan that acts, or of a controlled stop; and what is committed until the next plan.
+
+This is the part of the run time that runs at 50 Hz whatever becomes of the others: it needs no map and no model.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.conventions import DT
+from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.runtime.estimator import TrackRows, VehicleTrack
+from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, decide_mode
+from offpiste.runtime.schedule import Launch, Schedule
+from offpiste.runtime.settings import RuntimeSettings
+
+Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
+"""From a command to the control that the vehicle is given, which limits or another driver may make another one."""
+
+
+@dataclass(frozen=True)
+class MapState:
+    """What a mode depends on of the map.
+
+    Attributes:
+        scan_time, image_time: of the last scan and image in it [s]; infinite for models without visual features.
+        empty: whether it holds no ground within reach of a plan.
+    """
+
+    scan_time: float = -np.inf
+    image_time: float = -np.inf
+    empty: bool = False
+
+
+class Follower:
+    """Follows plans, and stops where inputs are missing.
+
+    Args:
+        track: readings of the vehicle, and commands, which are added to it.
+        tracker: position along the course; another course has another one.
+
+    Attributes:
+        schedule: plans that were made.
+        launch: throttle added while the vehicle hardly moves.
+        stopping: whether a stop has begun and is not completed.
+        events: changes of mode, oldest first.
+    """
+
+    def __init__(self, settings: RuntimeSettings, track: VehicleTrack, tracker: CourseTracker) -> None:
+        self._settings, self._track = settings, track
+        self.tracker, self.schedule, self.launch = tracker, Schedule(), Launch(settings.launch)
+        self.stopping = False
+        self.events: list[Event] = []
+
+    def mode(self, now: float, state: MapState) -> ModeDecision:
+        """Mode that the ages of the inputs demand."""
+        latest, followed = self._track.latest, self.schedule.acting(now)
+        ages = Ages(
+            state=now - (latest.time if latest else -np.inf),
+            scan=now - state.scan_time,
+            image=now - state.image_time,
+            plan=now - followed.start if followed else np.inf,
+        )
+        finished = self.tracker.progress > self.tracker.length - self._settings.arrived
+        return decide_mode(ages, self._settings.timeouts, map_empty=state.empty, finished=finished)
+
+    def follow(self, now: float, decision: ModeDecision, applied: Applied | None = None) -> Controls:
+        """Controls for the next `conventions.DT`: of the plan, or of a controlled stop.
+
+        A stop that has begun is completed before the vehicle drives away again.
+
+        Args:
+            applied: gives the control that the vehicle is then given; None where it is the one that is commanded.
+        """
+        controls = self._due(now, decision)
+        self._track.commanded(now, controls.command if applied is None else applied(controls))
+        if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
+            self.events.append(Event(now, controls.mode, controls.why))
+        return controls
+
+    def _due(self, now: float, decision: ModeDecision) -> Controls:
+        planned = self.schedule.control(now)
+        at_standstill = self.at_standstill()
+        must_stop = decision.mode == "stopping" or planned is None
+        if not must_stop and not (self.stopping and not at_standstill):
+            self.stopping = False
+            assert planned is not None
+            planned[0] = self.launch.throttle(float(planned[0]), self.speed)
+            return Controls(now, planned, decision.mode, decision.why)
+        self.stopping = True
+        self.launch.reset()
+        # The planned steering is kept: straight ahead may lead off the course.
+        steer = 0.0 if planned is None else float(planned[2])
+        command = np.array((0.0, self._settings.stop, steer))
+        why = decision.why if must_stop or not self.events else self.events[-1].why
+        return Controls(now, command, "stopped" if at_standstill else "stopping", why)
+
+    def committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
+        """Controls committed from the last reading until a new plan acts.
+
+        Args:
+            first, start: times of the two [s].
+            rows: up to the last reading.
+        """
+        latest = self.schedule.latest
+        if latest is not None and first - latest.start > self._settings.forget:
+            self.schedule.clear()
+        stop = np.array((0.0, self._settings.stop, 0.0))
+        steps = max(round((start - first) / DT), 0)
+        committed = self.schedule.committed(first, steps, stop if self.stopping else rows.control[-2])
+        if self.stopping and not self.at_standstill():  # steering follows the plan, the pedals do not
+            committed[:, :2] = stop[:2]
+        else:
+            committed[:, 0] = self.launch.ahead(committed[:, 0], self.speed)
+        return committed
+
+    @property
+    def speed(self) -> float:
+        """Speed over the ground by the last reading [m/s]; infinite before the first."""
+        latest = self._track.latest
+        return np.inf if latest is None else float(np.hypot(*latest.velocity[:2]))
+
+    def at_standstill(self) -> bool:
+        """Whether the vehicle does not move."""
+        return self.speed < self._settings.standstill
+
+    def restart(self) -> None:
+        """Forget all plans."""
+        self.schedule.clear()
+        self.launch.reset()

@@ -1,0 +1,139 @@
+"""Plans on a map: from the vehicle's last rows and the committed controls to a plan and its prediction."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.dynamics.base import Dynamics
+from offpiste.errors import PlanningError
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning import mppi
+from offpiste.planning.cost_map import cost_map
+from offpiste.planning.driving_cost import Situation
+from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
+from offpiste.runtime.estimator import TrackRows
+from offpiste.runtime.follower import Follower
+from offpiste.runtime.perception import Stopwatch
+from offpiste.runtime.prediction import (
+    Area,
+    KnownGround,
+    Prediction,
+    coded_area,
+    costs_from,
+    cropped,
+    model_state_after,
+    model_state_of,
+    predicted,
+)
+from offpiste.runtime.schedule import TimedPlan
+from offpiste.runtime.settings import RuntimeSettings
+from offpiste.state import ModelState
+
+
+class Planned(NamedTuple):
+    """A plan, and where the model predicts that it leads."""
+
+    plan: TimedPlan
+    prediction: Prediction
+
+
+class PlanMaker:
+    """Makes plans.
+
+    Args:
+        dynamics: in evaluation mode, without gradients.
+        wheels: positions in the body frame, from the pose point [m].
+        ground: ground-truth features, used instead of the map's.
+        seed: of the sampled controls.
+        watch: times of the stages.
+
+    Attributes:
+        map_empty: whether the map held no ground within reach of the last plan.
+        failures: reasons of plans that failed.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        wheels: Float[np.ndarray, "4 2"],
+        settings: RuntimeSettings,
+        *,
+        ground: KnownGround | None = None,
+        seed: int = 0,
+        watch: Stopwatch | None = None,
+    ) -> None:
+        self._dynamics, self._settings, self._ground = dynamics, settings, ground
+        self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
+        self._generator = torch.Generator().manual_seed(seed)
+        self._watch = watch or Stopwatch()
+        self.map_empty = False
+        self.failures: list[str] = []
+
+    def plan(
+        self, now: float, layers: TerrainLayers, follower: Follower, rows: TrackRows, read: float, *, slow: bool
+    ) -> Planned | None:
+        """A plan that acts once the latency has passed; None where the map is empty, or no plan can be made.
+
+        Args:
+            now: time [s].
+            layers: of the map.
+            follower: whose plans are continued; the new one is not added to it.
+            rows: up to the last reading of the vehicle.
+            read: time of that reading [s].
+            slow: whether the speed is limited.
+        """
+        settings, state = self._settings, rows.state[-1]
+        speed = max(float(np.hypot(*state[3:5])), follower.tracker.target)
+        half = 0.5 * speed * DT * HORIZON_STEPS
+        heading = np.array((np.cos(state[2]), np.sin(state[2])))
+        near = cropped(layers, state[:2] + half * heading, half + settings.margin)
+        self.map_empty = not near.known.any()
+        if self.map_empty:
+            return None
+        with self._watch.of("encode map"):
+            area = coded_area(near, self._dynamics.encoder, self._ground)
+        with self._watch.of("cost map"):
+            stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
+            costs = cost_map(near, stretch, settings.hazards)
+        with self._watch.of("start"):
+            offset = torch.from_numpy(state[:2].copy())
+            given = follower.committed(read, now + settings.latency, rows)
+            committed = torch.as_tensor(given, dtype=torch.float32)
+            last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
+            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, settings.gear)
+            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last, settings.gear)
+            model_state = model_state_after(self._dynamics, model_state, committed, area, at)
+            at = replace(at, state=model_state.state[0])
+        with self._watch.of("plan"):
+            return self._improved(now, follower, area, model_state, at)
+
+    def _improved(
+        self, now: float, follower: Follower, area: Area, model_state: ModelState, at: Situation
+    ) -> Planned | None:
+        """A new plan and its prediction; None where none is finite."""
+        settings, model = self._settings, self._dynamics
+        rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
+        start = now + settings.latency
+        before = follower.schedule.continued(start, HORIZON_STEPS, rest)
+        cost_of = costs_from(model, model_state, area, at, settings.weights)
+        try:
+            plan = mppi.improve(
+                pedals_of(before),
+                with_pedal(cost_of),
+                settings.sampling,
+                self._generator,
+                previous=pedals_of(at.control),
+            )
+        except PlanningError as error:
+            self.failures.append(str(error))
+            return None
+        if not plan.controls.isfinite().all():
+            self.failures.append("the plan is not finite")
+            return None
+        controls = controls_of(plan.controls)
+        states = predicted(model, model_state, controls, area, at, settings.weights)
+        return Planned(TimedPlan(start, now, controls), Prediction(start, states))

@@ -1,0 +1,89 @@
+"""Message types that can be carried, and their hashes: those of ROS 2, and others from their definitions."""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from offpiste.errors import TransportError
+from offpiste.logs.ros.writer import DEFINITIONS
+
+_LONGEST: Final = 1 << 20
+"""Largest file of a definition [bytes]."""
+
+
+class MessageTypes:
+    """Types that are known, by names like `nav_msgs/msg/Odometry`.
+
+    Args:
+        definitions: files `PACKAGE/msg/NAME.msg`, of types that rosbags does not know; each after those it is made of.
+
+    Raises:
+        TransportError: a file cannot be read, or is no definition.
+    """
+
+    def __init__(self, definitions: Sequence[Path] = ()) -> None:
+        self.store: Typestore = get_typestore(Stores.ROS2_JAZZY)
+        for name, text in DEFINITIONS.items():
+            self.store.register(get_types_from_msg(text, name))
+        for file in definitions:
+            self._register(file)
+        self.hash_of = cache(self._hash_of)
+
+    def __contains__(self, msgtype: str) -> bool:
+        return msgtype in self.store.types
+
+    def _hash_of(self, msgtype: str) -> str:
+        """Hash of a type by REP 2011 (`RIHS01_` and the SHA-256 of its description).
+
+        Raises:
+            TransportError: the type, or one that it is made of, is not known.
+        """
+        try:
+            return str(self.store.hash_rihs01(msgtype))
+        except KeyError as error:
+            how = "give the file of its definition in the rig: messages.definitions"
+            raise TransportError(f"message type {msgtype} is not known", where=str(error.args[0]), how=how) from error
+
+    def empty(self, msgtype: str) -> Any:
+        """A message of zeros and empty texts; sequences are empty, too."""
+        fields = self.store.get_msgdef(msgtype).fields
+        return self.store.types[msgtype](**{name: self._empty_field(*kind) for name, kind in fields})
+
+    def _empty_field(self, kind: Any, detail: Any) -> Any:
+        if kind == Nodetype.NAME:
+            return self.empty(detail)
+        if kind == Nodetype.BASE:
+            name = detail[0]
+            return "" if name == "string" else False if name == "bool" else 0.0 if name.startswith("float") else 0
+        (inner, element), size = detail
+        length = size if kind == Nodetype.ARRAY else 0
+        if inner == Nodetype.BASE and element[0] != "string":
+            return np.zeros(length, np.dtype({"byte": "u1", "char": "u1", "octet": "u1"}.get(element[0], element[0])))
+        return [self._empty_field(inner, element) for _ in range(length)]
+
+    def definition(self, msgtype: str) -> str:
+        """Definition of a type with those that it is made of, as MCAP files and viewers read it ("ros2msg")."""
+        return str(self.store.generate_msgdef(msgtype, ros_version=2)[0])
+
+    def _register(self, file: Path) -> None:
+        how = "give a file PACKAGE/msg/NAME.msg of its package"
+        try:
+            text = file.read_bytes()[:_LONGEST].decode()
+        except (OSError, UnicodeDecodeError) as error:
+            raise TransportError(f"no message definition: {error}", where=file, how=how) from error
+        if file.suffix != ".msg" or file.parent.name != "msg":
+            raise TransportError("its place does not say which type it defines", where=file, how=how)
+        name = f"{file.parent.parent.name}/msg/{file.stem}"
+        try:
+            self.store.register(get_types_from_msg(text, name))
+            self.store.hash_rihs01(name)
+        except (TypesysError, SyntaxError, RecursionError, KeyError) as error:
+            reason = " ".join(str(error).split())[:100]
+            how = "give the definitions that it is made of before it"
+            raise TransportError(f"is no message definition: {reason}", where=file, how=how) from error

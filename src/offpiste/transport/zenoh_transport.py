@@ -1,0 +1,246 @@
+"""ROS 2 over zenoh: publishes and subscribes with the keys of a convention, and refuses what does not fit.
+
+A router has to run (`rmw_zenohd`, `zenohd`, or a session of mode "router"); multicast is off, nothing listens unless it
+is asked to, and then on the loopback unless another endpoint is given.
+"""
+
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from offpiste.errors import TransportError, extra
+from offpiste.transport.attachment import ATTACHMENT_SIZE, Attachment, unpacked
+from offpiste.transport.interface import Deliver, Publish, Received
+from offpiste.transport.keys import NO_HASH, Address, BridgeKeys, Endpoint, Keys, RmwZenohKeys
+from offpiste.transport.message_types import MessageTypes
+
+ROUTER: Final = "tcp/127.0.0.1:7447"
+"""Where rmw_zenoh's router listens by default, on the loopback."""
+_GID: Final = 16
+"""Length of a publisher's identity [bytes]."""
+_MIB: Final = 1 << 20
+
+
+@dataclass(frozen=True)
+class ZenohSettings:
+    """How to reach a robot.
+
+    Attributes:
+        endpoint: of the router, that one connects to, or is.
+        mode: "client", or "router" to be the router itself.
+        keys: "rmw_zenoh" or "bridge" (zenoh-bridge-ros2dds).
+        domain: ROS_DOMAIN_ID, of rmw_zenoh's keys.
+        namespace: of the bridge.
+        config: a file of zenoh's configuration (JSON5), e.g. with certificates for TLS; `endpoint` and `mode` override
+            what it says only where they are not the defaults.
+        largest: messages above are refused [MiB].
+        patient: whether publishers wait where a link is full, instead of dropping the message.
+        node: name by which others list us.
+        identity: first 8 bytes of our publishers' identities, so that processes of one run know each other's messages.
+    """
+
+    endpoint: str = ""
+    mode: Literal["client", "router"] = "client"
+    keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
+    domain: int = 0
+    namespace: str = ""
+    config: str = ""
+    largest: float = 64.0
+    patient: bool = False
+    node: str = "offpiste"
+    identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))
+
+
+class ZenohTransport:
+    """A session of zenoh (a `Transport`).
+
+    Args:
+        definitions: files of message types that rosbags does not know.
+
+    Raises:
+        MissingExtra: the extra `live` is not installed.
+        TransportError: no router answers, or the configuration is wrong.
+    """
+
+    def __init__(self, settings: ZenohSettings | None = None, definitions: Sequence[Path] = ()) -> None:
+        with extra("live"):
+            import zenoh
+
+        self.settings, self._zenoh = settings or ZenohSettings(), zenoh
+        self.types = MessageTypes(definitions)
+        given = self.settings
+        self.keys: Keys = RmwZenohKeys(given.domain) if given.keys == "rmw_zenoh" else BridgeKeys(given.namespace)
+        self.refused: Counter[str] = Counter()
+        self._lock, self._held, self._count = threading.Lock(), list[Any](), 0
+        self._session = _opened(zenoh, given)
+        self._session_id = str(self._session.info.zid())
+        self._known: dict[str, str] = {}
+
+    @property
+    def identity(self) -> bytes:
+        """What the identities of all our publishers begin with."""
+        return self.settings.identity
+
+    def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
+        """Function that publishes on a topic (see `Transport`)."""
+        send, store = self.raw_publisher(topic, msgtype, keep=keep), self.types.store
+
+        def publish(message: Any) -> None:
+            send(bytes(store.serialize_cdr(message, msgtype, little_endian=True)))
+
+        return publish
+
+    def raw_publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
+        """Function that publishes messages that are CDR already."""
+        zenoh, number = self._zenoh, self._next()
+        address = Address(topic, msgtype, self.types.hash_of(msgtype))
+        key, gid = self.keys.publication(address), self.identity + os.urandom(4) + number.to_bytes(4, "little")
+        if keep:
+            cache = zenoh.ext.CacheConfig(1)
+            publisher: Any = zenoh.ext.declare_advanced_publisher(
+                self._session, key, cache=cache, publisher_detection=True
+            )
+        else:
+            control = zenoh.CongestionControl
+            full = control.BLOCK if self.settings.patient else control.DROP
+            publisher = self._session.declare_publisher(key, congestion_control=full, express=True)
+        self._announce(Endpoint(number, topic, msgtype, address.hash, publishes=True, keep=keep))
+        self._held.append(publisher)
+        sequence = iter(range(1 << 62))
+        encoding = zenoh.Encoding("application/cdr")
+
+        def publish(data: bytes) -> None:
+            attachment = Attachment(next(sequence), time.time_ns(), gid).packed()
+            publisher.put(data, encoding=encoding, attachment=attachment)
+
+        return publish
+
+    def subscribe(self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False) -> None:
+        """Have the messages of a topic delivered (see `Transport`)."""
+        zenoh = self._zenoh
+
+        def heard(sample: Any) -> None:
+            received = time.time()
+            message = self._accepted(topic, msgtype, sample, received)
+            if message is not None:
+                deliver(message)
+
+        # Called in zenoh's own thread, one after the other: the order across topics is that of arrival.
+        handler = zenoh.handlers.Callback(heard, indirect=False)
+        key = self.keys.subscription(topic)
+        elsewhere = zenoh.Locality.REMOTE
+        if history:
+            past = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                self._session, key, handler, history=past, allowed_origin=elsewhere
+            )
+        else:
+            subscriber = self._session.declare_subscriber(key, handler, allowed_origin=elsewhere)
+        if msgtype:
+            self._announce(Endpoint(self._next(), topic, msgtype, self.types.hash_of(msgtype), publishes=False))
+        self._held.append(subscriber)
+
+    def topics(self) -> dict[str, str]:
+        """Topics that others publish, with their types, by their liveliness tokens."""
+        found: dict[str, str] = {}
+        for reply in self._session.liveliness().get(self.keys.publishers, timeout=2.0):
+            if reply.ok is not None and self._session_id not in str(reply.ok.key_expr):
+                address = self.keys.announced(str(reply.ok.key_expr))
+                if address is not None:
+                    found[address.topic] = address.type
+        return found
+
+    def routers(self) -> int:
+        """Number of routers that this session is connected to; 0 while the connection is lost."""
+        return len(self._session.info.routers_zid())
+
+    def decode(self, message: Received) -> Any:
+        """The decoded message; None, and counted, where it cannot be decoded."""
+        try:
+            return self.types.store.deserialize_cdr(message.data, message.type)
+        except Exception:  # noqa: BLE001 - whatever bytes from outside make rosbags raise: they are refused
+            self._refuse(message.topic, "cannot be decoded")
+            return None
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _accepted(self, topic: str, wanted: str, sample: Any, received: float) -> Received | None:
+        address = self.keys.parsed(str(sample.key_expr))
+        if address is None or sample.kind != self._zenoh.SampleKind.PUT:
+            return None
+        if len(sample.payload) > self.settings.largest * _MIB:
+            self._refuse(topic, "too large")
+            return None
+        msgtype = address.type or wanted or self._known.get(topic, "")
+        if not msgtype and not self._known:
+            self._known = self.topics()
+            msgtype = self._known.get(topic, "")
+        if (wanted and msgtype != wanted) or msgtype not in self.types:
+            self._refuse(topic, f"of type {_short(msgtype)}" if wanted else f"unknown type {_short(msgtype)}")
+            return None
+        if address.hash not in ("", NO_HASH, self.types.hash_of(msgtype)):
+            self._refuse(topic, "another definition of its type (its hash differs)")
+            return None
+        attached = sample.attachment
+        extra_bytes = bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b""
+        about = unpacked(extra_bytes)
+        number, publisher = (about.sequence, about.publisher) if about else (-1, b"")
+        return Received(topic, msgtype, bytes(sample.payload), received, number, publisher)
+
+    def _refuse(self, topic: str, why: str) -> None:
+        with self._lock:
+            self.refused[f"{topic}: {why}"] += 1
+
+    def _announce(self, endpoint: Endpoint) -> None:
+        for token in self.keys.tokens(self._session_id, self.settings.node, endpoint):
+            self._held.append(self._session.liveliness().declare_token(token))
+
+    def _next(self) -> int:
+        with self._lock:
+            self._count += 1
+            return self._count
+
+
+def _short(text: str) -> str:
+    return text[:80] or "(unknown)"
+
+
+def _opened(zenoh: Any, settings: ZenohSettings) -> Any:
+    """A session."""
+    zenoh.init_log_from_env_or("off")
+    where = settings.config or settings.endpoint or ROUTER
+    try:
+        config = zenoh.Config.from_file(settings.config) if settings.config else zenoh.Config()
+        _configure(config, settings)
+        return zenoh.open(config)
+    except (zenoh.ZError, ValueError, OSError) as error:
+        reason = " ".join(str(error).split())[:200]
+        if settings.mode == "router":
+            raise TransportError(f"cannot be a router there: {reason}", where=where, how="end the other one") from error
+        how = "start the robot's router (ros2 run rmw_zenoh_cpp rmw_zenohd), or give --router"
+        raise TransportError(f"no connection: {reason}", where=where, how=how) from error
+
+
+def _configure(config: Any, settings: ZenohSettings) -> None:
+    """Put the settings into a configuration, over what a file says only where they are given."""
+    endpoint = settings.endpoint or ("" if settings.config else ROUTER)
+    if not settings.config or settings.mode == "router":
+        config.insert_json5("mode", f'"{settings.mode}"')
+    if not settings.config:
+        config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("scouting/gossip/enabled", "false")
+        config.insert_json5("timestamping/enabled", "true")  # publishers that keep their last message need it
+        config.insert_json5("listen/endpoints", "[]")
+        config.insert_json5("connect/endpoints", "[]")
+    if endpoint:
+        config.insert_json5("listen/endpoints" if settings.mode == "router" else "connect/endpoints", f'["{endpoint}"]')
+    if settings.mode == "client" and not settings.config:
+        config.insert_json5("connect/timeout_ms", "3000")
+        config.insert_json5("connect/retry", "{period_init_ms: 200, period_max_ms: 1000, period_increase_factor: 2}")

@@ -1,0 +1,119 @@
+"""A robot without a simulator: it stands or drives straight ahead on a plain that one LiDAR sees."""
+
+from pathlib import Path
+
+import numpy as np
+
+from offpiste.closed_loop.planner import Planner
+from offpiste.logs.ros.sensor_messages import message_from_points
+from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
+from offpiste.planning import mppi
+from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.rig.rig import parse_rig
+from runtime.stream import parametric, settings
+
+ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
+START = 200 * 10**9
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
+RIG = """
+name = "made up"
+absent = ["throttle", "brake", "steer", "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
+[vehicle]
+mass = 1150.0
+max_steer = 0.5
+pose_point = "the middle"
+wheel_positions = [[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]]
+[channels.position]
+topic = "/odom"
+fields = ["pose.pose.position.x", "pose.pose.position.y", "pose.pose.position.z"]
+[channels.orientation]
+topic = "/odom"
+fields = ["pose.pose.orientation.x", "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w"]
+[channels.linear_velocity]
+topic = "/odom"
+frame = "body"
+fields = ["twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.linear.z"]
+[channels.angular_velocity]
+topic = "/odom"
+frame = "body"
+fields = ["twist.twist.angular.x", "twist.twist.angular.y", "twist.twist.angular.z"]
+[lidars.lidar]
+topic = "/points"
+time_field = "t"
+time_unit = "ns"
+[outputs.drive]
+topic = "/drive"
+type = "ackermann_msgs/msg/AckermannDriveStamped"
+[outputs.drive.fields]
+"drive.acceleration" = { of = "pedal" }
+"drive.steering_angle" = { of = "steer", unit = "rad" }
+"drive.speed" = { of = "speed" }
+"""
+ENABLE = '[live.enable]\ntopic = "/enable"\n'
+
+
+def rig(more=""):
+    return parse_rig(RIG + more, where="test")
+
+
+def write_rig(folder: Path, more="") -> str:
+    file = folder / "rig.toml"
+    file.write_text(RIG + more)
+    return str(file)
+
+
+def write_course(folder: Path, length=60.0, speed=4.0) -> Path:
+    file = folder / "course.csv"
+    file.write_text("x,y,speed\n" + "".join(f"{x},0,{speed}\n" for x in np.arange(0.0, length)))
+    return file
+
+
+def planner():
+    return Planner("parametric", Path("nowhere"), parametric())
+
+
+def small_settings():
+    """Settings with which a plan takes a few milliseconds."""
+    return settings(sampling=mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=32, rest=(0.2, 0.0)))
+
+
+def odometry(seconds, x=0.0, speed=0.0):
+    pose = make("geometry_msgs/Pose", position=vector((x, 0, 0.33), "geometry_msgs/Point"),
+                orientation=quaternion((0, 0, 0, 1)))  # fmt: skip
+    twist = make("geometry_msgs/Twist", linear=vector((speed, 0, 0)), angular=vector((0, 0, 0)))
+    return make(
+        "nav_msgs/Odometry",
+        header=header(START + round(seconds * 1e9), "map"),
+        child_frame_id="base_link",
+        pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+        twist=make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def cloud(seconds):
+    """A plain, 2 m below the LiDAR; its last point is measured 0.09 s after its stamp."""
+    at = np.arange(-20.0, 20.0, 0.4)
+    points = np.zeros(len(at) ** 2, POINT)
+    points["x"], points["y"] = (axis.ravel() for axis in np.meshgrid(at, at))
+    points["z"], points["t"] = -2.33, np.linspace(0, 9e7, len(points)).astype(np.uint32)
+    return message_from_points(points, START + round(seconds * 1e9), "lidar")
+
+
+def tree():
+    transform = make("geometry_msgs/Transform", translation=vector((0, 0, 2)), rotation=quaternion((0, 0, 0, 1)))
+    stamped = make("geometry_msgs/TransformStamped", header=header(START, "base_link"), child_frame_id="lidar",
+                   transform=transform)  # fmt: skip
+    return make("tf2_msgs/TFMessage", transforms=[stamped])
+
+
+def write_log(path: Path, seconds=3.0, speed=2.0):
+    """A log of a drive straight ahead; clouds carry the stamp of their first point."""
+    with McapWriter(path) as writer:
+        writer.write("/tf_static", tree(), START)
+        for row in range(round(seconds * 50)):
+            time = row / 50
+            stamp = START + round(time * 1e9)
+            writer.write("/odom", odometry(time, speed * time, speed), stamp)
+            if row % 5 == 0:
+                writer.write("/points", cloud(time), stamp)
+    return path

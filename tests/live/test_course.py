@@ -1,0 +1,61 @@
+"""Courses from files, messages and goals; what is none is named."""
+
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+
+from offpiste.errors import LiveError
+from offpiste.live.course import course_from_message, course_to, read_course
+
+
+def written(folder, text):
+    (folder / "course.csv").write_text(text)
+    return folder / "course.csv"
+
+
+def test_a_table_with_and_without_speeds(tmp_path):
+    course = read_course(written(tmp_path, "x,y,speed\n0,0,2\n3,4,3\n"), 9.0)
+    np.testing.assert_array_equal(course.path, [[0, 0], [3, 4]])
+    np.testing.assert_array_equal(course.speed, [2, 3])
+    course = read_course(written(tmp_path, "y,x\n0,0\n4,3\n4,3\n"), 9.0)
+    np.testing.assert_array_equal(course.path, [[0, 0], [3, 4]], "points that repeat count once")
+    np.testing.assert_array_equal(course.speed, [9, 9])
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "fewer than two points"),
+        ("x,y\n1,2\n", "fewer than two points"),
+        ("x,y\n1,2\n1.01,2\n", "fewer than two points"),
+        ("a,b\n1,2\n3,4\n", "without a number: 'x'"),
+        ("x,y\n1,2\nfar,4\n", "without a number"),
+        ("x,y\n1,2\nnan,4\n", "no place"),
+        ("x,y,speed\n1,2,0\n3,4,1\n", "its speed is none"),
+        ("x,y,speed\n1,2,99\n3,4,1\n", "its speed is none"),
+    ],
+)
+def test_what_is_no_course_is_named(tmp_path, text, what):
+    with pytest.raises(LiveError, match=what) as raised:
+        read_course(written(tmp_path, text), 3.0)
+    assert "course.csv" in str(raised.value)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(LiveError, match="no course"):
+        read_course(tmp_path / "none.csv", 3.0)
+
+
+def test_a_path_message_and_a_goal():
+    def pose(x, y):
+        return Message(pose=Message(position=Message(x=x, y=y)))
+
+    course = course_from_message(Message(poses=[pose(0.0, 1.0), pose(5.0, 1.0)]), 2.0, "/plan")
+    np.testing.assert_array_equal(course.path, [[0, 1], [5, 1]])
+    with pytest.raises(LiveError, match="topic '/plan'"):
+        course_from_message(Message(poses=[]), 2.0, "/plan")
+    course = course_to(np.array((8.0, 0.0)), np.zeros(2), 2.0)
+    np.testing.assert_array_equal(course.path, [[0, 0], [8, 0]])
+    with pytest.raises(LiveError, match="the goal"):
+        course_to(np.zeros(2), np.zeros(2), 2.0)

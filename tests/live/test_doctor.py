@@ -1,0 +1,119 @@
+"""The doctor names each of ten wrong set-ups, and has no complaint about a right one."""
+
+import re
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from live.made_up_robot import ENABLE, START, cloud, odometry, tree, write_rig
+from offpiste.live.doctor import examined
+from offpiste.transport.zenoh_transport import ZenohSettings
+from transport.routers import Network, free_port
+
+ODOM = "nav_msgs/msg/Odometry"
+
+
+class Robot:
+    """Publishes until it is closed; what is wrong with it is given."""
+
+    def __init__(self, network, *, late=0.0, without=(), odom=lambda message: message, odom_topic="/odom"):
+        session = network.session()
+        self._stop = threading.Event()
+        publish = session.publisher(odom_topic, ODOM)
+        scan = session.publisher("/points", "sensor_msgs/msg/PointCloud2")
+        if "/tf_static" not in without:
+            session.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(tree())
+
+        def run():
+            while not self._stop.wait(0.05):
+                now = time.time() - START / 1e9 - late
+                publish(odom(odometry(now)))
+                if "/points" not in without:
+                    scan(cloud(now))
+
+        self._thread = threading.Thread(target=run)
+        self._thread.start()
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+
+
+def found(folder, *, more="", run="", change=lambda text: text, before=lambda network: None, **robot):
+    network = Network()
+    rig = write_rig(folder, more)
+    text = change((folder / "rig.toml").read_text())
+    (folder / "rig.toml").write_text(text)
+    moving = Robot(network, **robot)
+    try:
+        before(network)
+        return list(examined(rig, run, None, ZenohSettings(endpoint=network.endpoint), 0.6, "system"))
+    finally:
+        moving.close()
+        network.close()
+
+
+def errors(findings):
+    return [what for level, what in findings if level == "error"]
+
+
+def test_a_robot_that_is_right(tmp_path):
+    findings = found(tmp_path)
+    assert errors(findings) == []
+    said = [what for _, what in findings]
+    assert any(what.startswith(f"/odom: {ODOM}") and "a second" in what for what in said)
+    assert "/drive: ackermann_msgs/msg/AckermannDriveStamped can be sent" in said
+
+
+def other_hash(network):
+    network.router._session.put("0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_1", b"")
+
+
+def commands(network):
+    publish = network.session().publisher("/drive", "ackermann_msgs/msg/AckermannDriveStamped")
+    made = network.router.types.empty("ackermann_msgs/msg/AckermannDriveStamped")
+    threading.Timer(0.3, lambda: publish(made)).start()
+
+
+def spoiled(message):
+    message.pose.pose.position.x = np.nan
+    return message
+
+
+def replaced(old, new):
+    return {"change": lambda text: text.replace(old, new)}
+
+
+WRONG = {
+    "misspelt topic": ({"odom_topic": "/odometry"}, r"/odom: nothing heard; did you mean '/odometry'\?"),
+    "silent LiDAR": ({"without": ("/points",)}, r"/points: nothing heard"),
+    "no transforms": ({"without": ("/tf_static",)}, r"no fixed transform joins"),
+    "clocks apart": ({"late": 5.0}, r"synchronise the clocks"),
+    "another field": (replaced("twist.twist.linear.x", "twist.linear.x"), r"linear_velocity: .*linear"),
+    "another type": ({"more": '[live.types]\n"/odom" = "geometry_msgs/msg/PoseStamped"\n'}, r"/odom: of type nav_msgs"),
+    "numbers that are none": ({"odom": spoiled}, r"position: not finite or not valid"),
+    "silent switch": ({"more": ENABLE}, r"/enable: nothing heard"),
+    "unknown type of a command": (replaced("ackermann_msgs", "my_msgs"), r"my_msgs.* is not known"),
+    "a model that reads more": ({"run": "pretrained:proving-ground/parametric"}, r"reads brake, .*rig does not have"),
+    "another hash": ({"before": lambda n: threading.Timer(0.3, other_hash, [n]).start()}, r"its hash differs"),
+    "a rig that is none": ({"change": lambda t: t + "["}, r"not valid TOML"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_named(tmp_path, case):
+    options, what = WRONG[case]
+    said = errors(found(tmp_path, **options))
+    assert any(re.search(what, line) for line in said), said
+
+
+def test_others_who_command_are_named(tmp_path):
+    assert any("someone else commands" in what for _, what in found(tmp_path, before=commands))
+
+
+def test_without_a_router_it_says_so(tmp_path):
+    robot = ZenohSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
+    findings = list(examined(write_rig(tmp_path), "", None, robot, 0.1, "system"))
+    assert "no connection" in errors(findings)[-1]

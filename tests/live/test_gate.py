@@ -1,0 +1,76 @@
+"""What passes the gate: never more, and never faster, than the limits; a stop where something speaks against more."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from offpiste.conventions import DT
+from offpiste.live.gate import Gate
+from offpiste.rig.outputs import CommandLimits, Enable
+
+LIMITS = CommandLimits(throttle=0.6, steer=0.8, throttle_rate=2.0, brake_rate=5.0, steer_rate=3.0, speed=5.0)
+FULL = np.array((1.0, 0.0, 1.0))
+
+
+def settled(gate, control, now=0.0, speed=1.0, stopping=False, steps=100):
+    return [gate.passed(control, speed, now, stopping=stopping) for _ in range(steps)]
+
+
+@given(st.lists(st.tuples(*(st.floats(-2, 2),) * 3, st.booleans()), min_size=2, max_size=30))
+def test_commands_stay_within_their_limits_and_rates(commands):
+    gate = Gate(LIMITS, None, 0.5)
+    sent = [gate.passed(np.array(c[:3]), 1.0, 0.0, stopping=c[3]).control for c in commands]
+    change = np.diff(sent, axis=0)
+    assert (np.array(sent)[:, 0] <= 0.6).all()
+    assert (np.abs(np.array(sent)[:, 2]) <= 0.8).all()
+    assert (change[:, 0] <= 2.0 * DT + 1e-9).all(), "throttle rises no faster"
+    assert (np.abs(change[:, 2]) <= 3.0 * DT + 1e-9).all()
+    for step, command in zip(change[:, 1], commands[1:], strict=True):
+        assert command[3] or abs(step) <= 5.0 * DT + 1e-9, "but for a stop"
+
+
+def test_throttle_is_released_and_a_stop_is_applied_at_once():
+    gate = Gate(LIMITS, None, 0.5)
+    assert settled(gate, FULL)[-1].control.tolist() == [0.6, 0.0, 0.8]
+    stopped = gate.passed(np.array((0.0, 0.9, 1.0)), 1.0, 0.0, stopping=True)
+    assert stopped.control.tolist() == [0.0, 0.9, 0.8]
+    assert stopped.why == ""
+
+
+def test_above_the_largest_speed_the_throttle_is_released():
+    gate = Gate(LIMITS, None, 0.5)
+    settled(gate, FULL)
+    assert gate.passed(FULL, 5.1, 0.0, stopping=False).control[0] == 0.0
+
+
+def test_the_dead_mans_switch_has_to_be_heard_and_pressed():
+    gate = Gate(LIMITS, Enable("/enable", timeout=0.3), 0.5)
+    assert settled(gate, FULL)[-1].why == "the enable topic is not heard"
+    gate.enabled(False, 1.0)
+    assert gate.blocked(1.1) == "not enabled"
+    gate.enabled(True, 2.0)
+    assert gate.blocked(2.29) == ""
+    passed = settled(gate, FULL, now=2.2)[-1]
+    assert passed.control.tolist() == [0.6, 0.0, 0.8]
+    lost = gate.passed(FULL, 1.0, 2.31, stopping=False)
+    assert lost.why == "the enable topic is not heard"
+    assert lost.control[:2].tolist() == [0.0, 0.5]
+
+
+def test_while_another_commands_the_vehicle_is_stopped():
+    gate = Gate(LIMITS, None, 0.5)
+    settled(gate, FULL)
+    gate.other(10.0)
+    assert gate.passed(FULL, 1.0, 10.9, stopping=False).why == "another publisher commands the vehicle"
+    assert gate.passed(FULL, 1.0, 11.1, stopping=False).why == ""
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_what_is_not_finite_is_a_stop(place):
+    gate, command = Gate(LIMITS, None, 0.5), np.array((0.5, 0.0, 0.4))
+    settled(gate, command)
+    command[place] = np.nan
+    passed = gate.passed(command, 1.0, 0.0, stopping=False)
+    assert passed.why == "the command is not finite"
+    assert passed.control.tolist() == [0.0, 0.5, pytest.approx(0.4)]

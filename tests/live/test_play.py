@@ -1,0 +1,36 @@
+"""Playing a log in real time, and what is not played."""
+
+import time
+
+import pytest
+
+from live.made_up_robot import write_log
+from offpiste.errors import LiveError
+from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.play import LogPlayer
+from transport.routers import network, until
+
+__all__ = ["network"]
+
+
+def test_it_takes_as_long_as_the_log_and_publishes_all_of_it(tmp_path, network):
+    listener, got, clocks = network.session(), [], []
+    for topic in ("/odom", "/points"):
+        listener.subscribe(topic, got.append)
+    listener.subscribe("/clock", clocks.append)
+    listener.subscribe("/tf_static", got.append, history=True)
+    player = LogPlayer(RecordedDrive(write_log(tmp_path / "a.mcap", seconds=1.0)), network.session(), ("/points",))
+    time.sleep(0.3)
+    began = time.monotonic()
+    played = player.play(2.0, 10.0)
+    assert time.monotonic() - began > 0.45
+    assert played.messages == 51
+    assert until(lambda: len(got) == 51)
+    assert until(lambda: len(clocks) == played.steps)
+    assert player.left_out == ("/points",)
+
+
+def test_a_rate_that_is_none_is_refused(tmp_path, network):
+    player = LogPlayer(RecordedDrive(write_log(tmp_path / "a.mcap", seconds=0.1)), network.session())
+    with pytest.raises(LiveError, match="--rate"):
+        player.play(0.0, 1.0)

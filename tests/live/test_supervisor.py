@@ -1,0 +1,190 @@
+"""Processes of a drive under faults: the stop is commanded in time, and what died is started again.
+
+Readings, course and plans are written by the test: receiving, mapping and planning have tests of their own, and their
+kernels would have to be compiled first.
+"""
+
+import os
+import signal
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+import torch
+
+from live.made_up_robot import ENABLE, write_course, write_rig
+from offpiste.live.packing import pack_course, pack_measured, pack_plan, packed, unpacked
+from offpiste.live.reception import CourseRequest
+from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.supervisor import Supervisor
+from offpiste.logs.ros.writer import make
+from offpiste.planning.course import Course
+from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.prediction import Prediction
+from offpiste.runtime.schedule import TimedPlan
+from offpiste.transport.zenoh_transport import ZenohSettings
+from transport.routers import Network, until
+
+RUN = "pretrained:proving-ground/parametric"
+
+
+class Drive:
+    """Control and its watchdog, fed with what the other processes would hand over, and a vehicle that listens."""
+
+    def __init__(self, folder, more=""):
+        self.network, self.heard = Network(), []
+        self.settings = LiveSettings(
+            write_rig(folder, more), RUN, None, CourseRequest(write_course(folder)),
+            robot=ZenohSettings(endpoint=self.network.endpoint), drive=True,
+        )  # fmt: skip
+        self.vehicle = self.network.session()
+        self.vehicle.subscribe("/drive", lambda m: self.heard.append((time.monotonic(), self.vehicle.decode(m).drive)))
+        self._new = new_session(self.settings)
+        self.session = self._new.__enter__()
+        self.rings = {
+            name: self.session.ring(name) for name in ("readings", "course", "plans", "map-state", "commands")
+        }
+        x = np.arange(0.0, 60.0)
+        self.rings["course"].write(pack_course(Course(np.stack((x, 0 * x), axis=1), np.full(60, 4.0))))
+        self.supervisor = Supervisor(self.session, self.network.session(), cameras=False, names=("control", "watchdog"))
+        self.supervisor.start()
+
+    def feed(self, *, reads=True, plans=True):
+        """What the other processes hand over now."""
+        now = time.time()
+        if reads:
+            place, turn = np.array((1.0, 0, 0)), np.array((0, 0, 0, 1.0))
+            reading = VehicleReading(now, place, turn, np.zeros(3), 0.0, np.zeros(4))
+            self.rings["readings"].write(pack_measured(reading, control=None))
+        self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
+        if plans:
+            controls = torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1)
+            plan = TimedPlan(now, now - 0.1, controls)
+            states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
+            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False))
+
+    def run(self, seconds, **options):
+        """Feed and look after the processes for some time; their last states."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.feed(**options)
+            parts = self.supervisor.look()
+            time.sleep(0.02)
+        return parts
+
+    def drives(self, seconds=60.0):
+        """Whether it comes to drive within some time."""
+        return until(lambda: (self.run(0.1), bool(self.heard) and self.heard[-1][1].acceleration > 0)[1], seconds)
+
+    def since(self, moment):
+        """Commands after a moment, with the time since."""
+        return [(at - moment, drive) for at, drive in self.heard if at >= moment]
+
+    def pid(self, name):
+        return self.supervisor._processes[name].pid
+
+    def close(self):
+        self.supervisor.end()
+        self._new.__exit__(None, None, None)
+        self.network.close()
+
+
+@pytest.fixture
+def drive(tmp_path):
+    with closing(Drive(tmp_path)) as drive:
+        yield drive
+
+
+def first_stop(drive, moment):
+    """Time from a moment until a stop was heard, if all that came later were stops until then."""
+    return next((after for after, command in drive.since(moment) if command.acceleration < 0), np.inf)
+
+
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_stop_is_sent_when_control_is_killed_or_hangs_and_driving_resumes(drive, blow):
+    assert drive.drives(), drive.supervisor.look()
+    pid, moment = drive.pid("control"), time.monotonic()
+    os.kill(pid, blow)
+    if blow == signal.SIGKILL:
+        drive.run(0.5)
+        assert drive.supervisor.restarts["control"] == 1
+    else:
+        parts = drive.run(2.5)
+        assert parts["control"][1] == "gives no sign of life"
+        assert all(command.acceleration < 0 for after, command in drive.since(moment) if after > 0.3)
+        os.kill(pid, signal.SIGCONT)
+    assert first_stop(drive, moment) < 0.2 + 0.1, "0.2 s, and what a busy machine adds"
+    del drive.heard[:]
+    assert drive.drives(), "once it is back"
+
+
+def test_the_vehicle_drives_on_when_the_watchdog_dies_and_it_is_started_again(drive):
+    assert drive.drives()
+    moment = time.monotonic()
+    os.kill(drive.pid("watchdog"), signal.SIGKILL)
+    assert until(lambda: drive.run(0.2)["watchdog"][1] == "ready" and drive.supervisor.restarts["watchdog"] == 1, 30)
+    assert first_stop(drive, moment) == np.inf
+    assert drive.run(0.1)["watchdog"][0] == 0
+
+
+def test_it_stops_when_readings_end_or_plans_end(drive):
+    assert drive.drives()
+    moment = time.monotonic()
+    parts = drive.run(0.6, reads=False)
+    assert first_stop(drive, moment) < 0.1 + 0.2
+    assert parts["control"][1].endswith("no state of the vehicle")
+    assert drive.drives(10)
+    moment = time.monotonic()
+    parts = drive.run(1.2, plans=False)
+    assert 0.3 < first_stop(drive, moment) < 0.5 + 0.3
+    assert parts["control"][1].endswith("no plan")
+
+
+def test_a_second_publisher_of_commands_makes_it_stop(drive):
+    assert drive.drives()
+    other = drive.network.session().publisher("/drive", "ackermann_msgs/msg/AckermannDriveStamped")
+    made = drive.vehicle.types.empty("ackermann_msgs/msg/AckermannDriveStamped")
+    made.drive.acceleration = 5.0
+    moment = time.monotonic()
+    for _ in range(10):
+        other(made)
+        drive.run(0.05)
+    assert first_stop(drive, moment) < 0.3
+    parts = drive.run(0.3)
+    assert parts["control"][1].endswith("another publisher commands the vehicle")
+    assert parts["control"][2]["dropped"]["/drive: commands of another publisher"] > 0
+    assert drive.drives(10), "a second after the last one"
+
+
+def test_the_router_gone_and_back(drive):
+    assert drive.drives()
+    drive.network.router.close()
+    drive.run(0.5)
+    drive.network.router = drive.network.session(mode="router")
+    del drive.heard[:]
+    assert drive.drives(20), "sessions find the router again, and commands flow"
+
+
+def test_a_dead_mans_switch_holds_it_until_it_is_pressed(tmp_path):
+    with closing(Drive(tmp_path, ENABLE)) as drive:
+        assert until(lambda: (drive.run(0.1), len(drive.heard) > 20)[1], 60)
+        assert all(command.acceleration < 0 for _, command in drive.heard)
+        switch = drive.vehicle.publisher("/enable", "std_msgs/msg/Bool")
+        for _ in range(30):
+            switch(make("std_msgs/Bool", data=True))
+            drive.run(0.05)
+        assert drive.heard[-1][1].acceleration > 0
+        assert drive.heard[-1][1].speed == pytest.approx(2.0)
+        drive.run(0.6)
+        assert drive.heard[-1][1].acceleration < 0, "it is not heard any more"
+
+
+def test_the_vehicle_is_stopped_before_control_ends(drive):
+    assert drive.drives()
+    moment = time.monotonic()
+    drive.supervisor.end()
+    assert drive.heard[-1][1].acceleration < 0
+    assert first_stop(drive, moment) < 0.3
+    state = unpacked(drive.session.ring("status-control").newest().data)
+    assert state["cpu_s"] > 0

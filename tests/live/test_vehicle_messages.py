@@ -1,0 +1,80 @@
+"""Readings from messages: as the simulator makes them, and from what there is where a robot measures less."""
+
+import numpy as np
+import pytest
+
+from live.made_up_robot import RIG, START, odometry, rig
+from offpiste.closed_loop.lockstep import reading_of
+from offpiste.errors import RigError
+from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.rig.rig import load_rig, parse_rig
+from offpiste.simulation.recorder import stamp_ns, vehicle_messages
+from synthetic_drive import samples
+
+NOW = START / 1e9
+
+
+def test_readings_are_those_of_the_simulator():
+    vehicle = VehicleMessages(load_rig("proving_ground"))
+    assert vehicle.position_topic == "/odometry"
+    for sample in samples(0.5)[5:20]:
+        messages = vehicle_messages(sample, stamp_ns(sample.time), wheel_radius=0.359)
+        odom = messages.pop("/odometry")
+        for topic, message in messages.items():
+            assert vehicle.take(topic, message, 0.0) is None
+        reading, expected = vehicle.take("/odometry", odom, 0.0), reading_of(sample)
+        for name in ("position", "orientation", "velocity", "actuators"):
+            np.testing.assert_allclose(getattr(reading, name), getattr(expected, name), atol=1e-6, err_msg=name)
+        assert reading.yaw_rate == pytest.approx(expected.yaw_rate)
+        assert reading.time == pytest.approx(expected.time, abs=1e-6)
+        np.testing.assert_allclose(vehicle.control(reading.time), sample.command[:3], atol=1e-6)
+    assert not vehicle.dropped
+
+
+def test_velocities_that_are_not_measured_come_from_poses():
+    parts = RIG.split("[channels.linear_velocity]")
+    vehicle = VehicleMessages(parse_rig(parts[0] + "[lidars" + parts[1].split("[lidars")[1], where="test"))
+    readings = [vehicle.take("/odom", odometry(t, 3.0 * t, 99.0), NOW) for t in np.arange(0.0, 0.4, 0.02)]
+    assert readings[0] is None, "there is no speed yet"
+    np.testing.assert_allclose(readings[-1].velocity, (3.0, 0.0, 0.0), atol=1e-6)
+    assert readings[-1].yaw_rate == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_is_not_finite_is_dropped_and_what_is_old_does_not_count():
+    vehicle = VehicleMessages(rig())
+    assert vehicle.take("/odom", odometry(0.0, 1.0), NOW).position[0] == 1.0
+    bad = odometry(0.02, 2.0)
+    bad.pose.pose.position.x = np.nan
+    assert vehicle.take("/odom", bad, NOW).time == NOW, "the reading before, whose stamp repeats"
+    assert vehicle.dropped == {"position: not finite or not valid": 1}
+    still = odometry(1.0, 2.0)
+    still.pose.pose.orientation.w = np.nan
+    assert vehicle.take("/odom", still, NOW) is None, "the heading is a second old"
+    assert vehicle.control(NOW + 1) is None, "the rig has no channels of commands"
+
+
+def test_a_message_of_another_shape_is_counted():
+    vehicle = VehicleMessages(rig())
+    assert vehicle.take("/odom", object(), NOW) is None
+    assert sum(vehicle.dropped.values()) == 4
+
+
+def test_a_clock_that_goes_back_forgets_what_was_before():
+    vehicle = VehicleMessages(rig())
+    vehicle.take("/odom", odometry(5.0, 10.0), NOW)
+    assert vehicle.take("/odom", odometry(1.0, 2.0), NOW).position[0] == 2.0
+
+
+ALIGNMENT = '[alignment]\ntopics = ["/odom"]\nspeed = { fields = ["x"] }\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("[channels.position]\n", '[channels.position]\nunit = "lat lon"\n', "no fixed origin"),
+        ("[lidars.lidar]", f"{ALIGNMENT}[lidars.lidar]", "whole logs"),
+    ],
+)
+def test_what_only_whole_logs_allow_is_refused(old, new, what):
+    with pytest.raises(RigError, match=what):
+        VehicleMessages(parse_rig(RIG.replace(old, new), where="test"))

@@ -1,0 +1,48 @@
+"""What goes out: every mistake in [outputs] and [live] is named in one line."""
+
+import pytest
+
+from factories import RIG
+from offpiste.errors import RigError
+from offpiste.rig.rig import load_rig, parse_rig
+
+OUTPUT = """
+[outputs.a]
+topic = "/a"
+type = "geometry_msgs/msg/Twist"
+[outputs.a.fields]
+"linear.x" = { of = "speed" }
+"""
+WRONG = {
+    "no topic": (OUTPUT.replace('"/a"', '"a b"'), r"outputs\.a\.topic: 'a b' is no topic"),
+    "no type": (OUTPUT.replace("/msg/", "/"), r"outputs\.a\.type: 'geometry_msgs/Twist' is no message type"),
+    "no field": (OUTPUT.split('"linear')[0], r"outputs\.a\.fields is empty"),
+    "no path": (OUTPUT.replace("linear.x", "linear x"), r"no path of a field"),
+    "unknown quantity": (OUTPUT.replace('"speed"', '"height"'), r"height"),
+    "scale of zero": (OUTPUT.replace('"speed" }', '"speed", scale = 0 }'), r"scale is not zero"),
+    "unit of another": (OUTPUT.replace('"speed" }', '"speed", unit = "rad" }'), r"'rad' does not measure"),
+    "far ahead": (OUTPUT.replace('"speed" }', '"speed", ahead = 9 }'), r"ahead is 9"),
+    "clip": (OUTPUT.replace('"speed" }', '"speed", clip = [1, 0] }'), r"clip is no interval"),
+    "one topic twice": (OUTPUT + OUTPUT.replace("outputs.a", "outputs.b"), r"two outputs have one topic"),
+    "enable without a topic": ('[live.enable]\ntopic = ""\n', r"live\.enable\.topic"),
+    "enable without time": ('[live.enable]\ntopic = "/e"\ntimeout = 0\n', r"live\.enable: no such field or timeout"),
+    "limit of zero": ("[live.limits]\nsteer_rate = 0\n", r"live\.limits\.steer_rate is 0"),
+    "limit above one": ("[live.limits]\nthrottle = 2\n", r"live\.limits\.throttle is 2.*at most 1"),
+    "limit of nan": ("[live.limits]\nspeed = nan\n", r"live\.limits\.speed is nan"),
+    "type of a topic": ('[live.types]\n"/odom" = "Odometry"\n', r"'Odometry' is no message type"),
+    "unknown key": ("[live]\nfast = true\n", r"fast"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_mistakes_are_named(case):
+    text, what = WRONG[case]
+    with pytest.raises(RigError, match=what):
+        parse_rig(RIG + text, where="test")
+
+
+def test_definitions_lie_beside_the_rig(tmp_path):
+    file = tmp_path / "rig.toml"
+    file.write_text(RIG + '[live]\ndefinitions = ["my_msgs/msg/Drive.msg"]\n' + OUTPUT)
+    assert load_rig(file).live.definitions == (str(tmp_path / "my_msgs/msg/Drive.msg"),)
+    assert load_rig("proving_ground").outputs["command"].fields["axes[2]"].of == "steer"

@@ -1,0 +1,50 @@
+"""Routers of zenoh on the loopback, and sessions that connect to them."""
+
+import socket
+import time
+from contextlib import ExitStack
+
+import pytest
+
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def until(condition, seconds=5.0):
+    """Whether a condition comes true within some seconds."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+class Network:
+    """A router, and sessions that are closed with it."""
+
+    def __init__(self, **settings):
+        self.port, self._settings, self._stack = free_port(), settings, ExitStack()
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+        self.router = self.session(mode="router")
+
+    def session(self, definitions=(), **settings):
+        given = {"endpoint": self.endpoint, **self._settings, **settings}
+        transport = ZenohTransport(ZenohSettings(**given), definitions)
+        self._stack.callback(transport.close)
+        return transport
+
+    def close(self):
+        self._stack.close()
+
+
+@pytest.fixture
+def network():
+    network = Network()
+    yield network
+    network.close()

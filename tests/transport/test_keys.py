@@ -1,0 +1,70 @@
+"""Keys against hand-worked ones, and against those that the package zenoh-ros2-sdk makes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from zenoh_ros2_sdk import attachment as sdk_attachment
+from zenoh_ros2_sdk import keyexpr
+from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
+from zenoh_ros2_sdk.qos import QosDurability, QosProfile
+
+from offpiste.transport.attachment import Attachment, unpacked
+from offpiste.transport.keys import Address, BridgeKeys, Endpoint, RmwZenohKeys, dds_type, ros_type
+
+HASH = "RIHS01_" + "0" * 64
+TOPIC = Address("/camera/image", "sensor_msgs/msg/Image", HASH)
+NAME = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
+
+
+def test_a_key_of_rmw_zenoh_is_domain_topic_type_and_hash():
+    keys = RmwZenohKeys(7)
+    assert keys.publication(TOPIC) == f"7/camera/image/sensor_msgs::msg::dds_::Image_/{HASH}"
+    assert keys.subscription("/camera/image") == "7/camera/image/*/*"
+    assert keys.parsed(keys.publication(TOPIC)) == TOPIC
+    assert keys.parsed(RmwZenohKeys(8).publication(TOPIC)) is None
+    assert keys.parsed("7/short") is None
+
+
+@given(parts=st.lists(NAME, min_size=1, max_size=4), package=NAME, name=st.from_regex("[A-Z][a-z]+", fullmatch=True))
+def test_keys_and_tokens_are_read_as_they_were_made(parts, package, name):
+    address = Address("/" + "/".join(parts), f"{package}/msg/{name}", HASH)
+    keys = RmwZenohKeys(0)
+    assert keys.parsed(keys.publication(address)) == address
+    assert ros_type(dds_type(address.type)) == address.type
+    token = keys.tokens("abc", "node", Endpoint(3, address.topic, address.type, HASH, publishes=True))[1]
+    assert keys.announced(token) == address
+
+
+@pytest.mark.parametrize("publishes", [True, False])
+@pytest.mark.parametrize("keep", [True, False])
+def test_keys_and_tokens_are_those_of_another_implementation(publishes, keep):
+    node = NodeEntity(domain_id=2, session_id="a1b2", node_id=0, node_name="offpiste", namespace="/")
+    durability = QosDurability.TRANSIENT_LOCAL if keep else QosDurability.VOLATILE
+    quality = QosProfile(durability=durability, history_depth=1 if keep else 10).encode()
+    theirs = EndpointEntity(
+        node=node, entity_id=5, kind=EntityKind.PUBLISHER if publishes else EntityKind.SUBSCRIPTION, name="/a/b",
+        dds_type_name="std_msgs::msg::dds_::String_", type_hash=HASH, qos=quality, gid=b"",
+    )  # fmt: skip
+    ours = RmwZenohKeys(2).tokens("a1b2", "offpiste", Endpoint(5, "/a/b", "std_msgs/msg/String", HASH, publishes, keep))
+    assert ours == [keyexpr.node_liveliness_keyexpr(node), keyexpr.endpoint_liveliness_keyexpr(theirs)]
+    key = RmwZenohKeys(2).publication(Address("/a/b", "std_msgs/msg/String", HASH))
+    assert key == keyexpr.topic_keyexpr(2, "/a/b", "std_msgs::msg::dds_::String_", HASH)
+
+
+def test_a_key_of_the_bridge_is_the_topic():
+    assert BridgeKeys().publication(TOPIC) == "camera/image"
+    assert BridgeKeys("/robot1").subscription("/camera/image") == "robot1/camera/image"
+    assert BridgeKeys("robot1").parsed("robot1/camera/image") == Address("/camera/image")
+    assert BridgeKeys("robot1").parsed("robot2/camera/image") is None
+    token = "@/1f/@ros2_lv/MP/camera§image/sensor_msgs§msg§Image/::,10:"
+    assert BridgeKeys().announced(token) == Address("/camera/image", "sensor_msgs/msg/Image")
+
+
+def test_an_attachment_has_33_bytes_and_is_that_of_another_implementation():
+    ours = Attachment(42, 1_700_000_000_000_000_001, bytes(range(16)))
+    assert len(ours.packed()) == 33
+    assert ours.packed() == sdk_attachment.Attachment(*ours).to_bytes()
+    assert unpacked(ours.packed()) == ours
+    assert unpacked(b"") is None
+    assert unpacked(ours.packed()[:-1]) is None
+    assert unpacked(ours.packed()[:16] + b"\x0f" + bytes(16)) is None, "a GID of another length"

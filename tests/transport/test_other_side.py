@@ -1,0 +1,98 @@
+"""The other side by others: the package zenoh-ros2-sdk publishes what a robot does and receives the commands."""
+
+import multiprocessing
+import os
+
+import numpy as np
+import pytest
+
+from offpiste.logs.ros.sensor_messages import message_from_points
+from offpiste.logs.ros.writer import header, make
+from offpiste.simulation.recorder import odometry_message
+from offpiste.simulation.sensors.messages import Mounting, image_message, mountings_message
+from offpiste.transport.message_types import MessageTypes
+from synthetic_drive import samples
+from transport.routers import network, until
+
+__all__ = ["network"]
+ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
+
+
+def messages():
+    """One of each kind that a robot publishes, by topic."""
+    points = np.zeros(1000, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
+    points["x"] = np.arange(1000)
+    picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    return {
+        "/odom": odometry_message(samples(0.1)[0], 5 * 10**9),
+        "/tf_static": mountings_message([Mounting("camera", (1.0, 2.0, 3.0))], 10**9),
+        "/image/compressed": image_message(picture, 10**9, "camera"),
+        "/points": message_from_points(points, 10**9, "lidar"),
+    }
+
+
+def other_side(port, publishing, ready, done, heard):
+    """A robot: publishes until it is done, and hands over the first command that it hears."""
+    os.environ["ZENOH_CONFIG_OVERRIDE"] = 'listen/endpoints=["tcp/127.0.0.1:0"]'
+    from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
+
+    types, publishers = MessageTypes(), []
+    for topic, message in publishing.items():
+        name = message.__msgtype__
+        publisher = ROS2Publisher(
+            topic, name, msg_definition=types.definition(name), type_hash=types.hash_of(name), router_port=port
+        )
+        publishers.append((publisher, message))
+
+    def command(message):
+        heard.put((message.drive.speed, message.drive.steering_angle, message.header.frame_id))
+
+    subscriber = ROS2Subscriber(
+        "/drive", ACKERMANN, command, msg_definition=types.definition(ACKERMANN),
+        type_hash=types.hash_of(ACKERMANN), router_port=port,
+    )  # fmt: skip
+    ready.set()
+    while not done.wait(0.05):
+        for publisher, message in publishers:
+            fields = {name: getattr(message, name) for name in message.__dataclass_fields__ if name != "__msgtype__"}
+            publisher.publish(**fields)
+    assert subscriber is not None
+    os._exit(0)
+
+
+@pytest.fixture
+def robot(network):
+    context = multiprocessing.get_context("spawn")
+    ready, done, heard = context.Event(), context.Event(), context.Queue()
+    process = context.Process(target=other_side, args=(network.port, messages(), ready, done, heard), daemon=True)
+    process.start()
+    assert ready.wait(60)
+    yield heard
+    done.set()
+    process.join(10)
+    process.kill()
+
+
+def test_messages_of_another_implementation_are_those_that_it_sent(network, robot):
+    listener, got, sent = network.session(), {}, messages()
+    for topic, message in sent.items():
+        listener.subscribe(
+            topic, lambda received: got.setdefault(received.topic, received), msgtype=message.__msgtype__
+        )
+    assert until(lambda: len(got) == len(sent), 10), got
+    store = listener.types.store
+    for topic, message in sent.items():
+        assert got[topic].data == bytes(store.serialize_cdr(message, message.__msgtype__, little_endian=True))
+        assert got[topic].sequence >= 0
+        assert len(got[topic].publisher) == 16
+    assert not listener.refused
+    assert until(lambda: {t: m.__msgtype__ for t, m in sent.items()}.items() <= network.session().topics().items())
+
+
+def test_another_implementation_receives_our_commands(network, robot):
+    publish = network.session().publisher("/drive", ACKERMANN)
+    drive = make("ackermann_msgs/AckermannDrive", steering_angle=0.25, steering_angle_velocity=0.0, speed=1.5,
+                 acceleration=0.0, jerk=0.0)  # fmt: skip
+    command = make(ACKERMANN.replace("/msg/", "/"), header=header(10**9, "base_link"), drive=drive)
+    assert until(lambda: publish(command) or not robot.empty(), 10)
+    assert robot.get(timeout=5) == (1.5, 0.25, "base_link")
