@@ -41,7 +41,7 @@ class HostKernels:
     def __init__(self, text: str, *flags: str) -> None:
         self.library = compiled(text, *flags)
 
-    def launch(self, name: str, count: int, *arguments: Tensor | int | float) -> None:
+    def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
         """Run a kernel for `count` items; tensors are contiguous."""
         given: list[object] = []
         for argument in arguments:
@@ -49,8 +49,6 @@ class HostKernels:
                 assert argument.is_contiguous()
                 assert argument.dtype in (torch.float32, torch.float64, torch.int32)
                 given.append(ctypes.c_void_p(argument.data_ptr()))
-            elif isinstance(argument, float):
-                given.append(ctypes.c_float(argument))
             else:
-                given.append(ctypes.c_int(argument))
+                given.append(ctypes.c_void_p(None) if argument is None else ctypes.c_int(argument))
         getattr(self.library, name)(*given, ctypes.c_int(count))

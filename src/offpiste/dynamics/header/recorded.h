@@ -84,6 +84,7 @@ OFFPISTE_KERNEL(
             for (int k = 0; k < 10; k++) bar[k] += seed[k * n + i];
             offpiste_read_given(given + (long long)OFFPISTE_GIVEN * t * n, n, i, &now);
             offpiste_step_kept(params, &now, state, &a);
+            OFFPISTE_FORGET
             offpiste_step_adjoint(params, &a, bar, c_bar, &step);
 #ifdef OFFPISTE_FORCE_WIDTH
             offpiste_keep(&a.force, &step.force, n, i, kept + (long long)OFFPISTE_KEPT * t * n);

@@ -35,8 +35,8 @@ GATES = 4 * layout.HIDDEN
 class Kernels(Protocol):
     """Compiled kernels, wherever they run."""
 
-    def launch(self, name: str, count: int, *arguments: Tensor | int | float) -> None:
-        """Run a kernel for `count` items; tensors are contiguous, and lie where it runs."""
+    def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
+        """Run a kernel for `count` items; tensors are contiguous, and lie where it runs; None is no array."""
         ...
 
 
