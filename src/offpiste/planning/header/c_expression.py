@@ -40,7 +40,7 @@ class CExpression:
     def __neg__(self) -> "CExpression":
         return CExpression(f"(-{self.text})")
 
-    def __pow__(self, exponent: int) -> "CExpression":
+    def __pow__(self, exponent: Any) -> "CExpression":
         if not isinstance(exponent, int) or exponent < 1:
             raise TypeError(f"power {exponent}")
         return CExpression(f"({' * '.join([self.text] * exponent)})")
