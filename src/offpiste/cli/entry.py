@@ -38,6 +38,7 @@ PIPELINE: Final = (
     "reproduce",
     "evidence",
     "drive",
+    "export",
     "check",
 )
 """Order of the commands in the help: as a log goes through them. Others follow."""

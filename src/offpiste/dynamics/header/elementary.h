@@ -18,6 +18,12 @@
 #define OFFPISTE_UNROLL
 #endif
 
+#ifdef __GNUC__
+#define OFFPISTE_CONSTANT static const __attribute__((unused, aligned(16)))
+#else
+#define OFFPISTE_CONSTANT static const
+#endif
+
 /* Weights that were read before are read again: kept in registers, thousands of them would be spilled. An empty asm
    with a memory clobber is enough for NVVM, but ptxas does not see it. All threads of a warp must meet here. */
 #ifdef __CUDA_ARCH__

@@ -1,6 +1,7 @@
 """The networks of a model as the header has them: what each reads and writes, its sizes, and its weights in order."""
 
 import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -70,8 +71,12 @@ class PrintedNetwork(NamedTuple):
             "HIDDEN": layout.HIDDEN, "WIDTH": self.width, "PADDED_WIDTH": self.width, "OUTPUTS": self.outputs,
             "PADDED_OUTPUTS": len(self.weights.outer), "TERMS": int(self.terms), "FADEf": f"{FADE}f",
         }  # fmt: skip
-        text = re.sub(r"\b[A-Z_]+f?\b", lambda word: str(sizes.get(word[0], word[0])), template)
-        return text.replace("NAME", self.name)
+        return sized(template, sizes).replace("NAME", self.name)
+
+
+def sized(template: str, sizes: Mapping[str, object]) -> str:
+    """C code of a template whose sizes are words in capitals."""
+    return re.sub(r"\b[A-Z_]+f?\b", lambda word: str(sizes.get(word[0], word[0])), template)
 
 
 def printed_networks(dynamics: Dynamics, *, apart: bool = False) -> tuple[PrintedNetwork, ...]:

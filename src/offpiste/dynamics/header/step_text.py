@@ -30,7 +30,7 @@ def step_text(dynamics: Dynamics, *, adjoint: bool = False, apart: bool = False)
     networks = printed_networks(dynamics, apart=apart)
     parts = [shipped_text("elementary.h"), shipped_text("physics.h")]
     parts += [network.text(shipped_text("network.h")) for network in networks]
-    parts += [_declarations(dynamics, networks, apart), _step(dynamics, networks)]
+    parts += [_declarations(dynamics, networks, apart), _see(dynamics), _step(dynamics, networks)]
     if adjoint:
         parts += [shipped_text("physics_adjoint.h")]
         parts += [network.text(shipped_text("network_adjoint.h")) for network in networks]
@@ -55,6 +55,7 @@ def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart:
         "TERMS": term_count(dynamics) if apart else 0,
         "CONSTANTS": len(layout.LEARNED),
         "ROWS": len(layout.ROWS),
+        "HOLDS_CODES": int(dynamics.holds_codes),
     }
     for network in networks[:1]:
         if network.name == "force":
@@ -92,9 +93,10 @@ def _read(row: int) -> str:
     return f"w[{row}]" if row < len(layout.ROWS) else f"given->codes[{row - len(layout.ROWS)}]"
 
 
-def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
-    vehicle, units = dynamics.vehicle, dynamics.recurrent_size
-    absent = [len(STATE) + i for i, name in enumerate(ACTUATORS) if name not in vehicle.actuators]
+def _see(dynamics: Dynamics) -> str:
+    """What networks and physics read, from a state and what is given."""
+    vehicle = dynamics.vehicle
+    absent = absent_actuators(dynamics)
     body = [f"w[{row}] = {'zero' if row in absent else f'state[{row}]'};" for row in range(MOVED)]
     for name, row, stands in zip(layout.COMMANDS, layout.CONTROLS, layout.ABSENT, strict=True):
         if name in vehicle.control:
@@ -103,33 +105,50 @@ def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
             body.append(f"w[{layout.ROW[row]}] = zero + {float(stands)}f;")
     body += [f"w[{layout.ROW[row]}] = given->normal[{k}];" for k, row in enumerate(layout.NORMAL)]
     body += [f"w[{layout.ROW[layout.UNKNOWN[0]]}] = given->unknown;", "offpiste_sense(w, params->constants);"]
+    zero = ["const offpiste_real zero = {0.0f};"] if any("zero" in line for line in body) else []
+    head = (
+        "/* What networks and physics read. */\n"
+        "OFFPISTE_FN void offpiste_see(\n    const offpiste_params* params, const offpiste_given* given, "
+        "const offpiste_real* state, offpiste_real* w) {"
+    )
+    return "\n    ".join((head, *zero, *body)) + "\n}\n"
+
+
+def absent_actuators(dynamics: Dynamics) -> list[int]:
+    """Numbers of the state that no log gave."""
+    return [len(STATE) + i for i, name in enumerate(ACTUATORS) if name not in dynamics.vehicle.actuators]
+
+
+def inputs_text(of: PrintedNetwork) -> str:
+    """Line that gathers what a network sees."""
+    return f"const offpiste_real {of.name}_inputs[] = {{{', '.join(map(_read, of.inputs))}}};"
+
+
+def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
+    units, absent = dynamics.recurrent_size, absent_actuators(dynamics)
     corrected = {row for of in networks for row in range(of.first_output, of.first_output + of.outputs)}
-    for name in (*layout.CORRECTION, *layout.RESIDUALS):
-        if layout.ROW[name] not in corrected:
-            body.append(f"w[{layout.ROW[name]}] = zero;")
+    left = [name for name in (*layout.CORRECTION, *layout.RESIDUALS) if layout.ROW[name] not in corrected]
+    body = ["const offpiste_real zero = {0.0f};"] if left else []
+    body += ["offpiste_real* w = a->w;", "offpiste_see(params, given, state, w);"]
+    body += [f"w[{layout.ROW[name]}] = zero;" for name in left]
     for number, of in enumerate(networks):
         hidden = MOVED + layout.HIDDEN * number
         body += [
-            f"const offpiste_real {of.name}_inputs[] = {{{', '.join(map(_read, of.inputs))}}};",
+            inputs_text(of),
             f"offpiste_{of.name}_step(&params->{of.name}, {of.name}_inputs, {'given->terms' if of.terms else '0'},",
             f"    state + {hidden}, state + {hidden + units}, &a->{of.name});",
             *(f"w[{of.first_output + k}] = a->{of.name}.outputs[{k}];" for k in range(of.outputs)),
         ]
     body.append("offpiste_advance(w, params->constants);")
     body += [f"state[{row}] = w[{NEXT + row}];" for row in range(MOVED) if row not in absent]
-    names = ", ".join(layout.STEPPED)
-    return "\n    ".join(
-        (
-            f"/* One step of 0.02 s. state: {names}; then hidden units and cells of the networks.\n"
-            "   SI units and radians; vx, vy: horizontal world velocity turned by minus yaw; engine in 1000 rev/min.\n"
-            "   Slots of absent actuators are left alone. */\n"
-            "OFFPISTE_FN void offpiste_step_kept(",
-            "const offpiste_params* params, const offpiste_given* given, offpiste_real* state, offpiste_activations* a) {",
-            *(["const offpiste_real zero = {0.0f};"] if any("zero" in line for line in body) else []),
-            "offpiste_real* w = a->w;",
-            *body,
-        )
-    ) + (
+    head = (
+        f"/* One step of 0.02 s. state: {', '.join(layout.STEPPED)}; then hidden units and cells of the networks.\n"
+        "   SI units and radians; vx, vy: horizontal world velocity turned by minus yaw; engine in 1000 rev/min.\n"
+        "   Slots of absent actuators are left alone. */\n"
+        "OFFPISTE_FN void offpiste_step_kept(\n"
+        "    const offpiste_params* params, const offpiste_given* given, offpiste_real* state, offpiste_activations* a) {"
+    )
+    return "\n    ".join((head, *body)) + (
         "\n}\n\nOFFPISTE_FN void offpiste_step(\n"
         "    const offpiste_params* params, const offpiste_given* given, offpiste_real* state) {\n"
         "    offpiste_activations a;\n"

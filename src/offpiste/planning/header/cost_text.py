@@ -43,8 +43,7 @@ def plan_text(dynamics: Dynamics, layers: tuple[CostLayer, ...]) -> str:
         PlanningError: a term reads what nothing provides, or cannot be written as C.
     """
     here = files(__package__)
-    parts = [step_text(dynamics), shipped_text("kernels.h"), here.joinpath("terrain.h").read_text("utf-8")]
-    parts += [cost_text(layers)]
+    parts = [step_text(dynamics), shipped_text("kernels.h"), shipped_text("terrain.h"), cost_text(layers)]
     parts += [here.joinpath(name).read_text("utf-8") for name in ("plan.h", "limits.h")]
     return "\n".join(parts)
 
