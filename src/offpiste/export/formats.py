@@ -52,7 +52,9 @@ def refuse_without_kernels(run: Run) -> None:
         RunError: no kernels can step it.
     """
     if run.dynamics.kernel_parts() is None or run.dynamics.actuators is None:
-        raise RunError(f"'{run.model}' has no kernels", where=run.folder, how="export a model with a bicycle, as b or dc")
+        raise RunError(
+            f"'{run.model}' has no kernels", where=run.folder, how="export a model with a bicycle, as b or dc"
+        )
 
 
 def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:

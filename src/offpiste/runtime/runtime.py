@@ -17,21 +17,20 @@ from offpiste.conventions import ACTUATORS, DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.planning import mppi
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
+from offpiste.planning.pedal import controls_of
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import TrackRows, VehicleReading, VehicleTrack
 from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, decide_mode
 from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch
+from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
     Prediction,
     coded_area,
-    costs_from,
     cropped,
     model_state_after,
     model_state_of,
@@ -58,7 +57,7 @@ class Runtime:
         failures: reasons of plans that failed.
 
     Raises:
-        PlanningError: the model reads features, and nothing extracts them.
+        PlanningError: the model reads features, and nothing extracts them; or no GPU kernels can step it.
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class Runtime:
             )
         self._needed = np.isin(ACTUATORS, dynamics.vehicle.actuators)
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
-        self._generator = torch.Generator().manual_seed(seed)
+        self._improver = PlanImprover(self._dynamics, self._settings, seed)
         self.watch = Stopwatch()
         self.course_tracker = CourseTracker(course)
         self._track, self._schedule = VehicleTrack(), Schedule()
@@ -260,15 +259,8 @@ class Runtime:
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
         before = self._schedule.continued(start, HORIZON_STEPS, rest)
-        cost_of = costs_from(model, model_state, area, at, settings.weights)
         try:
-            plan = mppi.improve(
-                pedals_of(before),
-                with_pedal(cost_of),
-                settings.sampling,
-                self._generator,
-                previous=pedals_of(at.control),
-            )
+            plan = self._improver.improve(before, model_state, area, at)
         except PlanningError as error:
             self.failures.append(str(error))
             return

@@ -21,7 +21,9 @@ def used(text, architecture, folder):
     command = ["nvcc", "-std=c++17", f"-arch={architecture}", "-cubin", "-Xptxas", "-v", source, "-o", folder / "cubin"]
     found = subprocess.run(command, text=True, capture_output=True)
     assert found.returncode == 0, found.stderr[:3000]
-    numbers = re.findall(r"entry function '(\w+)'.*?(\d+) bytes spill stores.*?Used (\d+) registers", found.stderr, re.S)
+    numbers = re.findall(
+        r"entry function '(\w+)'.*?(\d+) bytes spill stores.*?Used (\d+) registers", found.stderr, re.S
+    )
     return {name: (int(registers), int(spilled)) for name, spilled, registers in numbers}
 
 

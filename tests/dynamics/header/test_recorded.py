@@ -1,4 +1,4 @@
-"""The printed C, compiled for this machine, against the eager model: rollouts, and every gradient that training uses."""
+"""The printed C, compiled for this machine, against the eager model: rollouts, and all gradients that training uses."""
 
 import copy
 
@@ -8,7 +8,9 @@ import torch
 from dynamics.kernels.test_rollout import CHANNELS, TOLERANCE, difference, example, run, windows
 from host_kernels import HostKernels, needs_gcc
 from offpiste.dynamics import Hybrid, Parametric
+from offpiste.dynamics.header.gpu import check_kernels, gpu_kernels
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
+from offpiste.errors import OffpisteError
 
 pytestmark = needs_gcc
 
@@ -63,3 +65,14 @@ def test_slots_of_absent_actuators_are_left_alone_and_a_window_with_nan_leaves_t
     assert bad.state[7, -1].isnan().any()
     others = [i for i in range(40) if i != 7]
     assert torch.equal(bad.state[others], good.state[others])
+
+
+def test_kernels_are_checked_before_their_first_use_and_the_cpu_has_others():
+    model, cpu = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), torch.device("cpu")
+    text = recorded_text(model)
+    check_kernels(HostKernels(text), model, cpu)
+    for right, wrong in (("0.02f*yaw_rate", "0.021f*yaw_rate"), ("1.0f - a->layer[k]", "0.9f - a->layer[k]")):
+        assert right in text
+        with pytest.raises(OffpisteError, match="rollouts on cpu differ from the eager model's"):
+            check_kernels(HostKernels(text.replace(right, wrong)), model, cpu)
+    assert gpu_kernels(model, cpu, torch.float32) is None

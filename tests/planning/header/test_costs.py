@@ -75,7 +75,9 @@ def test_a_map_without_known_cells():
     torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=1e-3)
 
 
-@pytest.mark.parametrize("state", [(1e9, -1e9, 0, 5, 0, 0), (float("nan"), 0, 0, 5, 0, 0), (float("inf"), 0, 0, 5, 0, 0)])
+@pytest.mark.parametrize(
+    "state", [(1e9, -1e9, 0, 5, 0, 0), (float("nan"), 0, 0, 5, 0, 0), (float("inf"), 0, 0, 5, 0, 0)]
+)
 def test_places_that_are_nowhere_are_read_within_bounds(state):
     found, wanted = both(model("dc"), situation(ground(), state=state), commands(33), CostWeights())
     assert torch.equal(found[0].isfinite(), wanted[0].isfinite())

@@ -95,9 +95,7 @@ def printed_networks(dynamics: Dynamics, *, apart: bool = False) -> tuple[Printe
         inputs = (*compensator_inputs(dynamics.vehicle), *(() if apart else codes))
         of, row = compensator_weights(dynamics, apart=apart), layout.ROW[layout.CORRECTION[0]]
         terms = apart and len(codes) > 0
-        result.append(
-            PrintedNetwork("force", parts.compensator, of, inputs, row, len(layout.CORRECTION), terms)
-        )
+        result.append(PrintedNetwork("force", parts.compensator, of, inputs, row, len(layout.CORRECTION), terms))
     for one in layout.LAGGING:
         if one.label in actuators.networks:
             network, row = actuators.networks[one.label], layout.ROW[f"{one.label}_residual"]

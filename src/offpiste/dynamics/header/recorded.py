@@ -5,7 +5,7 @@ rows that the weights' gradients are products of, so that matrix products and no
 add is one matrix product before the rollout, as for the Numba kernels.
 """
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -14,6 +14,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
 from offpiste.conventions import STATE
+from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import shipped_text, step_text
@@ -29,15 +30,6 @@ from offpiste.state import ModelState, Terrain, Trajectory
 
 MOVED = len(layout.STEPPED)
 GATES = 4 * layout.HIDDEN
-
-
-@runtime_checkable
-class Kernels(Protocol):
-    """Compiled kernels, wherever they run."""
-
-    def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
-        """Run a kernel for `count` items; tensors are contiguous, and lie where it runs; None is no array."""
-        ...
 
 
 def recorded_text(dynamics: Dynamics) -> str:

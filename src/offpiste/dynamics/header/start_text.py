@@ -58,11 +58,11 @@ def _with_bias(layer: nn.Linear) -> Tensor:
 
 
 def _members(of: PrintedNetwork) -> dict[str, Tensor]:
-    cell, (first, last) = of.compensator.init_cell, _layers(of)
-    bias = (cell.bias_ih_l0 + cell.bias_hh_l0)[None]
+    weights, (first, last) = of.compensator.init_cell.state_dict(), _layers(of)
+    bias = (weights["bias_ih_l0"] + weights["bias_hh_l0"])[None]
     return {
-        "from_inputs": torch.cat((cell.weight_ih_l0.t(), bias)),
-        "from_hidden": cell.weight_hh_l0.t(),
+        "from_inputs": torch.cat((weights["weight_ih_l0"].t(), bias)),
+        "from_hidden": weights["weight_hh_l0"].t(),
         "first": _with_bias(first),
         "last": _with_bias(last),
     }

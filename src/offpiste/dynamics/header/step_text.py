@@ -72,8 +72,8 @@ def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart:
     lines += [
         "} offpiste_params;",
         "",
-        f"/* What a step reads. control: {controls}; normal: mean of the unit normals under the four wheels, world",
-        "   frame, straight up where unknown; unknown: share of the wheels whose normal is; codes: of the four wheels. */",
+        f"/* What a step reads. control: {controls}; normal: mean of the unit normals under the four wheels,",
+        "   world frame, straight up where unknown; unknown: share of the wheels whose normal is; codes: of the wheels. */",
         "typedef struct {",
         f"    offpiste_real {', '.join(given)};",
         "} offpiste_given;",
@@ -146,7 +146,8 @@ def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
         "   SI units and radians; vx, vy: horizontal world velocity turned by minus yaw; engine in 1000 rev/min.\n"
         "   Slots of absent actuators are left alone. */\n"
         "OFFPISTE_FN void offpiste_step_kept(\n"
-        "    const offpiste_params* params, const offpiste_given* given, offpiste_real* state, offpiste_activations* a) {"
+        "    const offpiste_params* params, const offpiste_given* given, offpiste_real* state,\n"
+        "    offpiste_activations* a) {"
     )
     return "\n    ".join((head, *body)) + (
         "\n}\n\nOFFPISTE_FN void offpiste_step(\n"
@@ -167,8 +168,8 @@ def _adjoint(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
         "",
         "/* state_bar: of the state after the step, and then before it. c_bar: of the learned constants, added to. */",
         "OFFPISTE_FN void offpiste_step_adjoint(",
-        "    const offpiste_params* params, const offpiste_activations* a, offpiste_real* state_bar, offpiste_real* c_bar,",
-        "    offpiste_adjoints* bar) {",
+        "    const offpiste_params* params, const offpiste_activations* a, offpiste_real* state_bar,",
+        "    offpiste_real* c_bar, offpiste_adjoints* bar) {",
     ]
     body = [
         "const offpiste_real zero = {0.0f};",

@@ -1,4 +1,4 @@
-"""The languages that a scalar function is printed in: Python for Numba, loops over lanes; and C, one sample at a time."""
+"""The languages that a scalar function is printed in: loops over lanes for Numba, and C, one sample at a time."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple

@@ -110,9 +110,7 @@ def _trace(loop: Loop) -> tuple[Tape, dict[str, sp.Expr]]:
     return tape, {name: sp.sympify(term) for name, term in loop.function(values, tape.elementary).items()}
 
 
-def _code(
-    loop: Loop, name: str, definitions: Definitions, stores: list[tuple[Place, sp.Expr]], *, adds: bool
-) -> Code:
+def _code(loop: Loop, name: str, definitions: Definitions, stores: list[tuple[Place, sp.Expr]], *, adds: bool) -> Code:
     terms: Iterable[sp.Expr] = (*(term for _, term in definitions), *(term for _, term in stores))
     read = {str(symbol) for term in terms for symbol in term.free_symbols}
     constants = {name: Place("c", i) for i, name in enumerate(layout.CONSTANTS) if name in read}

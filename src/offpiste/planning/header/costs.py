@@ -8,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import CONTROL
+from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
-from offpiste.dynamics.header.recorded import Kernels
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CONSTANTS, cost_terms
