@@ -65,7 +65,7 @@ def copy_files(folder: Path, *names: str) -> None:
 
 def write_readme(folder: Path, template: str, about: dict[str, Any], **text: str) -> None:
     """Write README.md from a template, `about` (model.json) and other texts."""
-    shown = {name: ", ".join(value) if isinstance(value, list) else value for name, value in about.items()}
+    shown = {name: ", ".join(map(str, value)) if isinstance(value, list) else value for name, value in about.items()}
     absent = shown["absent_actuators"] or "none"
     template = (files(__package__) / "files" / template).read_text("utf-8")
     write_text(folder / "README.md", Template(template).substitute(shown, absent=absent, **text))
