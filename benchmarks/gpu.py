@@ -137,6 +137,7 @@ def of_training(dynamics: Dynamics, device: torch.device, sizes: list[int], turn
 
 
 def main() -> None:
+    """Check, time, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--out", type=Path, default=Path("gpu.json"))

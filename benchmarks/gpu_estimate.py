@@ -1,8 +1,8 @@
 """What the printed kernels should take on a GPU, from their machine code alone: estimates, not measurements.
 
 `python benchmarks/gpu_estimate.py` compiles them with nvcc (no GPU needed) and counts registers, spilled bytes and the
-instructions of the longest loop, which is one step. A warp alone on its scheduler issues 0.4 to 0.7 instructions a cycle
-where each waits for the one before, and waits for gathers from the map.
+instructions of the longest loop, which is one step. A warp alone on its scheduler issues 0.4 to 0.7 instructions a
+cycle where each waits for the one before, and waits for gathers from the map.
 """
 
 import re
@@ -71,6 +71,7 @@ def compiled(text: str, architecture: str) -> dict[str, tuple[int, int, int]]:
 
 
 def main() -> None:
+    """Compile, count, print."""
     dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
     course = Course(np.array([[-20.0, 0], [20, 3]]), np.full(2, 6.0))
     layers = cost_map(on_cpu.ground(60), course, Hazards()).table

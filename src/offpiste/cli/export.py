@@ -20,7 +20,7 @@ class Export:
     to: Path
     """Folder to write; not there yet, or empty."""
     format: str = "c"
-    """What to write: c or cuda, one header with the model's weights; onnx, a graph from images to codes (extra `onnx`)."""
+    """What to write: c or cuda, one header with the weights; onnx, a graph from images to codes (extra `onnx`)."""
 
     def run(self) -> int:
         """Read the run, write the folder."""

@@ -1,4 +1,4 @@
-"""Exports as ONNX (extra `onnx`): a graph from rectified images to the codes of their patches, checked by onnxruntime."""
+"""Exports as ONNX (extra `onnx`): a graph from rectified images to codes of their patches, checked by onnxruntime."""
 
 import logging
 import warnings
@@ -63,7 +63,7 @@ def projection(pca: PrincipalComponents) -> tuple[Float[Tensor, " C"], Float[Ten
 
 @FORMATS.register("onnx")
 def write_onnx(run: Run, folder: Path) -> None:
-    """ONNX: `codes.onnx`, from rectified images to codes, with the backbone and PCA that the run's features come from."""
+    """ONNX: `codes.onnx`, from rectified images to codes, with backbone and PCA that the run's features come from."""
     with extra("onnx"):
         import onnx  # noqa: F401
         import onnxruntime  # noqa: F401
@@ -87,7 +87,7 @@ def write_onnx(run: Run, folder: Path) -> None:
     np.savez(folder / "parity.npz", images=images.numpy(), codes=wanted.numpy())
     height, width = SIZE
     about = write_about(run, folder, image=[height, width, 3], difference=apart)
-    write_readme(folder, "README-onnx.md", about, difference=f"{apart:.0e}", height=height, width=width)
+    write_readme(folder, "README-onnx.md", about, difference=f"{apart:.0e}", height=str(height), width=str(width))
 
 
 def extractor_of(run: Run) -> FeatureExtractor:

@@ -11,7 +11,7 @@ from host_kernels import HostKernels, needs_gcc
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.header.cost_text import plan_text
-from offpiste.planning.header.costs import costs_by_kernels, rollout_on_map
+from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import encode_map, fused_rollout
 from planning.test_kernel import GEARED, commands, ground, model, start
 from planning_maps import layers, situation
@@ -23,8 +23,9 @@ def both(dynamics, at, controls, weights):
     """Costs and states of the printed C, and of the Numba kernel."""
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
     kernels = HostKernels(plan_text(dynamics, at.costs.table))
-    found = rollout_on_map(kernels, dynamics, model_state, controls, at, weights, codes)
-    return found, fused_rollout(dynamics, model_state, controls, at, weights, codes)
+    states = torch.empty(controls.shape[1], 6, len(controls))
+    costs = costs_by_kernels(kernels, dynamics, model_state, at, weights, codes)(controls, states)
+    return (costs, states.permute(2, 0, 1)), fused_rollout(dynamics, model_state, controls, at, weights, codes)
 
 
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])

@@ -73,7 +73,7 @@ def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart:
         "} offpiste_params;",
         "",
         f"/* What a step reads. control: {controls}; normal: mean of the unit normals under the four wheels,",
-        "   world frame, straight up where unknown; unknown: share of the wheels whose normal is; codes: of the wheels. */",
+        "   world frame, straight up where unknown; unknown: share of wheels whose normal is; codes: of the wheels. */",
         "typedef struct {",
         f"    offpiste_real {', '.join(given)};",
         "} offpiste_given;",

@@ -1,7 +1,7 @@
 """Costs of control sequences by the printed kernels: `kernel.fused_costs`, wherever the kernels run."""
 
 import math
-from collections.abc import Callable
+from typing import Protocol
 
 import torch
 from jaxtyping import Float
@@ -18,66 +18,38 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes
 from offpiste.planning.kernel_costs import places_of_numbers, vector_of_numbers
-from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState
 
 Maps = tuple[Tensor, Tensor, Tensor]
 """Slopes, codes and layers of cells, as `offpiste_roll_out` reads them."""
 
 
-def costs_by_kernels(
-    kernels: Kernels,
-    dynamics: Dynamics,
-    model_state: ModelState,
-    situation: Situation,
-    weights: CostWeights,
-    codes: Codes,
-) -> CostOf:
-    """Costs of driving on the situation's map, by the kernels of `plan_text`.
+class Roll(Protocol):
+    """Costs [K] of control sequences [K, T, U]; a `CostOf` that also fills states [T, 6, K], where they are given."""
 
-    Args:
-        kernels: of the model and the cost map's layers; tensors lie where they run.
-        model_state: the start, a batch of one.
-        codes: from `kernel.encode_map`.
-    """
-    roll = _bind(kernels, dynamics, model_state, situation, weights, codes)
-
-    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
-        return roll(controls, None)
-
-    return cost_of
-
-
-def rollout_on_map(
-    kernels: Kernels,
-    dynamics: Dynamics,
-    model_state: ModelState,
-    controls: Float[Tensor, "K T U"],
-    situation: Situation,
-    weights: CostWeights,
-    codes: Codes,
-) -> tuple[Float[Tensor, " K"], Float[Tensor, "K T 6"]]:
-    """The same costs, and the states after each step."""
-    states = controls.new_empty(controls.shape[1], 6, len(controls))
-    costs = _bind(kernels, dynamics, model_state, situation, weights, codes)(controls, states)
-    return costs, states.permute(2, 0, 1)
+    def __call__(self, controls: Float[Tensor, "K T U"], states: Float[Tensor, "T 6 K"] | None = None) -> Tensor:
+        """Roll out."""
+        ...
 
 
 @torch.no_grad()
-def _bind(
-    kernels: Kernels,
-    dynamics: Dynamics,
-    model_state: ModelState,
-    situation: Situation,
-    weights: CostWeights,
+def costs_by_kernels(
+    kernels: Kernels, dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights,
     codes: Codes,
-) -> Callable[[Tensor, Tensor | None], Tensor]:
+) -> Roll:  # fmt: skip
+    """Costs of driving on the situation's map, by the kernels of `plan_text`.
+
+    Args:
+        kernels: of the model and the cost map's layers.
+        model_state: the start, a batch of one, where the kernels run.
+        codes: from `kernel.encode_map`.
+    """
     device = model_state.state.device
     params = packed_parameters(dynamics).to(device)
     packed = packed_situation(dynamics, model_state, situation, weights, codes).to(device)
     maps = packed_maps(situation, codes, device)
 
-    def roll(controls: Tensor, states: Tensor | None) -> Tensor:
+    def roll(controls: Tensor, states: Tensor | None = None) -> Tensor:
         samples, steps, _ = controls.shape
         by_step = controls[..., : len(CONTROL)].permute(1, 2, 0).contiguous()
         costs = torch.empty(samples, device=device)
