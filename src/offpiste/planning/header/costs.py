@@ -1,7 +1,7 @@
 """Costs of control sequences by the printed kernels: `kernel.fused_costs`, wherever the kernels run."""
 
 import math
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -24,6 +24,7 @@ Maps = tuple[Tensor, Tensor, Tensor]
 """Slopes, codes and layers of cells, as `offpiste_roll_out` reads them."""
 
 
+@runtime_checkable
 class Roll(Protocol):
     """Costs [K] of control sequences [K, T, U]; a `CostOf` that also fills states [T, 6, K], where they are given."""
 
