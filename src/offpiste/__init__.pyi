@@ -7,6 +7,7 @@ from . import demo as demo
 from . import dynamics as dynamics
 from . import evaluation as evaluation
 from . import evidence as evidence
+from . import export as export
 from . import geometry as geometry
 from . import inspection as inspection
 from . import live as live

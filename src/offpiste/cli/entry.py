@@ -42,6 +42,7 @@ PIPELINE: Final = (
     "doctor",
     "live",
     "play",
+    "export",
     "check",
 )
 """Order of the commands in the help: as a log goes through them. Others follow."""

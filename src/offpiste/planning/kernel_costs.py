@@ -69,8 +69,7 @@ class KernelCosts:
 
     def numbers(self, weights: CostWeights) -> np.ndarray:
         """Constants, weights and parameters as the loops read them (float32)."""
-        values = weights.values()
-        return np.concatenate(([DT, GRAVITY], *(np.ravel(values[name]) for name in self.names)), dtype=np.float32)
+        return vector_of_numbers(weights, self.names)
 
 
 def kernel_costs(layers: tuple[CostLayer, ...]) -> KernelCosts:
@@ -87,10 +86,7 @@ def kernel_costs(layers: tuple[CostLayer, ...]) -> KernelCosts:
 @cache
 def _kernel_costs(names: tuple[str, ...], layers: Layers) -> KernelCosts:
     terms = [cost_terms()[name] for name in names]
-    defaults = {name: number.default for term in terms for name, number in term.numbers.items()}
-    sizes = {"dt": 1, "gravity": 1} | {name: np.size(value) for name, value in defaults.items()}
-    ends = np.cumsum(list(sizes.values()))
-    numbers = {name: int(end) - size for (name, size), end in zip(sizes.items(), ends, strict=True)}
+    numbers = places_of_numbers(terms)
     of_controls, of_motion = ([t for t in terms if t.of_controls is kind] for kind in (True, False))
     names_of_layers = tuple(name for name, _, _ in layers)
     loops = (
@@ -103,7 +99,22 @@ def _kernel_costs(names: tuple[str, ...], layers: Layers) -> KernelCosts:
     compiled = {name: _function(text, name, functions) for name, text in zip(LOOPS, loops, strict=True)}
     compiled["sample_terrain"] = PLANNING.loop(_calling(sample_terrain, compiled))
     entry = _calling(roll_out, compiled)
-    return KernelCosts(PLANNING.entry(entry, salt="\n".join((*loops, *_sources(functions.values())))), tuple(defaults))
+    salt = "\n".join((*loops, *_sources(functions.values())))
+    return KernelCosts(PLANNING.entry(entry, salt=salt), tuple(numbers)[len(CONSTANTS) :])
+
+
+def places_of_numbers(terms: Iterable[CostTerm]) -> Numbers:
+    """Where constants, weights and parameters of terms lie in the vector of numbers."""
+    defaults = {name: number.default for term in terms for name, number in term.numbers.items()}
+    sizes = dict.fromkeys(CONSTANTS, 1) | {name: np.size(value) for name, value in defaults.items()}
+    ends = np.cumsum(list(sizes.values()))
+    return {name: int(end) - size for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+
+def vector_of_numbers(weights: CostWeights, names: Iterable[str]) -> np.ndarray:
+    """Constants, then weights and parameters by name, as kernels read them (float32)."""
+    values = weights.values()
+    return np.concatenate(([DT, GRAVITY], *(np.ravel(values[name]) for name in names)), dtype=np.float32)
 
 
 def _calling(function: Function, compiled: dict[str, Function]) -> Function:

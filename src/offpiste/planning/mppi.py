@@ -126,7 +126,7 @@ def improve(
 
 def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Generator) -> Float[Tensor, "K T U"]:
     """Sampled sequences: the plan itself, then around rest, widely around the plan, and narrowly around it."""
-    fresh, wide = _groups(settings)
+    fresh, wide = sample_groups(settings)
     deviation = controls.new_tensor(settings.deviation)
     rest = torch.zeros_like(deviation) if settings.rest is None else controls.new_tensor(settings.rest)
     samples = settings.noise((settings.samples, *controls.shape), generator, controls.dtype) * deviation
@@ -140,7 +140,7 @@ def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Genera
     return samples
 
 
-def _groups(settings: Settings) -> tuple[slice, slice]:
+def sample_groups(settings: Settings) -> tuple[slice, slice]:
     """Which samples are fresh, and which are wide; the first one and those behind them are neither."""
     fresh, wide = (1 + round(share * settings.samples) for share in (settings.fresh, settings.wide))
     return slice(1, fresh), slice(fresh, fresh + wide - 1)
@@ -176,7 +176,7 @@ def control_costs(
     sigma = covariance(settings.noise, len(plan)).to(plan.device)
     scaled = torch.cholesky_solve(plan / deviation.square(), torch.linalg.cholesky(sigma))
     costs = settings.control_cost * torch.einsum("ktu,tu->k", draws.double() - plan, scaled)
-    fresh, wide = _groups(settings)
+    fresh, wide = sample_groups(settings)
     costs[fresh] = 0
     costs[wide] /= settings.width**2
     for group in ([0, *range(wide.stop, len(costs))], wide):
@@ -194,11 +194,16 @@ def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]
     """
     finite = costs.isfinite()
     if not finite.any():
-        how = "stop, and check start, map and cost for values that are not finite"
-        raise PlanningError(f"none of {len(costs)} sampled trajectories has a finite cost", how=how)
+        raise no_finite_cost(len(costs))
     # The least cost is subtracted first, since exp of large costs alone would underflow to 0.
     above = torch.where(finite, costs, torch.inf) - costs[finite].min()
     return torch.softmax(-above / temperature, dim=0)
+
+
+def no_finite_cost(samples: int) -> PlanningError:
+    """What is wrong where no sample can be weighed."""
+    how = "stop, and check start, map and cost for values that are not finite"
+    return PlanningError(f"none of {samples} sampled trajectories has a finite cost", how=how)
 
 
 def smoothed(controls: Float[Tensor, "T U"], window: int) -> Float[Tensor, "T U"]:

@@ -60,7 +60,20 @@ def coloured(
     Raises:
         ValueError: the period is shorter than the steps.
     """
-    samples, steps, controls = shape
+    steps = shape[1]
+    period = 2 * steps if period is None else period
+    size = coefficient_sizes(steps, exponent=exponent, period=period, highest=highest)
+    return from_coefficients(shape, generator, size.to(generator.device, dtype), period)
+
+
+def coefficient_sizes(
+    steps: int, *, exponent: float = 2.0, period: int | None = None, highest: int | None = None
+) -> Float[Tensor, " frequencies"]:
+    """Root mean square of each coefficient that `coloured` draws (float64).
+
+    Raises:
+        ValueError: the period is shorter than the steps.
+    """
     period = 2 * steps if period is None else period
     if period < steps:
         raise ValueError(f"noise of {steps} steps needs a period of at least as many, not {period}")
@@ -69,9 +82,16 @@ def coloured(
     power[0] *= 2
     if period % 2 == 0 and len(power) > period // 2:
         power[-1] *= 2
-    size = torch.sqrt(power).to(generator.device, dtype)
-    shape = (samples, controls, len(size))
-    parts = torch.randn(shape, generator=generator, dtype=dtype.to_complex(), device=generator.device)
+    return torch.sqrt(power)
+
+
+def from_coefficients(
+    shape: Shape, generator: Generator, size: Float[Tensor, " frequencies"], period: int
+) -> Float[Tensor, "K T U"]:
+    """Noise from random coefficients of these sizes."""
+    samples, steps, controls = shape
+    drawn = (samples, controls, len(size))
+    parts = torch.randn(drawn, generator=generator, dtype=size.dtype.to_complex(), device=generator.device)
     return torch.fft.irfft(parts.mul_(size), n=period)[..., :steps].transpose(1, 2)
 
 

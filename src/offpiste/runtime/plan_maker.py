@@ -11,19 +11,18 @@ from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.planning import mppi
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
+from offpiste.planning.pedal import controls_of
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.perception import Stopwatch
+from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
     Prediction,
     coded_area,
-    costs_from,
     cropped,
     model_state_after,
     model_state_of,
@@ -54,6 +53,9 @@ class PlanMaker:
     Attributes:
         map_empty: whether the map held no ground within reach of the last plan.
         failures: reasons of plans that failed.
+
+    Raises:
+        PlanningError: no GPU kernels can step the model.
     """
 
     def __init__(
@@ -68,7 +70,7 @@ class PlanMaker:
     ) -> None:
         self._dynamics, self._settings, self._ground = dynamics, settings, ground
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
-        self._generator = torch.Generator().manual_seed(seed)
+        self._improver = PlanImprover(dynamics, settings, seed)
         self._watch = watch or Stopwatch()
         self.map_empty = False
         self.failures: list[str] = []
@@ -119,15 +121,8 @@ class PlanMaker:
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
         before = follower.schedule.continued(start, HORIZON_STEPS, rest)
-        cost_of = costs_from(model, model_state, area, at, settings.weights)
         try:
-            plan = mppi.improve(
-                pedals_of(before),
-                with_pedal(cost_of),
-                settings.sampling,
-                self._generator,
-                previous=pedals_of(at.control),
-            )
+            plan = self._improver.improve(before, model_state, area, at)
         except PlanningError as error:
             self.failures.append(str(error))
             return None

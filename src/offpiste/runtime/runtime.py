@@ -42,7 +42,7 @@ class Runtime:
         watch: wall-clock times of the stages.
 
     Raises:
-        PlanningError: the model reads features, and nothing extracts them.
+        PlanningError: the model reads features, and nothing extracts them; or no GPU kernels can step it.
     """
 
     def __init__(

@@ -33,6 +33,7 @@ class RuntimeSettings:
         arrived: distance from its end at which the course counts as driven [m].
         margin: the map is read this far beyond what a plan can reach [m].
         remember: how long predictions are kept, at 120 kB a second [s].
+        device: that plans are sampled and rolled out on: "cpu", or "cuda" (extra `cuda`).
 
     Raises:
         PlanningError: rate and latency do not fit the steps of the controls.
@@ -66,6 +67,7 @@ class RuntimeSettings:
     arrived: float = 2.0
     margin: float = 8.0
     remember: float = 600.0
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1 or not _is_steps(self.latency):

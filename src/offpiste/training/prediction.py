@@ -12,6 +12,8 @@ from torch import Tensor
 from offpiste.channels import absent_value
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Vehicle, rollout
+from offpiste.dynamics.header.gpu import gpu_kernels
+from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.errors import DatasetError, OffpisteError, did_you_mean
@@ -37,6 +39,9 @@ def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
     model_state = dynamics.start(batch.history, batch.state, batch.actuators)
     if supports(dynamics, batch.state.device, batch.state.dtype):
         return rollout_recorded(dynamics, model_state, batch.control, batch.terrain)
+    kernels = gpu_kernels(dynamics, batch.state.device, batch.state.dtype)
+    if kernels is not None:
+        return rollout_by_kernels(kernels, dynamics, model_state, batch.control, batch.terrain)
     return rollout(dynamics, model_state, batch.control, RecordedTerrain(batch.terrain))
 
 

@@ -4,6 +4,7 @@ import copy
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,8 +97,14 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
     return ModelState(state, actuators, hidden, cell), control, replace(Terrain.of(normal), latent=latent)
 
 
-def run(model: Hybrid | Parametric, inputs: Inputs, *, eager: bool) -> tuple[Trajectory, dict[str, Tensor]]:
-    """The trajectory, and the gradients of a weighted sum of all that it has."""
+def run(
+    model: Hybrid | Parametric, inputs: Inputs, roll_out: Callable[..., Trajectory] | None
+) -> tuple[Trajectory, dict[str, Tensor]]:
+    """The trajectory, and the gradients of a weighted sum of all that it has.
+
+    Args:
+        roll_out: from model, model state, controls and terrain; None for the eager one.
+    """
     dtype = next(model.parameters()).dtype
     model_state, control, terrain = inputs
     leaves = {
@@ -109,11 +116,11 @@ def run(model: Hybrid | Parametric, inputs: Inputs, *, eager: bool) -> tuple[Tra
     leaves = {name: leaf.to(dtype, copy=True).requires_grad_() for name, leaf in leaves.items()}
     model_state = ModelState(leaves["state"], model_state.actuators.to(dtype), leaves["hidden"], leaves["cell"])
     terrain, control = Terrain(terrain.normal.to(dtype), terrain.known, leaves["latent"]), control.to(dtype)
-    if eager:
+    if roll_out is None:
         found = rollout(model, model_state, control, RecordedTerrain(terrain))
     else:
-        assert supports(model, control.device, dtype)
-        found = rollout_recorded(model, model_state, control, terrain)
+        assert roll_out is not rollout_recorded or supports(model, control.device, dtype)
+        found = roll_out(model, model_state, control, terrain)
     draw = torch.Generator().manual_seed(1)
     present = [i for i, name in enumerate(ACTUATORS) if name in model.vehicle.actuators]
     weight = torch.randn(found.state.shape, generator=draw).to(dtype)
@@ -133,8 +140,8 @@ def difference(found: Tensor, wanted: Tensor) -> float:
 
 def compare(model: Hybrid | Parametric, batch: int, steps: int) -> None:
     inputs = windows(model, batch, steps)
-    wanted, wanted_gradients = run(model, inputs, eager=True)
-    found, gradients = run(copy.deepcopy(model).float(), inputs, eager=False)
+    wanted, wanted_gradients = run(model, inputs, None)
+    found, gradients = run(copy.deepcopy(model).float(), inputs, rollout_recorded)
     assert gradients.keys() == wanted_gradients.keys()
     errors = {name: difference(gradients[name], wanted_gradients[name]) for name in gradients}
     errors["states"] = difference(found.state, wanted.state)
@@ -180,7 +187,7 @@ def test_a_frozen_compensator_gets_no_gradient() -> None:
 def test_without_gradients_and_with_any_number_of_threads_the_numbers_are_the_same() -> None:
     model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float()
     inputs = windows(model, 100, 7)
-    found, gradients = run(model, inputs, eager=False)
+    found, gradients = run(model, inputs, rollout_recorded)
     with torch.no_grad():
         assert torch.equal(rollout_recorded(model, *inputs).state, found.state)
     threads = torch.get_num_threads()
@@ -188,7 +195,7 @@ def test_without_gradients_and_with_any_number_of_threads_the_numbers_are_the_sa
         for other in (1, 2, 3):
             torch.set_num_threads(other)
             model.zero_grad()
-            _, again = run(model, inputs, eager=False)
+            _, again = run(model, inputs, rollout_recorded)
             for name, gradient in gradients.items():
                 # The product with the codes is torch's, which some processors round otherwise in three threads.
                 room = 1e-6 * float(gradient.abs().max()) if other == 3 else 0.0

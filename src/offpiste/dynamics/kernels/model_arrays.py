@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS
+from offpiste.dynamics.actuator_lags import Lagging
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
 from offpiste.dynamics.kernels import layout
@@ -130,7 +131,24 @@ def networks(dynamics: Dynamics, compensator: Weights, *, apart: bool = False) -
         compensator: the first one's weights.
         apart: whether `terms_of_codes` are added instead of reading codes.
     """
-    vehicle, (parts, actuators) = dynamics.vehicle, kernel_parts(dynamics)
+    parts, actuators = kernel_parts(dynamics)
+    codes = range(len(layout.ROWS), len(layout.ROWS) + 4 * dynamics.codes)
+    added = len(compensator.gates) + len(compensator.inner) if apart and len(codes) else 0
+    first = network(
+        parts.compensator,
+        compensator,
+        inputs=[*compensator_inputs(dynamics.vehicle), *(() if apart else codes)],
+        terms=added,
+        first_hidden=0,
+        first_output=layout.ROW[layout.CORRECTION[0]],
+    )
+    matrices = [weights(actuators.networks.get(one.label)) for one in layout.LAGGING if one.lag.residual]
+    hidden = layout.HIDDEN if parts.compensator is not None else 0
+    return first, *residual_networks(actuators, matrices, first_hidden=hidden)
+
+
+def compensator_inputs(vehicle: Vehicle) -> list[int]:
+    """Rows of the workspace that the network sees which corrects the forces; codes follow them."""
     seen = [
         *layout.STEPPED[3:6],
         *(name for name in ACTUATORS if name in vehicle.actuators),
@@ -139,19 +157,13 @@ def networks(dynamics: Dynamics, compensator: Weights, *, apart: bool = False) -
         *layout.UNKNOWN,
         *layout.FORCE,
     ]
-    codes = range(len(layout.ROWS), len(layout.ROWS) + 4 * dynamics.codes)
-    added = len(compensator.gates) + len(compensator.inner) if apart and len(codes) else 0
-    first = network(
-        parts.compensator,
-        compensator,
-        inputs=[*(layout.ROW[name] for name in seen), *(() if apart else codes)],
-        terms=added,
-        first_hidden=0,
-        first_output=layout.ROW[layout.CORRECTION[0]],
-    )
-    matrices = [weights(actuators.networks.get(one.label)) for one in layout.LAGGING if one.lag.residual]
-    hidden = layout.HIDDEN if parts.compensator is not None else 0
-    return first, *residual_networks(actuators, matrices, first_hidden=hidden)
+    return [layout.ROW[name] for name in seen]
+
+
+def residual_inputs(one: Lagging) -> list[int]:
+    """Rows of the workspace that an actuator's residual network sees."""
+    command = layout.CONTROLS[layout.COMMANDS.index(one.actuator.follows)]
+    return [layout.ROW[row] for row in (*one.columns, command, "vx")]
 
 
 def residual_networks(
@@ -166,12 +178,11 @@ def residual_networks(
     residuals, hidden = [], first_hidden
     for one, of in zip((one for one in layout.LAGGING if one.lag.residual), matrices, strict=True):
         result = actuators.networks.get(one.label)
-        command = layout.CONTROLS[layout.COMMANDS.index(one.actuator.follows)]
         residuals.append(
             network(
                 result,
                 of,
-                inputs=[layout.ROW[row] for row in (*one.columns, command, "vx")],
+                inputs=residual_inputs(one),
                 first_hidden=hidden,
                 first_output=layout.ROW[f"{one.label}_residual"],
             )

@@ -106,7 +106,8 @@ def _features_of_means(
     """Features from means over patches: of the opponent planes, of their squares, of the magnitudes of responses."""
     spread = (square - colour.square()).clamp_min(0.0).sqrt()
     texture = _WEIGHTS["texture"] * torch.log(responses + _FAINTEST)
-    reference = colour[:, :1].flatten(1).median(dim=1).values
+    brightness = colour[:, 0].flatten(1).sort(dim=1).values  # ONNX has no median
+    reference = brightness[:, (brightness.shape[1] - 1) // 2]
     relative = torch.cat((colour[:, :1] - reference[:, None, None, None], colour[:, 1:]), dim=1)
     relative = relative * relative.new_tensor([_WEIGHTS["brightness"], *2 * [_WEIGHTS["colour"]]]).view(1, 3, 1, 1)
     overall = texture.unflatten(1, (2 * len(SCALES), ORIENTATIONS)).mean(dim=2)

@@ -1,0 +1,31 @@
+"""`offpiste export`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from offpiste.cli.entry import COMMANDS
+from offpiste.progress import show
+
+
+@COMMANDS.register("export")
+@dataclass(frozen=True)
+class Export:
+    """Write a trained model as files that run without Python, with an example and a file to check it with."""
+
+    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
+    """Folder that `offpiste train` wrote, or `pretrained:NAME`."""
+    to: Path
+    """Folder to write; not there yet, or empty."""
+    format: str = "c"
+    """What to write: c or cuda, one header with the weights; onnx, a graph from images to codes (extra `onnx`)."""
+
+    def run(self) -> int:
+        """Read the run, write the folder."""
+        from offpiste.export.formats import export_run
+
+        export_run(self.model, self.to, self.format)
+        show(f"{self.to}: see README.md there")
+        return 0

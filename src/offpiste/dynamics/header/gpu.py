@@ -1,0 +1,98 @@
+"""Rollouts over recorded terrain on an NVIDIA GPU (extra `cuda`): which models, and a check before the first one."""
+
+import logging
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from offpiste.conventions import ACTUATORS
+from offpiste.cuda_kernels import Kernels, cuda_kernels
+from offpiste.dynamics.base import Dynamics, rollout
+from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
+from offpiste.dynamics.kernels.model_arrays import knows_channels
+from offpiste.errors import OffpisteError, is_installed
+from offpiste.state import ModelState, RecordedTerrain, Terrain
+
+logger = logging.getLogger(__name__)
+
+APART = 1e-3
+"""Largest difference of states and of gradients from the eager model's, over their largest values."""
+
+_checked: set[str] = set()
+
+
+def gpu_kernels(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> Kernels | None:
+    """Kernels for `rollout_by_kernels` of a model; None where it is not on a GPU, or not for kernels.
+
+    Raises:
+        OffpisteError: the GPU computes something else than the eager model.
+    """
+    if device.type != "cuda" or dtype != torch.float32 or not _steppable(dynamics):
+        return None
+    if not (is_installed("cuda") and is_installed("cuda.core")):
+        _say_that_kernels_are_missing()
+        return None
+    text = recorded_text(dynamics)
+    kernels = cuda_kernels(text, device)
+    if text not in _checked:
+        check_kernels(kernels, dynamics, device)
+        _checked.add(text)
+    return kernels
+
+
+def _steppable(dynamics: Dynamics) -> bool:
+    """Whether there are kernels for a model, as it is: of its actuators' models they have no gradients."""
+    actuators = dynamics.actuators
+    if dynamics.kernel_parts() is None or actuators is None or not knows_channels(dynamics.vehicle):
+        return False
+    learning = torch.is_grad_enabled() and any(p.requires_grad for p in actuators.parameters())
+    return not (dynamics.vehicle.actuators and learning)
+
+
+@cache
+def _say_that_kernels_are_missing() -> None:
+    logger.warning("without the extra `cuda` the GPU steps models eagerly, which is slow: pip install 'offpiste[cuda]'")
+
+
+@torch.enable_grad()
+def check_kernels(kernels: Kernels, dynamics: Dynamics, device: torch.device) -> None:
+    """Compare states and their gradients by the start and the codes with the eager model's, on random input.
+
+    Raises:
+        OffpisteError: they differ.
+    """
+    model_state, controls, terrain = _random(dynamics, device, batch=65, steps=10)
+
+    def of(by_kernels: bool) -> list[Tensor]:
+        leaves = [part.detach().clone().requires_grad_() for part in (model_state.state, terrain.latent)]
+        start = ModelState(leaves[0], model_state.actuators, model_state.hidden, model_state.cell)
+        ground = Terrain(terrain.normal, terrain.known, leaves[1])
+        if by_kernels:
+            states = rollout_by_kernels(kernels, dynamics, start, controls, ground).state
+        else:
+            states = rollout(dynamics, start, controls, RecordedTerrain(ground)).state
+        gradients = torch.autograd.grad(states[..., 3:].square().sum(), leaves, allow_unused=True)
+        return [states.detach(), *(gradient for gradient in gradients if gradient is not None)]
+
+    pairs = zip(of(by_kernels=True), of(by_kernels=False), strict=True)
+    apart = max(float((a - b).abs().max() / b.abs().max().clamp(min=1e-6)) for a, b in pairs if a.numel())
+    if not apart < APART:
+        what = f"rollouts on {device} differ from the eager model's, by {apart:.1e}"
+        raise OffpisteError(what, how="use --device cpu, and report GPU, driver and this line")
+
+
+def _random(dynamics: Dynamics, device: torch.device, batch: int, steps: int) -> tuple[ModelState, Tensor, Terrain]:
+    draw = torch.Generator().manual_seed(0)
+    state = torch.randn(batch, 6, generator=draw) + torch.tensor([0.0, 0, 0, 5, 0, 0])
+    units = dynamics.recurrent_size
+    hidden, cell = 0.3 * torch.randn(2, batch, units, generator=draw)
+    actuators = 0.1 * torch.rand(batch, len(ACTUATORS), generator=draw)
+    controls = 0.5 * torch.rand(batch, steps, len(dynamics.vehicle.control_columns), generator=draw)
+    normal = torch.nn.functional.normalize(
+        0.1 * torch.randn(batch, steps, 4, 3, generator=draw) + torch.tensor([0.0, 0, 1]), dim=-1
+    )
+    latent = torch.randn(batch, steps, 4, dynamics.codes, generator=draw)
+    model_state = ModelState(*(part.to(device) for part in (state, actuators, hidden, cell)))
+    known = torch.rand(batch, steps, 4, generator=draw) > 0.1
+    return model_state, controls.to(device), Terrain(normal.to(device), known.to(device), latent.to(device))

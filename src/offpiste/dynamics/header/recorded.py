@@ -1,0 +1,134 @@
+"""Rollouts over recorded terrain by the printed C, with gradients: what training calls where a GPU computes.
+
+The kernels keep the model state of every step (the tape); backwards they compute each step again and write down the
+rows that the weights' gradients are products of, so that matrix products and no atomic sums make these. What codes
+add is one matrix product before the rollout, as for the Numba kernels.
+"""
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+from torch.nn.functional import pad
+
+from offpiste.conventions import STATE
+from offpiste.cuda_kernels import Kernels
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.header.networks import packed_parameters
+from offpiste.dynamics.header.step_text import shipped_text, step_text
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.model_arrays import (
+    compensator_inputs,
+    compensator_weights,
+    kernel_parts,
+    learned_constants,
+    terms_of_codes,
+)
+from offpiste.state import ModelState, Terrain, Trajectory
+
+MOVED = len(layout.STEPPED)
+GATES = 4 * layout.HIDDEN
+
+
+def recorded_text(dynamics: Dynamics) -> str:
+    """C++ and CUDA text of the kernels `offpiste_forward` and `offpiste_backward` for models of these sizes."""
+    step = step_text(dynamics, adjoint=True, apart=True)
+    return "\n".join((step, shipped_text("kernels.h"), shipped_text("recorded.h")))
+
+
+class _Given(NamedTuple):
+    """What the kernels are given.
+
+    Attributes:
+        params: `packed_parameters`.
+        rows: members of `offpiste_given`, window by window.
+        inputs: of the first network, without codes.
+        differentiate: will there be a backward pass?
+    """
+
+    kernels: Kernels
+    params: Tensor
+    rows: Float[Tensor, "T G B"]
+    inputs: int
+    differentiate: bool
+
+
+def rollout_by_kernels(
+    kernels: Kernels, dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], terrain: Terrain
+) -> Trajectory:
+    """`rollout(dynamics, model_state, controls, RecordedTerrain(terrain))`, by the kernels of `recorded_text`.
+
+    Gradients reach the bicycle's constants, the compensator, `model_state` and `terrain.latent`; not the actuators'
+    models, controls or normals.
+    """
+    parts, _ = kernel_parts(dynamics)
+    terms = terms_of_codes(dynamics, terrain.latent.flatten(-2))
+    unknown = (~terrain.known).to(controls).mean(dim=-1, keepdim=True)
+    columns = [controls.detach(), terrain.normal.detach().mean(dim=-2), unknown, terms.detach()]
+    rows = torch.cat(columns, dim=-1).permute(1, 2, 0).contiguous()
+    start = model_state.pack()
+    matrices = compensator_weights(dynamics, apart=True) if parts.compensator is not None else ()
+    tensors = (start, learned_constants(dynamics), terms, *matrices)
+    differentiate = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    inputs = len(compensator_inputs(dynamics.vehicle))
+    given = _Given(kernels, packed_parameters(dynamics, apart=True), rows, inputs, differentiate)
+    return Trajectory(*_Recorded.apply(given, *tensors))  # type: ignore[no-untyped-call]
+
+
+class _Recorded(torch.autograd.Function):
+    """The kernels as one operation of autograd."""
+
+    @staticmethod
+    def forward(ctx: Any, given: _Given, start: Tensor, *tensors: Tensor) -> tuple[Tensor, Tensor]:
+        """States [B, T, 6] and actuators [B, T, A]; `tensors`, which parameters were made of, tie them to the graph."""
+        steps, _, batch = given.rows.shape
+        tape = start.new_empty(steps + 1, start.shape[1], batch)
+        tape[0] = start.t()
+        given.kernels.launch("offpiste_forward", batch, given.params, given.rows, tape, steps)
+        moved = tape[1:, :MOVED].permute(2, 0, 1).contiguous()
+        if given.differentiate:
+            ctx.given, ctx.tape, ctx.shapes = given, tape, [tensor.shape for tensor in tensors]
+        return moved[..., : len(STATE)], moved[..., len(STATE) :]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
+        """Adjoints of `tensors`."""
+        given, tape = ctx.given, ctx.tape
+        steps, _, batch = given.rows.shape
+        seed = torch.cat(bars, dim=-1).permute(1, 2, 0).contiguous()
+        learned, terms, *matrices = ctx.shapes
+        start, constants = tape.new_empty(tape.shape[1:]), tape.new_empty(learned[0], batch)
+        kinds = (given.inputs, matrices[1][0], GATES + matrices[1][0], matrices[2][0]) if matrices else (0, 0, 0, 0)
+        kept = tape.new_empty(steps, sum(kinds), batch)
+        given.kernels.launch(
+            "offpiste_backward", batch, given.params, given.rows, tape, seed, start, constants, kept, steps
+        )
+        inputs, layer, terms_bar, outer = kept.split(kinds, dim=1)
+        adjoints = [start.t(), constants.sum(dim=1), terms_bar.permute(2, 0, 1) if terms[-1] else None]
+        if matrices:
+            adjoints += _matrix_adjoints(matrices, tape, inputs, layer, terms_bar, outer)
+        wanted = ctx.needs_input_grad[1:]
+        return None, *(one if want else None for one, want in zip(adjoints, wanted, strict=True))
+
+
+def _matrix_adjoints(
+    shapes: list[torch.Size], tape: Tensor, inputs: Tensor, layer: Tensor, terms: Tensor, outer: Tensor
+) -> list[Tensor]:
+    """Adjoints of the first network's matrices (`kernels.network.Weights`), padding included."""
+    hidden = slice(MOVED, MOVED + layout.HIDDEN)
+    one = torch.ones_like(inputs[:, :1])
+    on_gates = torch.cat((tape[:-1, hidden], inputs, one), dim=1)
+    on_inner = torch.cat((inputs, one), dim=1)
+    width, columns = shapes[1]
+    on_inner = torch.cat(
+        (pad(on_inner, (0, 0, 0, columns - layout.HIDDEN - on_inner.shape[1])), tape[1:, hidden]), dim=1
+    )
+    pairs = (
+        (terms[:, :GATES], pad(on_gates, (0, 0, 0, shapes[0][1] - on_gates.shape[1]))),
+        (terms[:, GATES:], on_inner),
+        (outer, pad(torch.cat((layer, one), dim=1), (0, 0, 0, shapes[2][1] - width - 1))),
+    )
+    return [torch.einsum("tgn,tmn->gm", adjoint, value) for adjoint, value in pairs]

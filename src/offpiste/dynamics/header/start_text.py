@@ -1,0 +1,107 @@
+"""What a model remembers at the start, and codes of terrain features, as C: networks that run once, not each step."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
+from offpiste.dynamics.header.networks import PrintedNetwork, printed_networks, sized
+from offpiste.dynamics.header.step_text import MOVED, inputs_text, shipped_text
+from offpiste.dynamics.kernels import layout
+
+
+def start_text(dynamics: Dynamics) -> str:
+    """C code of `offpiste_start`, behind `step_text`."""
+    networks = printed_networks(dynamics)
+    parts = []
+    for of in networks:
+        sizes = {"SPAN": of.compensator.init_cell.hidden_size, "BREADTH": _layers(of)[0].out_features}
+        parts.append(of.text(sized(shipped_text("start.h"), sizes)))
+    return "\n".join((*parts, _start(dynamics, networks)))
+
+
+def start_members(dynamics: Dynamics) -> dict[str, dict[str, Tensor]]:
+    """Numbers of `offpiste_start_params` by network and name, in order."""
+    return {of.name: _members(of) for of in printed_networks(dynamics)}
+
+
+def encoder_text(encoder: FeatureEncoder) -> str:
+    """C code of `offpiste_encode`."""
+    sizes = {"FEATURES": len(encoder.mean)}
+    if not isinstance(encoder, Compressor):
+        return sized(shipped_text("features.h"), sizes)
+    first, second, last = _linear(encoder.layers)
+    sizes |= {"FIRST": first.out_features, "SECOND": second.out_features, "CODE": last.out_features}
+    return sized(shipped_text("encoder.h"), sizes)
+
+
+def encoder_members(encoder: FeatureEncoder) -> dict[str, Tensor]:
+    """Numbers of `offpiste_encoder` by name, in order."""
+    if not isinstance(encoder, Compressor):
+        return {"mean": encoder.mean}
+    names = zip(("first", "second", "last"), map(_with_bias, _linear(encoder.layers)), strict=True)
+    return {"mean": encoder.mean, "inverse_scale": 1 / encoder.scale, **dict(names)}
+
+
+def _linear(layers: nn.Module) -> list[nn.Linear]:
+    return [layer for layer in layers.children() if isinstance(layer, nn.Linear)]
+
+
+def _layers(of: PrintedNetwork) -> list[nn.Linear]:
+    return _linear(of.compensator.init_output)
+
+
+def _with_bias(layer: nn.Linear) -> Tensor:
+    return torch.cat((layer.weight.t(), layer.bias[None]))
+
+
+def _members(of: PrintedNetwork) -> dict[str, Tensor]:
+    weights, (first, last) = of.compensator.init_cell.state_dict(), _layers(of)
+    bias = (weights["bias_ih_l0"] + weights["bias_hh_l0"])[None]
+    return {
+        "from_inputs": torch.cat((weights["weight_ih_l0"].t(), bias)),
+        "from_hidden": weights["weight_hh_l0"].t(),
+        "first": _with_bias(first),
+        "last": _with_bias(last),
+    }
+
+
+def _start(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
+    units = dynamics.recurrent_size
+    remember, begin = [], []
+    for number, of in enumerate(networks):
+        hidden = MOVED + layout.HIDDEN * number
+        remember += [
+            inputs_text(of),
+            f"offpiste_{of.name}_remember(&params->{of.name}, &starts->{of.name}, {of.name}_inputs, &{of.name});",
+        ]
+        places = f"state + {hidden}, state + {hidden + units}"
+        begin.append(f"offpiste_{of.name}_begin(&starts->{of.name}, &{of.name}, {places});")
+    members = [f"    offpiste_{of.name}_start_network {of.name};" for of in networks]
+    return "\n".join(
+        (
+            "typedef struct {",
+            *(members or ["    float nothing;"]),
+            "} offpiste_start_params;",
+            "",
+            "/* The networks' part of a state, behind its first 10 numbers, from past rows, oldest first: states and",
+            "   actuators before the start, [count, 10], and what was given at each. */",
+            "OFFPISTE_FN void offpiste_start(",
+            "    const offpiste_params* params, const offpiste_start_params* starts, const offpiste_real* rows,",
+            "    const offpiste_given* given_at, int count, offpiste_real* state) {",
+            *(f"    offpiste_{of.name}_past {of.name} = {{{{0.0f}}, {{0.0f}}}};" for of in networks),
+            "    for (int row = 0; row < count; row++) {",
+            "        const offpiste_given* given = given_at + row;",
+            "        offpiste_real w[OFFPISTE_ROWS];",
+            f"        offpiste_see(params, given, rows + {MOVED} * row, w);",
+            *(f"        {line}" for line in remember),
+            "    }",
+            *(f"    {line}" for line in begin),
+            "    (void)starts;",
+            "    (void)state;",
+            "}",
+            "",
+        )
+    )

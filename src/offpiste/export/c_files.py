@@ -1,0 +1,71 @@
+"""Exports as C and CUDA: one header with the model's weights, an example, a parity file, a README."""
+
+import shutil
+from importlib.resources import as_file, files
+from pathlib import Path
+from string import Template
+from typing import Any, Final
+
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.header.start_text import encoder_text, start_text
+from offpiste.dynamics.header.step_text import shipped_text, step_text
+from offpiste.dynamics.header.weights_text import weights_text
+from offpiste.export.formats import FORMATS, refuse_without_kernels, write_about
+from offpiste.export.parity import parity_bytes, parity_case
+from offpiste.files import write_bytes, write_text
+from offpiste.training.run import Run
+
+HEADER: Final = "offpiste.h"
+
+
+def model_header(dynamics: Dynamics, about: str) -> str:
+    """The header: step, ground, start, encoder and weights of a model.
+
+    Args:
+        about: comment at its top.
+    """
+    parts = [step_text(dynamics), shipped_text("terrain.h"), shipped_text("ground.h"), start_text(dynamics)]
+    if dynamics.encoder is not None:
+        parts.append(encoder_text(dynamics.encoder))
+    parts.append(weights_text(dynamics))
+    top = (f"/* {about} */", "#ifndef OFFPISTE_H", "#define OFFPISTE_H", "")
+    return "\n".join((*top, *parts, "#endif /* OFFPISTE_H */", ""))
+
+
+@FORMATS.register("c")
+def write_c(run: Run, folder: Path) -> None:
+    """C99: `offpiste.h`, and `example.c`, which drives over the map of the parity file."""
+    _write(run, folder, ("example.c",), command="cc -std=c99 -O2 example.c -o example -lm", language="C99 and C++")
+
+
+@FORMATS.register("cuda")
+def write_cuda(run: Run, folder: Path) -> None:
+    """CUDA: the same header, and `example.cu`, a drive a thread."""
+    write_text(folder / "kernels.h", shipped_text("kernels.h"))
+    command = "nvcc -std=c++17 -O3 -arch=native example.cu -o example"
+    _write(run, folder, ("example.cu",), command=command, language="CUDA (nvcc, NVRTC), C99 and C++")
+
+
+def _write(run: Run, folder: Path, examples: tuple[str, ...], **text: str) -> None:
+    refuse_without_kernels(run)
+    about = write_about(run, folder)
+    first = f"Vehicle model {run.model} of offpiste {about['offpiste']}, weights {about['weights_sha256']}."
+    write_text(folder / HEADER, model_header(run.dynamics, first))
+    write_bytes(folder / "parity.bin", parity_bytes(parity_case(run.dynamics)))
+    copy_files(folder, *examples, "parity.h")
+    write_readme(folder, "README-c.md", about, **text)
+
+
+def copy_files(folder: Path, *names: str) -> None:
+    """Copy files that ship for exports."""
+    for name in names:
+        with as_file(files(__package__) / "files" / name) as source:
+            shutil.copyfile(source, folder / name)
+
+
+def write_readme(folder: Path, template: str, about: dict[str, Any], **text: str) -> None:
+    """Write README.md from a template, `about` (model.json) and other texts."""
+    shown = {name: ", ".join(map(str, value)) if isinstance(value, list) else value for name, value in about.items()}
+    absent = shown["absent_actuators"] or "none"
+    template = (files(__package__) / "files" / template).read_text("utf-8")
+    write_text(folder / "README.md", Template(template).substitute(shown, absent=absent, **text))

@@ -1,0 +1,125 @@
+/* Reads a parity file: inputs, and the outputs that offpiste computed from them. All numbers are little-endian; int32
+   sizes first, then float32:
+     "opar", version, rows, columns, features, drives, past rows, steps, controls
+     x, y of the centre of cell [0, 0], cell size [m]; wheels [4, 2]
+     slope [rows, columns, 2]; features [rows, columns, F], NaN where missing
+     past states [drives, past, 10], past controls [drives, past, U], start [drives, 10], controls [drives, steps, U]
+     expected states [drives, steps, 10]
+   A state is px, py, yaw, vx, vy, yaw rate, brake, steer, steer rate, engine. */
+#ifndef OFFPISTE_PARITY_H
+#define OFFPISTE_PARITY_H
+
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+typedef struct {
+    int rows, columns, features, drives, past, steps, controls;
+    float x, y, resolution, wheels[4][2];
+    float *slope, *cells, *past_states, *past_controls, *start, *control, *expected;
+} offpiste_parity;
+
+static float* offpiste_numbers(FILE* file, size_t count) {
+    float* numbers = (float*)malloc(count * sizeof(float) + 1);
+    if (!numbers || fread(numbers, sizeof(float), count, file) != count) {
+        fprintf(stderr, "the parity file ends too soon\n");
+        exit(1);
+    }
+    return numbers;
+}
+
+static offpiste_parity offpiste_read_parity(const char* path) {
+    offpiste_parity p;
+    char magic[4];
+    int32_t sizes[8];
+    size_t cells, drives;
+    float* place;
+    FILE* file = fopen(path, "rb");
+    if (!file || fread(magic, 1, 4, file) != 4 || memcmp(magic, "opar", 4) || fread(sizes, 4, 8, file) != 8 ||
+        sizes[0] != 1) {
+        fprintf(stderr, "%s: no parity file of version 1\n", path);
+        exit(1);
+    }
+    p.rows = sizes[1], p.columns = sizes[2], p.features = sizes[3], p.drives = sizes[4];
+    p.past = sizes[5], p.steps = sizes[6], p.controls = sizes[7];
+    place = offpiste_numbers(file, 11);
+    p.x = place[0], p.y = place[1], p.resolution = place[2];
+    memcpy(p.wheels, place + 3, sizeof p.wheels);
+    free(place);
+    cells = (size_t)p.rows * p.columns, drives = (size_t)p.drives;
+    p.slope = offpiste_numbers(file, 2 * cells);
+    p.cells = offpiste_numbers(file, p.features * cells);
+    p.past_states = offpiste_numbers(file, drives * p.past * 10);
+    p.past_controls = offpiste_numbers(file, drives * p.past * p.controls);
+    p.start = offpiste_numbers(file, drives * 10);
+    p.control = offpiste_numbers(file, drives * p.steps * p.controls);
+    p.expected = offpiste_numbers(file, drives * p.steps * 10);
+    fclose(file);
+    return p;
+}
+
+/* Codes of the cells of a map, and of a cell without features, [rows * columns + 1, E]. */
+static float* offpiste_code_cells(const offpiste_parity* p) {
+    const int cells = p->rows * p->columns;
+    float* codes = (float*)malloc(sizeof(float) * (OFFPISTE_CODES / 4 + 1) * (cells + 1));
+    int cell;
+    if (!codes) exit(1);
+#if OFFPISTE_CODES
+    for (cell = 0; cell <= cells; cell++) {
+        const float* features = p->cells + (size_t)p->features * (cell < cells ? cell : 0);
+        int valid = cell < cells, k;
+        for (k = 0; k < p->features; k++) valid &= features[k] == features[k];
+        offpiste_encode(&offpiste_features, features, valid, codes + OFFPISTE_CODE * cell);
+    }
+#else
+    (void)cell;
+#endif
+    return codes;
+}
+
+static offpiste_map offpiste_map_of(const offpiste_parity* p, const float* codes) {
+    offpiste_map map;
+    map.grid.shift_x = -p->x, map.grid.shift_y = -p->y, map.grid.scale = 1.0f / p->resolution;
+    map.grid.rows = (float)p->rows, map.grid.columns = (float)p->columns;
+    map.slope = p->slope, map.codes = codes;
+    map.missing = codes + (size_t)(OFFPISTE_CODES / 4) * p->rows * p->columns;
+    memcpy(map.wheels, p->wheels, sizeof map.wheels);
+    return map;
+}
+
+/* State of a drive at its start: what was measured, and what the networks remember of the past. */
+static void offpiste_start_of(const offpiste_parity* p, const offpiste_map* map, int drive, float* state) {
+    offpiste_given given[64];
+    int row;
+    if (p->past > 64) exit(1);
+    memset(given, 0, sizeof given);
+    memcpy(state, p->start + 10 * drive, 10 * sizeof(float));
+    for (row = 0; row < p->past; row++) {
+        const int at = drive * p->past + row;
+        memcpy(given[row].control, p->past_controls + p->controls * at, sizeof given[row].control);
+        offpiste_look(map, p->past_states + 10 * at, 1, given + row);
+    }
+    offpiste_start(
+        &offpiste_model, &offpiste_starts, p->past_states + 10 * p->past * drive, given, p->past, state);
+}
+
+/* Prints a drive, its largest distance from what was expected, and says whether all drives are near enough. */
+static int offpiste_report(const offpiste_parity* p, const float* states) {
+    float worst = 0.0f;
+    int t, i;
+    printf("time [s]   x [m]      y [m]      yaw [rad]  vx [m/s]   vy [m/s]   yaw rate [rad/s]\n");
+    for (t = 24; t < p->steps; t += 25) {
+        const float* s = states + 10 * t;
+        printf("%-10.2f %-10.4f %-10.4f %-10.5f %-10.4f %-10.4f %-10.5f\n", 0.02 * (t + 1), s[0], s[1], s[2], s[3], s[4], s[5]);
+    }
+    for (i = 0; i < p->drives * p->steps; i++) {
+        const float x = states[10 * i] - p->expected[10 * i], y = states[10 * i + 1] - p->expected[10 * i + 1];
+        const float apart = x * x + y * y;
+        if (!(apart <= worst)) worst = apart;
+    }
+    printf("%d drives of %.1f s: at most %.2e m from what offpiste predicts\n", p->drives, 0.02 * p->steps, sqrt(worst));
+    return worst <= 1e-6f ? 0 : 1;
+}
+
+#endif

@@ -1,0 +1,86 @@
+"""Formats of exports: each writes its files into a folder, and registers where it is defined."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from offpiste._version import __version__
+from offpiste.checksums import sha256_of
+from offpiste.conventions import DT, WHEELS
+from offpiste.dynamics.header.step_text import absent_actuators
+from offpiste.dynamics.kernels import layout
+from offpiste.errors import OffpisteError, RunError
+from offpiste.files import check_folder, write_folder
+from offpiste.registry import Registry
+from offpiste.training.checkpoint import save_json
+from offpiste.training.run import WEIGHTS, Run, load_run
+
+Format = Callable[[Run, Path], None]
+"""Writes an export of a run into a folder that is there."""
+
+FORMATS: Final[Registry[Format]] = Registry("export format", package=__package__)
+
+
+def export_run(run: str | Path, to: Path, kind: str) -> None:
+    """Export a run; the folder is written whole or not at all.
+
+    Args:
+        run: folder that `offpiste train` wrote, or `pretrained:NAME`.
+        to: folder to write, which is not there yet, or empty.
+        kind: name of a format.
+
+    Raises:
+        OffpisteError: no such format, no such run, a folder with files, or a model that the format cannot hold.
+    """
+    write = FORMATS[kind]
+    check_folder(to)
+    if to.exists() and any(to.iterdir()):
+        raise OffpisteError("has files already", where=to, how="give a folder that is empty or not there yet")
+    loaded = load_run(run)
+    loaded.dynamics.requires_grad_(False)
+    to.parent.mkdir(parents=True, exist_ok=True)
+    if to.exists():
+        to.rmdir()
+    write_folder(to, lambda folder: write(loaded, folder))
+
+
+def refuse_without_kernels(run: Run) -> None:
+    """Raise unless the model can be printed.
+
+    Raises:
+        RunError: no kernels can step it.
+    """
+    if run.dynamics.kernel_parts() is None or run.dynamics.actuators is None:
+        raise RunError(
+            f"'{run.model}' has no kernels", where=run.folder, how="export a model with a bicycle, as b or dc"
+        )
+
+
+def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
+    """Write model.json: which run this is, and in which frames, units and order its numbers are."""
+    dynamics = run.dynamics
+    absent = [layout.STEPPED[row] for row in absent_actuators(dynamics)]
+    about = {
+        "offpiste": __version__,
+        "model": run.model,
+        "weights_sha256": sha256_of(run.folder / WEIGHTS),
+        "vehicle": asdict(dynamics.vehicle),
+        "features": list(run.features[: dynamics.vehicle.read]),
+        "pca": run.pca,
+        "step": DT,
+        "state": list(layout.STEPPED),
+        "absent_actuators": absent,
+        "recurrent_units": dynamics.recurrent_size,
+        "controls": list(dynamics.vehicle.control_columns),
+        "wheels": list(WHEELS),
+        "codes_per_wheel": dynamics.codes,
+        "holds_codes": dynamics.holds_codes,
+        "frames": "world: right-handed, z up; body: x forward, y left, z up; vx, vy: horizontal world velocity turned "
+        "by minus yaw",
+        "units": "SI units and radians; engine in 1000 rev/min; throttle, brake and brake pressure 0 to 1, steering "
+        "command -1 to 1, + left",
+        **more,
+    }
+    save_json(folder / "model.json", about)
+    return about

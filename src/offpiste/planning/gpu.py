@@ -1,0 +1,71 @@
+"""Planning on an NVIDIA GPU (extra `cuda`): kernels for a model, checked against the CPU's before the first plan."""
+
+from typing import Final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.cuda_kernels import cuda_kernels
+from offpiste.dynamics.base import Dynamics
+from offpiste.errors import PlanningError
+from offpiste.planning import mppi
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.device_planner import DevicePlanner, throttle_brake_steer
+from offpiste.planning.driving_cost import Situation
+from offpiste.planning.header.cost_text import plan_text
+from offpiste.planning.header.costs import costs_by_kernels
+from offpiste.planning.kernel import Codes, fused_costs
+from offpiste.state import ModelState
+
+CHECKED: Final = 64
+"""Samples whose costs are compared."""
+
+APART: Final = 1e-3
+"""Largest median of the relative differences; single samples part where rounding chooses another cell."""
+
+
+def gpu_planner(
+    dynamics: Dynamics, settings: mppi.Settings, situation: Situation, device: str, seed: int
+) -> DevicePlanner:
+    """A planner on a GPU.
+
+    Args:
+        situation: any one with the layers of the cost maps to come.
+
+    Raises:
+        MissingExtra: cuda-core is not installed.
+        PlanningError: no such GPU, or settings that it cannot plan with.
+    """
+    place = torch.device(device)
+    if place.type != "cuda" or not torch.cuda.is_available():
+        raise PlanningError(f"no GPU '{device}' for planning", how="plan on the CPU, or install torch for CUDA")
+    kernels = cuda_kernels(plan_text(dynamics, situation.costs.table), place)
+    return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed))
+
+
+def check_planner(
+    planner: DevicePlanner,
+    plan: Float[Tensor, "T U"],
+    model_state: ModelState,
+    situation: Situation,
+    weights: CostWeights,
+    codes: Codes,
+) -> None:
+    """Compare costs of samples around a plan with those of the CPU's kernel.
+
+    Raises:
+        PlanningError: they differ.
+    """
+    settings, dynamics, device = planner.settings, planner.dynamics, planner.device
+    draws = mppi.sample(plan, settings, torch.Generator().manual_seed(0))[:: max(settings.samples // CHECKED, 1)]
+    sampled = mppi.limited(draws, settings)
+    controls = throttle_brake_steer(sampled.permute(1, 2, 0)).permute(2, 0, 1).contiguous()
+    wanted = fused_costs(dynamics, model_state, situation, weights, codes)(controls)
+    there = ModelState(*(part.to(device) for part in vars(model_state).values()))
+    cost_of = costs_by_kernels(planner.kernels, dynamics, there, situation, weights, codes)
+    found = cost_of(controls.to(device)).cpu()
+    apart = float(((found - wanted).abs() / wanted.abs().clamp(min=1e-6)).nan_to_num(nan=0.0).median())
+    if not torch.equal(found.isfinite(), wanted.isfinite()) or not apart < APART:
+        what = f"costs on {device} differ from those on the CPU, by {apart:.1e} in the median"
+        raise PlanningError(what, how="plan on the CPU, and report GPU, driver and this line")

@@ -1,0 +1,94 @@
+"""Costs of control sequences by the printed kernels: `kernel.fused_costs`, wherever the kernels run."""
+
+import math
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.conventions import CONTROL
+from offpiste.cuda_kernels import Kernels
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.header.networks import LANE, packed_parameters
+from offpiste.mapping.terrain_sampler import MapStack
+from offpiste.planning.cost_map import CostMap
+from offpiste.planning.costs.declaration import CONSTANTS, cost_terms
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.driving_cost import Situation
+from offpiste.planning.kernel import Codes
+from offpiste.planning.kernel_costs import places_of_numbers, vector_of_numbers
+from offpiste.state import ModelState
+
+Maps = tuple[Tensor, Tensor, Tensor]
+"""Slopes, codes and layers of cells, as `offpiste_roll_out` reads them."""
+
+
+@runtime_checkable
+class Roll(Protocol):
+    """Costs [K] of control sequences [K, T, U]; a `CostOf` that also fills states [T, 6, K], where they are given."""
+
+    def __call__(self, controls: Float[Tensor, "K T U"], states: Float[Tensor, "T 6 K"] | None = None) -> Tensor:
+        """Roll out."""
+        ...
+
+
+@torch.no_grad()
+def costs_by_kernels(
+    kernels: Kernels, dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights,
+    codes: Codes,
+) -> Roll:  # fmt: skip
+    """Costs of driving on the situation's map, by the kernels of `plan_text`.
+
+    Args:
+        kernels: of the model and the cost map's layers.
+        model_state: the start, a batch of one, where the kernels run.
+        codes: from `kernel.encode_map`.
+    """
+    device = model_state.state.device
+    params = packed_parameters(dynamics).to(device)
+    packed = packed_situation(dynamics, model_state, situation, weights, codes).to(device)
+    maps = packed_maps(situation, codes, device)
+
+    def roll(controls: Tensor, states: Tensor | None = None) -> Tensor:
+        samples, steps, _ = controls.shape
+        by_step = controls[..., : len(CONTROL)].permute(1, 2, 0).contiguous()
+        costs = torch.empty(samples, device=device)
+        kernels.launch("offpiste_roll_out", samples, params, packed, *maps, by_step, costs, states, steps)
+        return costs
+
+    return roll
+
+
+def packed_situation(
+    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
+) -> Float[Tensor, " N"]:
+    """The numbers of `offpiste_situation` in order, on the CPU."""
+    missing = codes[1].cpu().float()
+    names = tuple(places_of_numbers(cost_terms().values()))[len(CONSTANTS) :]
+    parts = [
+        torch.nn.functional.pad(missing, (0, -len(missing) % LANE)),
+        _grid(situation.ground, situation),
+        _grid(situation.costs, situation),
+        situation.wheels.cpu().float().flatten(),
+        torch.tensor([situation.gear, float(dynamics.holds_codes)]),
+        situation.control.cpu().float(),
+        torch.tensor([0.0 if math.isnan(value) else value for value in situation.costs.outside]),
+        torch.from_numpy(vector_of_numbers(weights, names)),
+        model_state.pack()[0].cpu().float(),
+    ]
+    return torch.cat(parts)
+
+
+def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Maps:
+    """Cells of the ground and of the cost map."""
+    cells = situation.ground.slope[0], codes[0], situation.costs.layers
+    slope, code, layers = (part.to(device, torch.float32).contiguous() for part in cells)
+    return slope, code, layers
+
+
+def _grid(cells: MapStack | CostMap, situation: Situation) -> Float[Tensor, " 5"]:
+    origin = cells.origin[0] if isinstance(cells, MapStack) else cells.origin
+    rows, columns = cells.shape if isinstance(cells, MapStack) else cells.layers.shape[:2]
+    shift = (situation.offset.cpu() - origin.cpu()).float()
+    return torch.cat((shift, torch.tensor([1 / cells.resolution, rows, columns])))

@@ -1,0 +1,40 @@
+"""The printed kernels compiled for GPUs, where there is nvcc: their registers and spills."""
+
+import re
+import subprocess
+
+import pytest
+
+from host_kernels import needs_nvcc
+from offpiste.dynamics.header.recorded import recorded_text
+from offpiste.planning.header.cost_text import plan_text
+from offpiste.training.run import pretrained
+from planning_maps import situation
+
+pytestmark = needs_nvcc
+
+
+def used(text, architecture, folder):
+    """Registers, and bytes spilled, of each kernel of a text."""
+    source = folder / "kernels.cu"
+    source.write_text(text)
+    command = ["nvcc", "-std=c++17", f"-arch={architecture}", "-cubin", "-Xptxas", "-v", source, "-o", folder / "cubin"]
+    found = subprocess.run(command, text=True, capture_output=True)
+    assert found.returncode == 0, found.stderr[:3000]
+    numbers = re.findall(
+        r"entry function '(\w+)'.*?(\d+) bytes spill stores.*?Used (\d+) registers", found.stderr, re.S
+    )
+    return {name: (int(registers), int(spilled)) for name, spilled, registers in numbers}
+
+
+@pytest.mark.parametrize("architecture", ["sm_80", "sm_87", "sm_90"])
+def test_kernels_keep_a_step_in_registers(architecture, tmp_path):
+    dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
+    kernels = used(recorded_text(dynamics), architecture, tmp_path)
+    kernels |= used(plan_text(dynamics, situation().costs.table), architecture, tmp_path)
+    print(architecture, kernels)
+    assert kernels.keys() == {"offpiste_forward", "offpiste_backward", "offpiste_roll_out", "offpiste_keep_within"}
+    for name, (registers, spilled) in kernels.items():
+        # Backwards a thread holds adjoints of state and constants, and what the step computed: more than there are.
+        assert spilled <= (1024 if name == "offpiste_backward" else 64), name
+        assert registers <= 255, name

@@ -1,0 +1,78 @@
+"""The printed C, compiled for this machine, against the eager model: rollouts, and all gradients that training uses."""
+
+import copy
+
+import pytest
+import torch
+
+from dynamics.kernels.test_rollout import CHANNELS, TOLERANCE, difference, example, run, windows
+from host_kernels import HostKernels, needs_gcc
+from offpiste.dynamics import Hybrid, Parametric
+from offpiste.dynamics.header.gpu import check_kernels, gpu_kernels
+from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
+from offpiste.errors import OffpisteError
+
+pytestmark = needs_gcc
+
+
+def errors(model, batch, steps, *, double=False):
+    """Largest errors of trajectory and gradients, each over its largest value, against the eager model in float64."""
+    inputs = windows(model, batch, steps)
+    wanted, wanted_gradients = run(model, inputs, roll_out=None)
+    model = copy.deepcopy(model) if double else copy.deepcopy(model).float()
+    kernels = HostKernels(recorded_text(model), *(["-DOFFPISTE_DOUBLE"] if double else []))
+    found, gradients = run(model, inputs, roll_out=lambda *given: rollout_by_kernels(kernels, *given))
+    assert gradients.keys() == wanted_gradients.keys()
+    result = {name: difference(gradients[name], wanted_gradients[name]) for name in gradients}
+    result["states"] = difference(found.state, wanted.state)
+    result["actuators"] = difference(found.actuators, wanted.actuators)
+    print({name: f"{error:.1e}" for name, error in result.items()})
+    return result
+
+
+@pytest.mark.parametrize("kind", [Hybrid, Parametric])
+@pytest.mark.parametrize("channels", CHANNELS)
+def test_the_printed_step_and_its_adjoint_agree_with_autograd(channels, kind):
+    model = example(*CHANNELS[channels], codes=0, kind=kind)
+    assert max(errors(model, 33, 8, double=True).values()) < 1e-6
+
+
+@pytest.mark.parametrize(("channels", "batch"), [("all", 1), ("no actuators", 70), ("no throttle", 64)])
+def test_with_codes_of_the_ground(channels, batch):
+    model = example(*CHANNELS[channels], codes=4, kind=Hybrid)
+    assert max(errors(model, batch, 8, double=True).values()) < 1e-6
+
+
+def test_in_float32_along_a_second_as_near_as_the_numba_kernels():
+    model = example(*CHANNELS["all"], codes=2, kind=Hybrid)
+    assert max(errors(model, 20, 50).values()) < TOLERANCE
+
+
+def test_a_frozen_compensator_gets_no_gradient():
+    model = example(*CHANNELS["all"], codes=0, kind=Hybrid)
+    model.compensator.requires_grad_(False)
+    assert max(errors(model, 3, 5, double=True).values()) < 1e-6
+
+
+def test_slots_of_absent_actuators_are_left_alone_and_a_window_with_nan_leaves_the_others_alone():
+    model = example(*CHANNELS["brake and steer"], codes=0, kind=Hybrid).float().requires_grad_(False)
+    kernels = HostKernels(recorded_text(model))
+    model_state, control, terrain = windows(model, 40, 5)
+    good = rollout_by_kernels(kernels, model, model_state, control, terrain)
+    assert good.actuators[..., 3].isnan().all()
+    model_state.state[7, 3] = torch.nan
+    bad = rollout_by_kernels(kernels, model, model_state, control, terrain)
+    assert bad.state[7, -1].isnan().any()
+    others = [i for i in range(40) if i != 7]
+    assert torch.equal(bad.state[others], good.state[others])
+
+
+def test_kernels_are_checked_before_their_first_use_and_the_cpu_has_others():
+    model, cpu = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), torch.device("cpu")
+    text = recorded_text(model)
+    check_kernels(HostKernels(text), model, cpu)
+    for right, wrong in (("0.02f*yaw_rate", "0.021f*yaw_rate"), ("1.0f - a->layer[k]", "0.9f - a->layer[k]")):
+        assert right in text
+        with pytest.raises(OffpisteError, match="rollouts on cpu differ from the eager model's"):
+            check_kernels(HostKernels(text.replace(right, wrong)), model, cpu)
+    assert gpu_kernels(model, cpu, torch.float32) is None

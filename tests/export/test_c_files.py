@@ -1,0 +1,98 @@
+"""Exports as C and CUDA, compiled and run without Python."""
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from importlib.resources import files
+
+import pytest
+import torch
+
+from dynamics.kernels.test_rollout import CHANNELS, example
+from factories import VEHICLE, unsettled
+from host_kernels import needs_gcc, needs_nvcc
+from offpiste.cli.entry import main
+from offpiste.dynamics import ConstantMotion, Hybrid
+from offpiste.dynamics.feature_encoder import Compressor, Identity
+from offpiste.errors import OffpisteError, RunError
+from offpiste.export.c_files import model_header
+from offpiste.export.formats import export_run, refuse_without_kernels
+from offpiste.export.parity import parity_bytes, parity_case
+from offpiste.training.run import pretrained
+
+
+def compiled_and_run(folder):
+    command = ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "example.c", "-o", "example", "-lm"]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr[:2000]
+    return subprocess.run(["./example", "parity.bin"], cwd=folder, capture_output=True, text=True)
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["dc", "parametric"])
+def test_a_c_program_drives_5_s_and_agrees_with_predictions(name, tmp_path):
+    with pytest.raises(SystemExit) as exit_code:
+        main(["export", f"pretrained:proving-ground/{name}", "--to", str(tmp_path / "out")])
+    assert exit_code.value.code == 0
+    ran = compiled_and_run(tmp_path / "out")
+    assert ran.returncode == 0, ran.stdout
+    assert float(ran.stdout.split("at most ")[1].split()[0]) < 2e-4
+    about = json.loads((tmp_path / "out" / "model.json").read_text())
+    assert about["weights_sha256"] in (tmp_path / "out" / "offpiste.h").read_text()
+    assert about["weights_sha256"] in (tmp_path / "out" / "README.md").read_text()
+
+
+def made_up(kind):
+    """Models with what the shipped ones lack: absent channels, a gear, features as they are, codes that are held."""
+    vehicle = replace(VEHICLE, wheelbase=2.2)
+    model = {
+        "no actuators": lambda: example(*CHANNELS["no actuators"], codes=0, kind=Hybrid),
+        "gear without throttle": lambda: example(*CHANNELS["gear without throttle"], codes=0, kind=Hybrid),
+        "features as they are": lambda: Hybrid(vehicle, encoder=Identity(2)),
+        "held": lambda: Hybrid(vehicle, encoder=Compressor(2), holds_codes=True),
+    }[kind]()
+    torch.manual_seed(0)
+    if isinstance(model, Hybrid):
+        torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.1)
+    return unsettled(model.float(), scale=0.05).requires_grad_(False)
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", ["no actuators", "gear without throttle", "features as they are", "held"])
+def test_every_kind_of_model_agrees(kind, tmp_path):
+    dynamics = made_up(kind)
+    (tmp_path / "offpiste.h").write_text(model_header(dynamics, "Made up."))
+    case = parity_case(dynamics, steps=100)
+    (tmp_path / "parity.bin").write_bytes(parity_bytes(case))
+    for name in ("example.c", "parity.h"):
+        shutil.copy(str(files("offpiste.export") / "files" / name), tmp_path)
+    ran = compiled_and_run(tmp_path)
+    assert ran.returncode == 0, ran.stdout
+    shifted = replace(case, expected=case.expected + 0.01)
+    (tmp_path / "parity.bin").write_bytes(parity_bytes(shifted))
+    assert subprocess.run(["./example"], cwd=tmp_path, capture_output=True).returncode == 1
+    (tmp_path / "parity.bin").write_bytes(parity_bytes(case)[:-4])
+    cut = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
+    assert (cut.returncode, cut.stderr) == (1, "the parity file ends too soon\n")
+
+
+@needs_nvcc
+def test_the_cuda_example_compiles_without_spills(tmp_path):
+    export_run("pretrained:proving-ground/dc", tmp_path / "out", "cuda")
+    command = ["nvcc", "-std=c++17", "-arch=sm_90", "-Xptxas", "-v", "example.cu", "-o", "example"]
+    made = subprocess.run(command, cwd=tmp_path / "out", capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr[:2000]
+    assert "0 bytes spill stores, 0 bytes spill loads" in made.stderr
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(OffpisteError, match="has files already"):
+        export_run("pretrained:proving-ground/dc", tmp_path, "c")
+    with pytest.raises(OffpisteError, match="no export format 'cuba'; did you mean 'cuda'"):
+        export_run("pretrained:proving-ground/dc", tmp_path / "new", "cuba")
+    run = replace(pretrained("proving-ground/dc"), dynamics=ConstantMotion(VEHICLE), model="ctrv")
+    with pytest.raises(RunError, match="'ctrv' has no kernels"):
+        refuse_without_kernels(run)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.txt"]

@@ -1,0 +1,54 @@
+"""The printed C compiled for this machine and called by ctypes: what stands for a GPU in tests."""
+
+import ctypes
+import hashlib
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+needs_gcc = pytest.mark.skipif(shutil.which("g++") is None, reason="no g++ here to compile the printed C with")
+needs_nvcc = pytest.mark.skipif(shutil.which("nvcc") is None, reason="no nvcc here to compile the printed C with")
+
+FOLDER = Path(tempfile.gettempdir()) / "offpiste-host-kernels"
+
+
+def compiled(text: str, *flags: str, language: str = "c++") -> ctypes.CDLL:
+    """A shared library of a text; kept under a digest of text and flags."""
+    name = hashlib.sha256("\0".join((text, language, *flags)).encode()).hexdigest()[:20]
+    library = FOLDER / f"{name}.so"
+    if not library.exists():
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "made.so"
+            compiler = "g++" if language == "c++" else "gcc"
+            standard = "-std=c++17" if language == "c++" else "-std=c99"
+            command = [compiler, standard, "-O1", "-Wall", "-Wextra", "-Wno-unused-parameter", "-Werror", *flags]
+            command += ["-shared", "-fPIC", "-x", language, "-", "-o", str(made), "-lm"]
+            found = subprocess.run(command, input=text, text=True, capture_output=True)
+            assert found.returncode == 0, found.stderr[:3000]
+            FOLDER.mkdir(exist_ok=True)
+            shutil.move(made, library)
+    return ctypes.CDLL(str(library))
+
+
+class HostKernels:
+    """Kernels of a text, launched here."""
+
+    def __init__(self, text: str, *flags: str) -> None:
+        self.library = compiled(text, *flags)
+
+    def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
+        """Run a kernel for `count` items; tensors are contiguous."""
+        given: list[object] = []
+        for argument in arguments:
+            if isinstance(argument, Tensor):
+                assert argument.is_contiguous()
+                assert argument.dtype in (torch.float32, torch.float64, torch.int32)
+                given.append(ctypes.c_void_p(argument.data_ptr()))
+            else:
+                given.append(ctypes.c_void_p(None) if argument is None else ctypes.c_int(argument))
+        getattr(self.library, name)(*given, ctypes.c_int(count))

@@ -1,0 +1,93 @@
+"""The printed planner, compiled for this machine, against the fused Numba kernel in every branch of map and cost."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from factories import COMMANDED, VEHICLE
+from host_kernels import HostKernels, needs_gcc
+from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.header.cost_text import plan_text
+from offpiste.planning.header.costs import costs_by_kernels
+from offpiste.planning.kernel import encode_map, fused_rollout
+from planning.test_kernel import GEARED, commands, ground, model, start
+from planning_maps import layers, situation
+
+pytestmark = needs_gcc
+
+
+def both(dynamics, at, controls, weights):
+    """Costs and states of the printed C, and of the Numba kernel."""
+    model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
+    kernels = HostKernels(plan_text(dynamics, at.costs.table))
+    states = torch.empty(controls.shape[1], 6, len(controls))
+    costs = costs_by_kernels(kernels, dynamics, model_state, at, weights, codes)(controls, states)
+    return (costs, states.permute(2, 0, 1)), fused_rollout(dynamics, model_state, controls, at, weights, codes)
+
+
+@pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+def test_costs_and_states_equal_those_of_the_numba_kernel(kind, vehicle):
+    at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
+    found, wanted = both(model(kind, vehicle), at, commands(70), CostWeights(lateral_limit=0.25, rollover=20.0))
+    close = (found[1] - wanted[1]).abs().amax(dim=(1, 2)) < 2e-3
+    assert close.float().mean() > 0.9  # at edges of cells rounding decides, and trajectories part
+    difference = (found[0] - wanted[0]).abs()[close] / wanted[0].abs()[close]
+    assert (difference < 0.01).float().mean() > 0.9
+    assert difference.median() < 1e-4
+
+
+@pytest.mark.parametrize("kind", ["b", "dc"])
+@pytest.mark.parametrize(
+    ("state", "plane"),
+    [((0.0, 0, 0, 5, 0, 0), (0.1, -0.2)), ((300.0, 0, 1, 5, 0, 0), (0.1, 0.0))],
+    ids=["on the map", "off it"],
+)
+def test_on_even_ground_every_sample_agrees(kind, state, plane):
+    at = situation(layers(plane=plane), state=state)
+    found, wanted = both(model(kind), at, commands(33, seed=2), CostWeights(lateral_limit=2.0))
+    torch.testing.assert_close(found[1], wanted[1], atol=2e-4, rtol=1e-4)
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("gear", [1.0, -1.0])
+def test_a_held_gear(gear):
+    at = replace(situation(layers(plane=(0.1, -0.2)), state=(0.0, 0, 0, 3 * gear, 0, 0)), gear=gear)
+    found, wanted = both(model("b", GEARED), at, commands(40, seed=2)[:, :40], CostWeights(lateral_limit=2.0))
+    torch.testing.assert_close(found[1], wanted[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=1e-2)
+
+
+@pytest.mark.parametrize("cells", [1, 2])
+def test_a_map_of_hardly_any_cells(cells):
+    at = situation(layers(cells, 20.0, plane=(0.1, 0.05)))
+    found, wanted = both(model("b"), at, commands(5), CostWeights(lateral_limit=2.0))
+    torch.testing.assert_close(found[1], wanted[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=1e-3)
+
+
+def test_a_map_without_known_cells():
+    empty = layers(known=np.zeros((81, 81), bool), features=np.full((81, 81, 2), np.nan, np.float32),
+                   normal=np.full((81, 81, 3), np.nan, np.float32))  # fmt: skip
+    found, wanted = both(model("dc"), situation(empty), commands(5), CostWeights(lateral_limit=2.0))
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "state", [(1e9, -1e9, 0, 5, 0, 0), (float("nan"), 0, 0, 5, 0, 0), (float("inf"), 0, 0, 5, 0, 0)]
+)
+def test_places_that_are_nowhere_are_read_within_bounds(state):
+    found, wanted = both(model("dc"), situation(ground(), state=state), commands(33), CostWeights())
+    assert torch.equal(found[0].isfinite(), wanted[0].isfinite())
+
+
+def test_a_sample_with_nan_costs_nan_and_others_do_not():
+    at, dynamics = situation(ground()), model("b")
+    kernels, codes = HostKernels(plan_text(dynamics, at.costs.table)), encode_map(at.ground, None)
+    controls = commands(40)
+    controls[7, 30] = torch.nan
+    costs = costs_by_kernels(kernels, dynamics, start(dynamics, at), at, CostWeights(), codes)(controls)
+    assert costs.isnan().nonzero().flatten().tolist() == [7]
