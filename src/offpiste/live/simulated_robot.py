@@ -139,7 +139,7 @@ class SimulatedRobot:
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
 
     def drive(self, seconds: float) -> Driving:
-        """Drive in real time until the course is driven, the vehicle cannot go on, or the time is up."""
+        """Drive in real time until the course is driven, the vehicle cannot drive further, or the time is up."""
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
         end, due = self.chosen.course.driven[-1], time.monotonic()
         steps = round(seconds / DT)

@@ -30,7 +30,7 @@ class Receiver:
         self._small: queue.SimpleQueue[Received] = queue.SimpleQueue()
         self._newest: dict[str, Received] = {}
         self._calibrations: queue.SimpleQueue[Received] = queue.SimpleQueue()
-        self._lock, self._any, self._told = threading.Lock(), threading.Event(), False
+        self._lock, self._any, self._handed_over = threading.Lock(), threading.Event(), False
         measured = {*(c.topic for c in self.rig.cameras.values()), *(one.topic for one in self.rig.lidars.values())}
         self._measured = measured & set(self.reception.sensors.topics)
         types = self.rig.live.types
@@ -96,8 +96,8 @@ class Receiver:
                     self.part.ring("images").write(pack_measured(taken))
                 elif isinstance(taken, Cloud):
                     self.part.ring("scans").write(pack_measured(taken))
-            if self.reception.sensors.sensors is not None and not self._told:
-                self._told = self.part.ring("sensors").write(pack_sensors(self.reception.sensors.sensors))
+            if self.reception.sensors.sensors is not None and not self._handed_over:
+                self._handed_over = self.part.ring("sensors").write(pack_sensors(self.reception.sensors.sensors))
 
 
 def receive(session: Session, *, cameras: bool) -> None:
