@@ -20,7 +20,7 @@ TINY = Size("tiny", (30.0, 15.0, 15.0), stride=80, train=TrainConfig(epochs=1, b
 def settings_in(folder: Path) -> EvidenceSettings:
     """Evidence whose features are there already."""
     (folder / "filterbank").mkdir()
-    split = dataset_with_features(folder / "filterbank" / "dataset.zarr").split
+    split = dataset_with_features(folder / "filterbank" / "dataset.zarr", rows=1800, yaw_rate=0.05).split
     (folder / "filterbank" / "pca.safetensors").write_bytes(b"")
     logs = tuple(str(folder / f"circle-{k}.mcap") for k in range(len(PARTS)))
     return EvidenceSettings(folder, TINY, logs=logs, rig="proving_ground", split=split.text, processes=1)
