@@ -33,7 +33,9 @@ def rows_with_features(rows: int, rng: np.random.Generator, **circle: float) -> 
     return replace(driven, normal=normal, cells=Cells(index, look, valid, away, np.zeros_like(away)))
 
 
-def dataset_with_features(path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0) -> Dataset:
+def dataset_with_features(
+    path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0, yaw_rate: float = 0.5
+) -> Dataset:
     """Some drives, each in one part, with a map of random looks."""
     rng = np.random.default_rng(seed)
     names = [f"circle-{number}" for number in range(len(parts))]
@@ -42,7 +44,7 @@ def dataset_with_features(path: Path, parts: Sequence[str] = PARTS, *, rows: int
     split = parse_split(f"drives:{listed}")
     create(path, small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
     for name in names:
-        driven = rows_with_features(rows, rng, speed=float(rng.uniform(3, 6)))
+        driven = rows_with_features(rows, rng, speed=float(rng.uniform(3, 6)), yaw_rate=yaw_rate)
         looks = rng.normal(size=(100, 100, FEATURES)).astype(np.float32)
         terrain = TerrainMap(driven.origin - 20.0, 0.4, np.zeros((100, 100), np.float32), looks)
         add_drive(path, name, driven, split, (), terrain)

@@ -47,7 +47,7 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
 def test_functions_name_the_extra_that_they_need(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "transformers", None)
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(MissingExtra, match=r"offpiste\[vit\]', or give --backbone filterbank"):
+    with pytest.raises(MissingExtra, match=r"offpiste\[vit\]', or use the backbone filterbank"):
         load_vision_transformer("facebook/dinov2-small", device=torch.device("cpu"))
     with pytest.raises(MissingExtra, match=r"offpiste\[tensorboard\]"):
         also_tensorboard(lambda line: None, tmp_path)

@@ -49,6 +49,12 @@ def write_checksums(folder: Path, files: Iterable[Path]) -> None:
     write_text(folder / CHECKSUMS, json.dumps(content, indent=1) + "\n")
 
 
+def sha256_of_folders(folder: Path) -> str:
+    """SHA-256 of what `write_checksums` left in the folders below: of their content, wherever all of it lies."""
+    files = sorted(folder.glob(f"*/{CHECKSUMS}"))
+    return sha256_of_json([[file.parent.name, sha256_of(file)] for file in files])
+
+
 def check_files(folder: Path) -> None:
     """Compare files below a folder with the digests that `write_checksums` left in it.
 

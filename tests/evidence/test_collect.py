@@ -20,14 +20,18 @@ TINY = Size("tiny", (30.0, 15.0, 15.0), stride=80, train=TrainConfig(epochs=1, b
 def settings_in(folder: Path) -> EvidenceSettings:
     """Evidence whose features are there already."""
     (folder / "filterbank").mkdir()
-    split = dataset_with_features(folder / "filterbank" / "dataset.zarr").split
+    split = dataset_with_features(folder / "filterbank" / "dataset.zarr", rows=1800, yaw_rate=0.05).split
     (folder / "filterbank" / "pca.safetensors").write_bytes(b"")
     logs = tuple(str(folder / f"circle-{k}.mcap") for k in range(len(PARTS)))
+    for log in logs:
+        Path(log).touch()
     return EvidenceSettings(folder, TINY, logs=logs, rig="proving_ground", split=split.text, processes=1)
 
 
-def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path) -> None:
+def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = settings_in(tmp_path)
+    inspected = []
+    monkeypatch.setattr("offpiste.evidence.collect.inspect_drives", lambda drives, rig: inspected.append(rig))
     page = collect(settings)
     text = page.read_text("utf-8")
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text)
@@ -49,6 +53,7 @@ def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path) -> None
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
     collect(settings)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")} == kept
+    assert inspected == ["proving_ground"], "once, before the folder is begun"
     with pytest.raises(RunError, match=r"other settings \(split\)"):
         collect(replace(settings, split="blocks:0.6,0.2,0.2"))
 
@@ -58,10 +63,12 @@ def test_bad_input_ends_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[
         collect(EvidenceSettings(tmp_path / "out", TINY, logs=("drive.mcap",)))
     with pytest.raises(OffpisteError, match="without logs"):
         collect(EvidenceSettings(tmp_path / "out", TINY, rig="proving_ground"))
+    log = str(tmp_path / "drive.mcap")
+    Path(log).touch()
     cases = {
-        ("drive.mcap", "--rig", "proving_ground", "--weights", "no-such"): "no backbone 'no-such'",
-        ("drive.mcap", "--rig", "proving_ground", "--split", "some"): "not a split",
-        ("drive.mcap", "--rig", "nowhere"): "nowhere",
+        (log, "--rig", "proving_ground", "--weights", "no-such"): "no backbone 'no-such'",
+        (log, "--rig", "proving_ground", "--split", "some"): "not a split",
+        (log, "--rig", "nowhere"): "nowhere",
     }
     for words, why in cases.items():
         with pytest.raises(SystemExit):

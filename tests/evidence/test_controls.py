@@ -13,6 +13,7 @@ from offpiste.evidence.controls import Controls, checks, leak_gains
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, evaluation_index, run_errors
 from offpiste.reproduction.results import FigureResults
 from offpiste.reproduction.settings import FigureModel
+from offpiste.reproduction.shift import ShiftControl
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
@@ -57,12 +58,15 @@ def test_a_check_holds_where_no_gain_is_left(
         for reading in (MAP, HINDSIGHT)
     }
     controls = Controls(
-        [
-            gain_of("dc", "as recorded", "map", None, BETTER),
-            gain_of("dc", "shifted", "map", None, shifted),
-            gain_of("dc", "shifted", "recorded", "10", BETTER),
-            gain_of("df", "shifted", "map", None, BETTER),
-        ],
+        ShiftControl(
+            [
+                gain_of("dc", "as recorded", "map", None, BETTER),
+                gain_of("dc", "shifted", "map", None, shifted),
+                gain_of("dc", "shifted", "recorded", "10", BETTER),
+                gain_of("df", "shifted", "map", None, BETTER),
+            ],
+            [],
+        ),
         [gain_of("b", "recorded places", *HINDSIGHT, leak), gain_of("dc", "recorded places", *HINDSIGHT, BETTER)],
     )
     lines = checks(FigureResults(runs, Sampling()), controls).lines

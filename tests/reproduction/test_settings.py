@@ -1,13 +1,15 @@
 """Sizes, drives and models of the paper's figures."""
 
+import shutil
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from feature_datasets import dataset_with_features
 from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.errors import OffpisteError
+from offpiste.errors import OffpisteError, RunError
 from offpiste.reproduction.data import BLOCKS, MIX, planned_drives, rig_of, seconds_of
 from offpiste.reproduction.settings import (
     SIZES,
@@ -18,7 +20,9 @@ from offpiste.reproduction.settings import (
     sized,
     standard_model,
 )
+from offpiste.reproduction.steps import claim_folder
 from offpiste.simulation.world.world import find_world_preset
+from offpiste.training.checkpoint import save_json
 
 sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
 
@@ -139,3 +143,22 @@ def test_a_size_with_other_lengths_and_seeds():
             sized("smoke", seconds)
     with pytest.raises(OffpisteError, match="1 or more"):
         sized("smoke", seeds=0)
+
+
+def test_a_dataset_is_known_by_its_content(tmp_path: Path):
+    dataset_with_features(tmp_path / "one.zarr", rows=400)
+    shutil.copytree(tmp_path / "one.zarr", tmp_path / "elsewhere.zarr")
+    dataset_with_features(tmp_path / "other.zarr", rows=400, seed=1)
+    one, same, other = (
+        ReproductionSettings("fig4", SIZES["smoke"], tmp_path / "out", dataset=tmp_path / f"{name}.zarr")
+        for name in ("one", "elsewhere", "other")
+    )
+    claim_folder(one.out, one.described())
+    claim_folder(same.out, same.described())
+    with pytest.raises(RunError, match=r"other settings \(dataset\)"):
+        claim_folder(other.out, other.described())
+    # Folders of before know it by its path.
+    save_json(one.out / "settings.json", one.described() | one.formerly)
+    claim_folder(one.out, one.described(), formerly=one.formerly)
+    with pytest.raises(RunError, match=r"other settings \(dataset\)"):
+        claim_folder(other.out, other.described(), formerly=other.formerly)

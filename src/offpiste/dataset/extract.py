@@ -207,7 +207,7 @@ def make_dataset(
         DatasetError: two logs of one name, another dataset at `out`, or several logs that cannot be extracted.
     """
     logs = expanded(logs)
-    names = _names(logs)
+    names = names_of(logs)
     mine = set(sorted(names)[shard[0] - 1 :: shard[1]])
     if not mine:
         raise DatasetError(f"{len(names)} logs have no shard {shard[0]}/{shard[1]}", how="give fewer shards")
@@ -248,8 +248,12 @@ def make_dataset(
     return dataset
 
 
-def _names(logs: Sequence[str | Path]) -> list[str]:
-    """Names of the drives; each has its own."""
+def names_of(logs: Sequence[str | Path]) -> list[str]:
+    """Names of the drives; each has its own.
+
+    Raises:
+        DatasetError: no log, or two of one name.
+    """
     if not logs:
         raise DatasetError("no log is given", how="name one or more logs")
     names = [drive_name(log) for log in logs]

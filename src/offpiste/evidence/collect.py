@@ -3,12 +3,10 @@
 Each backbone has a folder with its PCA, dataset and runs; everything resumes.
 """
 
-import hashlib
 import logging
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
@@ -17,18 +15,18 @@ from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.errors import OffpisteError
 from offpiste.evidence.controls import MODELS, run_controls
+from offpiste.evidence.given import Drives, described, given_drives, inspect_drives
 from offpiste.evidence.page import Collected, write_evidence
-from offpiste.object_store import expanded
 from offpiste.parallel import usable_cores
-from offpiste.perception.backbones import Backbone, open_backbone
+from offpiste.perception.backbones import BACKBONES, Backbone, open_backbone
+from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.data import opened, planned_drives, rig_of
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.results import gather
 from offpiste.reproduction.runs import EvaluationData, figure_readings, mapped
-from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size, figure_models
+from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size, defaults, figure_models
 from offpiste.reproduction.steps import Step, append_time, claim_folder, run_steps
-from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.recordings import Recording, simulate_all
 from offpiste.training.run import load_run
 
@@ -60,31 +58,42 @@ class EvidenceSettings:
     processes: int = 0
 
     @property
-    def backbones(self) -> dict[str, str]:
-        """Backbones by the names of their folders: other weights never find what was made with these."""
-        if not self.weights:
-            return {"filterbank": "filterbank"}
-        digest = hashlib.sha256(self.weights.encode()).hexdigest()[:8]
-        return {"filterbank": "filterbank", f"{Path(self.weights).name}-{digest}": self.weights}
-
-    @property
     def at_a_time(self) -> int:
         """Number of processes; one where they would share an accelerator."""
         return (self.processes or usable_cores()) if self.device == "cpu" else 1
 
-    def described(self) -> dict[str, Any]:
-        """The settings that must be the same for results in `out` to be used again; a backbone may be added."""
-        size = {key: value for key, value in asdict(self.size).items() if key != "seeds"}
-        return {"size": size, "logs": sorted(self.logs), "rig": self.rig, "split": self.split}
-
 
 @dataclass(frozen=True)
-class Drives:
-    """Logs, the rig that reads them, and how they are split."""
+class Features:
+    """A backbone that is compared.
 
-    logs: tuple[str, ...]
-    rig: Rig
-    split: str
+    Attributes:
+        name: in the report: that of the weights' folder, without its path, or on the hub.
+        folder: below `out`: other weights have another one, wherever they lie.
+    """
+
+    backbone: Backbone
+    name: str
+    folder: str
+
+
+def compared_features(weights: str, device: str) -> list[Features]:
+    """`filterbank`, and the vision transformer of some weights, where they are given.
+
+    Raises:
+        OffpisteError: the weights are a backbone's name, or cannot be read.
+    """
+    first = Features(open_backbone(FILTERBANK, device=device), FILTERBANK, FILTERBANK)
+    if not weights:
+        return [first]
+    if weights in BACKBONES:
+        how = f"leave --weights out, for {FILTERBANK} is always compared, or give a vision transformer's folder"
+        raise OffpisteError("names a backbone, not weights", where=f"--weights {weights}", how=how)
+    place = Path(weights).resolve() if Path(weights).exists() else None
+    backbone = open_backbone(str(place or weights), device=device)
+    folder = f"{Path(place or weights).name}-{backbone.fingerprint[:8]}"
+    name = place.name if place is not None else weights
+    return [first, Features(backbone, folder if name == FILTERBANK else name, folder)]
 
 
 def collect(settings: EvidenceSettings) -> Path:
@@ -99,24 +108,30 @@ def collect(settings: EvidenceSettings) -> Path:
     if bool(settings.logs) != bool(settings.rig):
         what = "logs are given without their rig" if settings.logs else "a rig is given without logs"
         raise OffpisteError(what, how="give both, or neither to drive on the proving ground")
-    backbones = {name: open_backbone(spec, device=settings.device) for name, spec in settings.backbones.items()}
-    drives = _given(settings) if settings.logs else _simulated(settings)
-    claim_folder(settings.out, settings.described())
-    if not settings.logs:
-        _drive(settings, drives)
+    features = compared_features(settings.weights, settings.device)
+    drives = _claimed(settings)
     collected = {}
-    for name, backbone in backbones.items():
-        folder = settings.out / name
-        run_steps(_data_steps(settings, drives, backbone, folder), record=partial(append_time, folder / "steps.jsonl"))
-        collected[backbone.name] = _compared(settings, folder)
+    for each in features:
+        folder = settings.out / each.folder
+        run_steps(_data_steps(settings, drives, each, folder), record=partial(append_time, folder / "steps.jsonl"))
+        collected[each.name] = _compared(settings, folder)
     page = write_evidence(collected, settings.out)
     logger.info(f"report to send back: {page}")
     return page
 
 
-def _given(settings: EvidenceSettings) -> Drives:
-    parse_split(settings.split)
-    return Drives(tuple(str(log) for log in expanded(settings.logs)), load_rig(settings.rig), settings.split)
+def _claimed(settings: EvidenceSettings) -> Drives:
+    """The drives, inspected before the folder is begun with them, or simulated into it."""
+    if not settings.logs:
+        claim_folder(settings.out, described(settings.size, None, ""), defaults=defaults())
+        drives = _simulated(settings)
+        _drive(settings, drives)
+        return drives
+    drives = given_drives(settings.logs, settings.rig, settings.split)
+    if not (settings.out / "settings.json").exists():
+        inspect_drives(drives, rig=settings.rig)
+    claim_folder(settings.out, described(settings.size, drives, settings.rig), defaults=defaults())
+    return drives
 
 
 def _simulated(settings: EvidenceSettings) -> Drives:
@@ -133,7 +148,8 @@ def _drive(settings: EvidenceSettings, drives: Drives) -> None:
         simulate_all(recordings, settings.at_a_time)
 
 
-def _data_steps(settings: EvidenceSettings, drives: Drives, backbone: Backbone, folder: Path) -> list[list[Step]]:
+def _data_steps(settings: EvidenceSettings, drives: Drives, features: Features, folder: Path) -> list[list[Step]]:
+    backbone, name = features.backbone, features.name
     pca, dataset = folder / "pca.safetensors", folder / "dataset.zarr"
 
     def fit() -> None:
@@ -165,8 +181,8 @@ def _data_steps(settings: EvidenceSettings, drives: Drives, backbone: Backbone, 
 
     count = len(drives.logs)
     return [
-        [Step(f"{backbone.name}: fit the PCA", 10.0 + 5 * count, pca.exists, fit)],
-        [Step(f"{backbone.name}: extract {count} drive{'s' * (count > 1)}", 20.0 * count, extracted, extract)],
+        [Step(f"{name}: fit the PCA", 10.0 + 5 * count, pca.exists, fit)],
+        [Step(f"{name}: extract {count} drive{'s' * (count > 1)}", 20.0 * count, extracted, extract)],
     ]
 
 

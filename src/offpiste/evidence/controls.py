@@ -14,7 +14,7 @@ from offpiste.evaluation.intervals import PairedDifference
 from offpiste.report.text_table import TextTable
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain
 from offpiste.reproduction.results import FigureResults
-from offpiste.reproduction.shift import shift_gains
+from offpiste.reproduction.shift import SHIFTED, ShiftControl, shift_gains
 from offpiste.reproduction.tables import percent, verdict
 from offpiste.training.run import Run
 
@@ -36,11 +36,11 @@ class Controls:
     """Gains of control experiments.
 
     Attributes:
-        shift: over `b`, with features as recorded and from elsewhere (`reproduction.shift`).
+        shift: over `b`, with features as recorded and of other ground.
         leak: at recorded places, over the same model on the map; none where there is no map.
     """
 
-    shift: list[Gain]
+    shift: ShiftControl
     leak: list[Gain]
 
 
@@ -85,7 +85,7 @@ def checks(results: FigureResults, controls: Controls) -> TextTable:
     for reading in (reading for reading in PLACES if reading in results.readings):
         found = results.compare(dc, reading).relative["distance_error_m"]
         lines.append((f"dc is below b {PLACES[reading]}", percent(found), verdict(found)))
-    for here in (g for g in controls.shift if (g.model, g.case) == ("dc", "shifted")):
+    for here in (g for g in controls.shift.gains if (g.model, g.case) == ("dc", SHIFTED)):
         place = next((name for read, name in PLACES.items() if read == (here.lookup, here.feature_set)), None)
         if place is not None:
             what = f"nothing is left with features of other ground {place}"

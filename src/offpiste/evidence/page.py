@@ -19,7 +19,6 @@ from offpiste.reproduction.gains import gain_table
 from offpiste.reproduction.results import FigureResults
 from offpiste.reproduction.runs import EvaluationData, driven_time
 from offpiste.reproduction.settings import ReproductionSettings
-from offpiste.reproduction.shift import ABOUT_SHIFT
 from offpiste.visualization.coverage_figures import coverage_sections
 from offpiste.visualization.coverage_tables import measure_coverage
 
@@ -104,7 +103,7 @@ def _of_backbone(name: str, one: Collected) -> list[Section]:
             replace(section, pictures=[replace(p, name=f"{_plain(name)}-{p.name}") for p in section.pictures])
             for section in coverage_sections(seen, ("rates",))
         ]
-    listed.append(table_section(gain_table("Features of other ground", controls.shift, ABOUT_SHIFT)))
+    listed.append(table_section(gain_table("Features of other ground", controls.shift.gains, controls.shift.about)))
     if controls.leak:
         listed.append(table_section(gain_table("What recorded places give away", controls.leak, ABOUT_LEAK)))
     return [replace(section, heading=f"{name}: {section.heading}") for section in listed]
@@ -144,6 +143,7 @@ def _numbers(one: Collected) -> dict[str, Any]:
         "against_b": metrics["against_b"],
         "results": metrics["results"],
         "coverage": metrics["coverage"] | {"feature_sets": list(FEATURE_SETS)},
-        "shift": one.controls.shift,
+        "shift": one.controls.shift.gains,
+        "other_ground": one.controls.shift.ground,
         "leak": one.controls.leak,
     }

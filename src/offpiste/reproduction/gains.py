@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
-from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, saved_errors
+from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, save_errors, saved_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
@@ -85,14 +85,24 @@ def errors_of(
     kept: Path,
     map_source: MapSource = on_map,
 ) -> Errors:
-    """Errors of a run, from `kept` if they are there; else they are found and kept.
+    """Errors of a run, from `kept` if they are there, of the same windows; else they are computed and kept.
 
     Args:
         scale: of the loss, the same for all that is compared.
         map_source: the map that is read, where it is not the windows' own.
     """
     path = kept / run.folder.name / f"{'-'.join(filter(None, reading))}.safetensors"
-    return saved_errors(path, lambda: run_errors(run, windows, index, reading, scale=scale, map_source=map_source))
+
+    def compute() -> Errors:
+        return run_errors(run, windows, index, reading, scale=scale, map_source=map_source)
+
+    errors = saved_errors(path, compute)
+    if not (
+        np.array_equal(errors.drive, windows.drive[index]) and np.array_equal(errors.row, windows.row_in_drive(index))
+    ):
+        errors = compute()  # kept were those of other windows
+        save_errors(path, errors)
+    return errors
 
 
 def gain(

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from offpiste.checksums import sha256_of_folders
 from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.metrics import label
@@ -187,7 +188,7 @@ class ReproductionSettings:
         """The settings that must be the same for results in `out` to be used again; the number of seeds may grow."""
         size = {key: value for key, value in asdict(self.size).items() if key != "seeds"}
         if self.dataset is not None:
-            return {"size": size, "dataset": str(self.dataset.resolve())}
+            return {"size": size, "dataset": sha256_of_folders(self.dataset)}
         return {
             "size": size,
             "dataset": "simulated",
@@ -195,6 +196,16 @@ class ReproductionSettings:
             "split": self.split,
             "contrast": self.contrast,
         }
+
+    @property
+    def formerly(self) -> dict[str, Any]:
+        """What versions before wrote for the same settings, by key: the path of the dataset."""
+        return {} if self.dataset is None else {"dataset": str(self.dataset.resolve())}
+
+
+def defaults() -> dict[str, Any]:
+    """Values of settings that a folder which was begun by an older version lacks."""
+    return {"size": asdict(Size("", (0.0, 0.0, 0.0)))}
 
 
 CODES, PCA = 4, 40

@@ -1,7 +1,8 @@
-"""Features of other ground: what is left of a gain when they are read 50 m further along the path.
+"""Features of other ground: what is left of a gain when they are read at least 50 m away.
 
 The shifted features look like those of any ground, as often missing at each distance, but say nothing of the ground
-driven on. What is left of the gain does not come from knowing the ground.
+driven on. What is left of the gain does not come from knowing the ground. Windows without ground so far away do not
+count, with any features.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,14 +10,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from offpiste.conventions import HISTORY_STEPS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.intervals import MIN_UNITS, Sampling
 from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
 from offpiste.state import Terrain, TerrainSource
@@ -28,11 +32,63 @@ METRES: Final = 50.0
 
 READINGS: Final[tuple[Reading, ...]] = (MAP, HINDSIGHT, *(("recorded", name) for name in ("10", "20", "30", "40")))
 
-ABOUT_SHIFT: Final = (
-    f"As recorded, and with features from {METRES:.0f} m further along the driven path (normals stay). 95 % intervals, "
-    "baseline b. On the map, features come from the map of the window that starts there, laid "
-    "where this one's is."
-)
+SHIFTED, OWN_GROUND = "shifted", "as recorded against shifted"
+"""Cases beside "as recorded": features of other ground against `b`, and the model's own against them."""
+
+
+class OtherGround(msgspec.Struct, frozen=True, kw_only=True):
+    """How far away the windows of a terrain lookup find other ground.
+
+    Attributes:
+        windows: that are evaluated; used: those that have other ground.
+        blocks: of 10 s that these lie in.
+        metres: least, median and largest distance in a straight line; NaN without any.
+    """
+
+    lookup: str
+    windows: int
+    used: int
+    blocks: int
+    metres: tuple[float, float, float]
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are as many blocks as an interval takes."""
+        return self.blocks >= MIN_UNITS
+
+    def line(self, wanted: float) -> str:
+        """In words."""
+        where = "on the map" if self.lookup == "map" else "at recorded places"
+        used = f"{self.used} of {self.windows} windows {where} have ground at least {wanted:.0f} m away"
+        if not self.enough:
+            return f"{where}: none, for only {used}, in {self.blocks} blocks of 10 s: drive farther"
+        least, median, most = self.metres
+        return f"{used} ({least:.0f} to {most:.0f} m, median {median:.0f} m)"
+
+
+@dataclass(frozen=True)
+class ShiftControl:
+    """Gains with features of other ground, and where it was found.
+
+    Attributes:
+        gains: for each terrain lookup and model, over `b` with features as recorded and `SHIFTED`, and of the first
+            over the second (`OWN_GROUND`); none of lookups with too few windows.
+        ground: for each terrain lookup.
+    """
+
+    gains: list[Gain]
+    ground: list[OtherGround]
+    metres: float = METRES
+
+    @property
+    def about(self) -> str:
+        """What the gains are, and how far away the other ground was."""
+        return (
+            f"As recorded, and with features of ground at least {self.metres:.0f} m away on the driven path, ahead or "
+            "else behind (normals stay). 95 % intervals; baseline b, or the model itself with the shifted features. On "
+            "the map, features come from the map of the window that starts there, laid where this one's is. "
+            f"{'; '.join(one.line(self.metres) for one in self.ground)}."
+        )
 
 
 def shift_gains(
@@ -42,7 +98,8 @@ def shift_gains(
     stride: int,
     scale: torch.Tensor,
     kept: Path,
-) -> list[Gain]:
+    metres: float = METRES,
+) -> ShiftControl:
     """Gains over `b` with features as recorded and from elsewhere, on the map and at recorded places of the test part.
 
     Args:
@@ -50,28 +107,58 @@ def shift_gains(
         stride: of the windows at recorded places [rows].
         scale: of the loss.
         kept: folder of the errors.
+        metres: least distance of the other ground, in a straight line [m].
     """
-    windows, elsewhere = Windows(dataset, "test"), Windows(shifted(dataset, METRES), "test")
+    windows, elsewhere = Windows(dataset, "test"), Windows(shifted(dataset, metres), "test")
     gains: list[Gain] = []
+    ground: dict[str, OtherGround] = {}
     for reading in READINGS:
         index = evaluation_index(windows, reading, stride)
-        if reading == MAP and not len(index):
+        if reading == MAP and not (len(index) and windows.maps.any):
             continue
-        blind = [errors_of(run, windows, index, reading, scale=scale, kept=kept) for run in runs["b"]]
-        other, source = (windows, ShiftedMap(windows, METRES)) if reading == MAP else (elsewhere, on_map)
-        there = same_windows(windows, index, other)
+        moved_map = ShiftedMap(windows, metres) if reading == MAP else None
+        away = moved_map.away(index) if moved_map else away_along(windows, index, metres)
+        far = np.flatnonzero(np.isfinite(away))
+        lookup = str(reading[0])
+        ground.setdefault(lookup, _described(lookup, windows, index, away))
+        if not ground[lookup].enough:
+            continue
+        blind = [errors_of(run, windows, index, reading, scale=scale, kept=kept).take(far) for run in runs["b"]]
+        other, source = (windows, moved_map) if moved_map else (elsewhere, on_map)
+        there, folder = same_windows(windows, index[far], other), kept / "other ground"
         for model in (name for name in runs if name != "b"):
-            mine = [errors_of(run, windows, index, reading, scale=scale, kept=kept) for run in runs[model]]
-            moved = [
-                errors_of(run, other, there, reading, scale=scale, kept=kept / "shifted", map_source=source)
-                for run in runs[model]
-            ]
-            gains += [gain("as recorded", model, mine, blind, reading), gain("shifted", model, moved, blind, reading)]
-    return gains
+            mine, moved = (
+                [errors_of(run, windows, index, reading, scale=scale, kept=kept).take(far) for run in runs[model]],
+                [
+                    errors_of(run, other, there, reading, scale=scale, kept=folder, map_source=source)
+                    for run in runs[model]
+                ],
+            )
+            gains += [gain("as recorded", model, mine, blind, reading), gain(SHIFTED, model, moved, blind, reading)]
+            gains.append(gain(OWN_GROUND, model, mine, moved, reading, baseline=f"{model}, shifted"))
+    return ShiftControl(gains, list(ground.values()), metres)
+
+
+@dataclass(frozen=True)
+class _Starts:
+    drive: Int[np.ndarray, " n"]
+    row: Int[np.ndarray, " n"]
+
+
+def _described(
+    lookup: str, windows: Windows, index: Int[np.ndarray, " n"], away: Float[np.ndarray, " n"]
+) -> OtherGround:
+    far = np.isfinite(away)
+    starts = _Starts(windows.drive[index[far]], windows.row_in_drive(index[far]))
+    spread = (
+        (float(away[far].min()), float(np.median(away[far])), float(away[far].max())) if far.any() else (np.nan,) * 3
+    )
+    blocks = Sampling().on(starts).blocks if far.any() else 0
+    return OtherGround(lookup=lookup, windows=len(index), used=int(far.sum()), blocks=blocks, metres=spread)
 
 
 def shifted(dataset: Dataset, metres: float) -> Dataset:
-    """The dataset with the features of each row those of the ground so much further along the driven path."""
+    """The dataset with the features of each row those of ground so far away; without any where there is none."""
     # Windows are selected by their own ground, before, on the dataset itself.
     return replace(dataset, drives=tuple(_shifted(drive, metres) for drive in dataset.drives), min_hindsight=0.0)
 
@@ -79,16 +166,49 @@ def shifted(dataset: Dataset, metres: float) -> Dataset:
 def _shifted(drive: StoredDrive, metres: float) -> StoredDrive:
     cells = drive.rows.cells
     assert cells is not None
-    index = cells.index[further(drive.rows.state[:, :2], metres)]
+    row = other_ground(drive.rows.state[:, :2], metres)
+    index = np.where(row[:, None] >= 0, cells.index[row], -1).astype(cells.index.dtype)
     return replace(drive, rows=replace(drive.rows, cells=replace(cells, index=index)))
 
 
-def further(position: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarray, " N"]:
-    """For each row, the row so much further along the path; where it ends before, as much further back."""
-    steps = np.hypot(*np.diff(position.astype(np.float64), axis=0).T)
-    along = np.concatenate(([0.0], np.cumsum(np.nan_to_num(steps))))
-    wanted = np.where(along + metres <= along[-1], along + metres, along - metres)
-    return np.searchsorted(along, wanted).clip(0, len(along) - 1)
+def other_ground(position: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarray, " N"]:
+    """For each row, the first one ahead that lies so far away, in a straight line; else the last such one before.
+
+    -1 where there is neither, or no position.
+    """
+    known = np.flatnonzero(np.isfinite(position).all(axis=1))
+    path = position[known].astype(np.float64)
+    ahead, behind = _first_ahead(path, metres), _first_ahead(path[::-1], metres)[::-1]
+    found = np.where(ahead >= 0, ahead, np.where(behind >= 0, len(path) - 1 - behind, -1))
+    result = np.full(len(position), -1)
+    result[known] = np.where(found >= 0, known[found], -1)
+    return result
+
+
+def _first_ahead(path: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarray, " N"]:
+    """By sphere tracing: what lies `d` m too near is followed by nothing far enough within `d` m of path."""
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
+    result = np.full(len(path), -1)
+    row = at = np.arange(len(path))
+    while len(row):
+        lacking = metres - np.hypot(*(path[at] - path[row]).T)
+        result[row[lacking <= 0]] = at[lacking <= 0]
+        row, at, lacking = row[lacking > 0], at[lacking > 0], lacking[lacking > 0]
+        at = np.maximum(np.searchsorted(along, along[at] + lacking), at + 1)
+        row, at = row[at < len(path)], at[at < len(path)]
+    return result
+
+
+def away_along(windows: Windows, index: Int[np.ndarray, " n"], metres: float) -> Float[np.ndarray, " n"]:
+    """How far from their own the ground lies that `shifted` gives the starts of windows; NaN if a row has none [m]."""
+    result, span = np.full(len(index), np.nan), np.arange(-HISTORY_STEPS, windows.horizon)
+    for number in np.unique(windows.drive[index]):
+        position = windows.dataset.drives[number].rows.state[:, :2].astype(np.float64)
+        other, mine = other_ground(position, metres), np.flatnonzero(windows.drive[index] == number)
+        row = windows.row_in_drive(index[mine])
+        away = np.hypot(*(position[other[row]] - position[row]).T)
+        result[mine] = np.where((other[row[:, None] + span] >= 0).all(axis=1), away, np.nan)
+    return result
 
 
 class ShiftedMap:
@@ -96,15 +216,22 @@ class ShiftedMap:
 
     Args:
         windows: that have maps.
-        metres: how much further along the path the other window starts, about: snapshots are some metres apart.
+        metres: at least so far away the other window starts (`other_ground`): snapshots are some metres apart.
     """
 
     def __init__(self, windows: Windows, metres: float) -> None:
         mapped = np.flatnonzero(windows.maps.snapped) if windows.maps.snapped.any() else np.arange(len(windows))
-        self._other = np.full(len(windows), -1)
+        self._other, self._windows = np.full(len(windows), -1), windows
         for drive in np.unique(windows.drive[mapped]):
             mine = mapped[windows.drive[mapped] == drive]
-            self._other[mine] = mine[further(windows.places(mine).cpu().numpy(), metres)]
+            other = other_ground(windows.places(mine).cpu().numpy(), metres)
+            self._other[mine] = np.where(other >= 0, mine[other], -1)
+
+    def away(self, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """How far away the other windows start [m]; NaN where there is none."""
+        other = self._other[index]
+        there, here = (self._windows.places(each).cpu().numpy() for each in (other, index))
+        return np.where(other >= 0, np.hypot(*(there - here).T), np.nan)
 
     def __call__(
         self, dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
@@ -114,6 +241,7 @@ class ShiftedMap:
         Models that hold the features of the start read them along the path here.
         """
         other = self._other[index]
+        assert (other >= 0).all(), "windows without other ground are left out before"
         start = windows.gather(other).state
         source = _OtherFeatures(
             map_terrain(dynamics, windows, index),

@@ -4,7 +4,7 @@ import io
 import json
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +18,18 @@ from offpiste.training.checkpoint import load_json, save_json
 logger = logging.getLogger(__name__)
 
 
-def claim_folder(out: Path, settings: dict[str, Any]) -> None:
+def claim_folder(
+    out: Path,
+    settings: dict[str, Any],
+    *,
+    defaults: Mapping[str, Any] | None = None,
+    formerly: Mapping[str, Any] | None = None,
+) -> None:
     """Write the settings of an experiment to `out/settings.json`, or check that they are the same.
+
+    Args:
+        defaults: values of settings that a folder from before there were such may lack.
+        formerly: by key, what older versions wrote for the same value.
 
     Raises:
         RunError: the folder was begun with other settings.
@@ -30,22 +40,40 @@ def claim_folder(out: Path, settings: dict[str, Any]) -> None:
     if not path.exists():
         save_json(path, wanted)
         return
-    there = load_json(path)
-    other = [key for key in sorted({*there, *wanted}) if there.get(key) != wanted.get(key)]
+    there = _filled(load_json(path), wanted, json.loads(json.dumps(defaults or {})))
+    same = [key for key, value in (formerly or {}).items() if there.get(key) == value]
+    there |= {key: wanted[key] for key in same}
+    other = list(_differing("", there, wanted))
     if other:
-        other = [name for key in other for name in _differing(key, there.get(key), wanted.get(key))]
+        more = f" and {len(other) - _NAMED} more" if len(other) > _NAMED else ""
         raise RunError(
-            f"was begun with other settings ({', '.join(other)})",
+            f"was begun with other settings ({', '.join(other[:_NAMED])}{more})",
             where=out,
             how="give the same again, or choose another --out",
         )
 
 
-def _differing(name: str, there: Any, wanted: Any) -> list[str]:
-    """Names of the settings that differ, inside of a table of settings by its own keys."""
+_NAMED = 6
+"""Settings that a message names."""
+
+
+def _filled(there: dict[str, Any], wanted: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a folder, with the defaults of those that it lacks."""
+    result = {**{key: value for key, value in defaults.items() if key in wanted}, **there}
+    for key, value in result.items():
+        if isinstance(value, dict) and isinstance(wanted.get(key), dict) and isinstance(defaults.get(key), dict):
+            result[key] = _filled(value, wanted[key], defaults[key])
+    return result
+
+
+def _differing(name: str, there: Any, wanted: Any) -> Iterator[str]:
+    """Names of the settings that differ, inside of tables of settings by their own keys."""
     if not (isinstance(there, dict) and isinstance(wanted, dict)):
-        return [name]
-    return [f"{name}.{key}" for key in sorted({*there, *wanted}) if there.get(key) != wanted.get(key)]
+        if there != wanted:
+            yield name
+        return
+    for key in sorted({*there, *wanted}):
+        yield from _differing(f"{name}.{key}".lstrip("."), there.get(key), wanted.get(key))
 
 
 Record = Callable[[str, float], None]
@@ -61,12 +89,14 @@ class Step:
         cost: rough duration, in proportion to other steps [s].
         done: whether its result is there.
         do: makes the result, whole or not at all, or resumes making it.
+        result: what came out in a few words, for the log; steps that are done side by side log nothing themselves.
     """
 
     name: str
     cost: float
     done: Callable[[], bool]
     do: Callable[[], None]
+    result: Callable[[], str] = str
 
 
 def nothing(name: str, seconds: float) -> None:
@@ -143,7 +173,8 @@ def _side_by_side(
             logger.info(name)
             return
         pace.spent += named[name].cost
-        logger.info(f"{numbers[name]} {name}: done; about {pace.left()} left")
+        result = named[name].result()
+        logger.info(f"{numbers[name]} {name}: done{result and f', {result}'}; about {pace.left()} left")
 
     failed = run_all(_alone, [_Job(step.name, step.do, record) for step in steps], processes, "steps", finished=done)
     if failed:

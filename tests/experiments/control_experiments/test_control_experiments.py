@@ -14,6 +14,7 @@ from experiments.control_experiments.shift import shift_control
 from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
 from offpiste.reproduction.settings import Size
+from offpiste.reproduction.shift import OWN_GROUND, SHIFTED
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import save_run
 
@@ -23,7 +24,7 @@ TINY = Size("tiny", (30.0, 15.0, 15.0), stride=320, train=TrainConfig(epochs=1, 
 @pytest.fixture(scope="module")
 def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reproduced")
-    dataset_with_features(folder / "dataset.zarr")
+    dataset_with_features(folder / "dataset.zarr", rows=1800, yaw_rate=0.05)
     (folder / "settings.json").write_text(json.dumps({"size": asdict(TINY), "dataset": "simulated"}))
     of = open_reproduction(folder)
     for model in ("b", "dc"):
@@ -62,10 +63,11 @@ def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, 
     of = open_reproduction(reproduction)
     page = shift_control(of, out)
     gains = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
-    assert {(g["case"], g["model"]) for g in gains} == {("as recorded", "dc"), ("shifted", "dc")}
-    for before, after in zip(gains[::2], gains[1::2], strict=True):
+    assert {(g["case"], g["model"]) for g in gains} == {(case, "dc") for case in ("as recorded", SHIFTED, OWN_GROUND)}
+    for before, after, own in zip(gains[::3], gains[1::3], gains[2::3], strict=True):
         assert (before["n"], before["baseline_error_m"]) == (after["n"], after["baseline_error_m"])
         assert before["error_m"] != after["error_m"]
+        assert (own["error_m"], own["baseline_error_m"]) == (before["error_m"], after["error_m"])
 
 
 def test_windows_that_the_future_leaves_out_are_evaluated_beside_the_usual_ones(reproduction: Path, out: Path) -> None:

@@ -235,8 +235,30 @@ class TestWeights:
             open_backbone(str(folder))
 
     def test_a_name_that_is_none(self):
-        with pytest.raises(PerceptionError, match=r"^no/such thing: neither a folder nor a model's name"):
+        with pytest.raises(PerceptionError, match=r"^no/such thing: no such folder, and no model's name"):
             open_backbone("no/such thing")
+
+    def test_a_folder_that_is_spelled_wrong(self, folder: Path):
+        wrong = f"{folder.parent}/{folder.name[:-1]}"
+        with pytest.raises(PerceptionError, match=f"no such folder, .*did you mean '{folder.name}'"):
+            open_backbone(wrong)
+
+    def test_what_is_no_folder_of_weights(self, tmp_path: Path):
+        (tmp_path / "w.pth").write_bytes(b"PK")
+        with pytest.raises(PerceptionError, match=r"w\.pth: is a file, not a folder.*with config\.json"):
+            open_backbone(str(tmp_path / "w.pth"))
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(PerceptionError, match=r"neither config\.json nor model\.safetensors in it"):
+            open_backbone(str(tmp_path / "empty"))
+        (tmp_path / "empty/config.json").write_text("{}")
+        with pytest.raises(PerceptionError, match=r"no model\.safetensors in it; give a folder"):
+            open_backbone(str(tmp_path / "empty"))
+
+    @pytest.mark.parametrize("content", [b"", b"no weights at all", b"\xff" * 64])
+    def test_damaged_weights_end_in_a_line(self, folder: Path, content: bytes):
+        (folder / "model.safetensors").write_bytes(content)
+        with pytest.raises(PerceptionError, match="no vision transformer can be read there"):
+            open_backbone(str(folder))
 
     def test_no_network_and_no_cache(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
         def refuse(*_: object, **__: object) -> None:
@@ -249,7 +271,7 @@ class TestWeights:
         message = str(caught.value)
         assert message.startswith("facebook/dinov2-small: weights are neither in the hub's cache nor could they be")
         assert "hf download facebook/dinov2-small" in message
-        assert message.endswith("or give --backbone filterbank, which needs no weights")
+        assert message.endswith("or use the backbone filterbank, which needs no weights")
         assert "\n" not in message
 
     def test_the_cache_is_used_without_asking_the_hub(self, monkeypatch: pytest.MonkeyPatch, folder: Path):

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, final
 
 import torch
 from jaxtyping import Float
+from safetensors import SafetensorError
 from torch import Tensor
 
-from offpiste.errors import PerceptionError, extra
+from offpiste.errors import PerceptionError, did_you_mean, extra
 from offpiste.perception.backbones import DINOV2_SMALL, Backbone, Precision
 
 if TYPE_CHECKING:
@@ -26,9 +27,11 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
 """`model_type` of the configurations whose tokens are known to be: class, registers, patches row after row."""
 
-_FILES = ("config.json", "preprocessor_config.json", "model.safetensors")
-_OTHERWISE = "give --backbone filterbank, which needs no weights"
+_NEEDED = ("config.json", "model.safetensors")
+_FILES = (*_NEEDED, "preprocessor_config.json")
+_OTHERWISE = "use the backbone filterbank, which needs no weights"
 _INSTEAD = f"or {_OTHERWISE}"
+_FOLDER = "give a folder with config.json and model.safetensors"
 
 
 @final
@@ -106,7 +109,7 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
     with extra("vit", otherwise=_OTHERWISE):
         from transformers import AutoModel
         from transformers.utils import logging
-    folder = Path(name) if Path(name).is_dir() else _hub_folder(name)
+    folder = _own_folder(Path(name)) if Path(name).exists() else _hub_folder(name)
     mean, std = _normalisation(folder)
     bars = logging.is_progress_bar_enabled()
     logging.disable_progress_bar()  # type: ignore[no-untyped-call]
@@ -114,11 +117,11 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
         model, result = AutoModel.from_pretrained(
             folder, local_files_only=True, use_safetensors=True, dtype=torch.float32, output_loading_info=True
         )
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError, SafetensorError) as error:
         raise PerceptionError(
             f"no vision transformer can be read there: {_first_line(error)}",
             where=folder,
-            how=f"give a folder with config.json and model.safetensors, {_INSTEAD}",
+            how=f"{_FOLDER}, {_INSTEAD}",
         ) from error
     finally:
         if bars:
@@ -131,6 +134,23 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
     return VisionTransformer(model, name=name, mean=mean, std=std, device=device, precision=precision)
 
 
+def _own_folder(folder: Path) -> Path:
+    """A folder of the user's, which has what a model is read from.
+
+    Raises:
+        PerceptionError: a file, or a folder that lacks one.
+    """
+    if not folder.is_dir():
+        what = "is a file, not a folder; weights are read from safetensors alone"
+        raise PerceptionError(what, where=folder, how=f"{_FOLDER}, {_INSTEAD}")
+    for needed in _NEEDED:
+        if not (folder / needed).is_file():
+            others = [other for other in _NEEDED if (folder / other).is_file()]
+            what = f"no {needed} in it" if others else f"neither {' nor '.join(_NEEDED)} in it"
+            raise PerceptionError(what, where=folder, how=f"{_FOLDER}, {_INSTEAD}")
+    return folder
+
+
 def _hub_folder(name: str) -> Path:
     """The folder of a hub's model in the cache, fetched if it is not there."""
     from huggingface_hub import HfApi, snapshot_download
@@ -140,7 +160,9 @@ def _hub_folder(name: str) -> Path:
         return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES), local_files_only=True)))
     except HFValidationError as error:
         raise PerceptionError(
-            "neither a folder nor a model's name", where=name, how=f"give {DINOV2_SMALL}, {_INSTEAD}"
+            "no such folder, and no model's name on the Hugging Face hub either",
+            where=name,
+            how=f"{_alike(name)}{_FOLDER}, a name as {DINOV2_SMALL}, {_INSTEAD}",
         ) from error
     except OSError:
         pass
@@ -154,12 +176,12 @@ def _hub_folder(name: str) -> Path:
         raise PerceptionError(
             f"weights are neither in the hub's cache nor could they be fetched ({_first_line(error)})",
             where=name,
-            how=f"run {fetch} where there is a network and give FOLDER as the backbone, {_INSTEAD}",
+            how=f"run {fetch} where there is a network and give FOLDER instead, {_INSTEAD}",
         ) from error
 
 
 def _complete(folder: Path) -> Path:
-    for needed in ("config.json", "model.safetensors"):
+    for needed in _NEEDED:
         if not (folder / needed).is_file():
             raise FileNotFoundError(f"no {needed}")
     return folder
@@ -179,6 +201,12 @@ def _normalisation(folder: Path) -> tuple[tuple[float, float, float], tuple[floa
             "no image_mean and image_std of three values", where=path, how="fetch the file again"
         ) from error
     return (m_red, m_green, m_blue), (s_red, s_green, s_blue)
+
+
+def _alike(name: str) -> str:
+    """A question that names a folder beside the one that is not there."""
+    path = Path(name)
+    return did_you_mean(path.name, [beside.name for beside in path.parent.glob("*/")])
 
 
 def _first_line(error: Exception) -> str:
