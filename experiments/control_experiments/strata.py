@@ -31,8 +31,8 @@ def strata_control(of: Reproduced, out: Path) -> Path:
         for name, among in strata(windows, index).items():
             mine, base = ([each.take(np.flatnonzero(among)) for each in errors[model]] for model in ("dc", "b"))
             gains.append(gain(name, "dc", mine, base, reading))
-        for seed, (mine, base) in enumerate(zip(errors["dc"], errors["b"], strict=True)):
-            gains.append(gain(f"seed {seed}", "dc", [mine], [base], reading))
+        for seed, (one, other) in enumerate(zip(errors["dc"], errors["b"], strict=True)):
+            gains.append(gain(f"seed {seed}", "dc", [one], [other], reading))
     return write_control(out / "strata", [gain_table("Strata", gains, ABOUT)], {"control": "strata", "gains": gains})
 
 
