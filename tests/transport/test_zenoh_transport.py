@@ -39,6 +39,25 @@ def test_messages_arrive_in_order_with_their_numbers(keys):
         network.close()
 
 
+def test_types_of_the_bridge_are_those_that_it_announces():
+    network, got = Network(keys="bridge"), []
+    try:
+        token = "@/1f/@ros2_lv/MP/a§b/std_msgs§msg§String/::,10:"
+        bridge = network.router._session.liveliness().declare_token(token)
+        listener = network.session()
+        assert until(lambda: listener.topics() == {"/a/b": STRING})
+        listener.subscribe("/a/b", got.append)
+        listener.subscribe("/c", got.append)
+        data = b"\x00\x01\x00\x00\x02\x00\x00\x00h\x00"
+        assert until(lambda: network.router._session.put("a/b", data) or got), "sent as the bridge does: no attachment"
+        assert (got[0].type, got[0].sequence, got[0].publisher) == (STRING, -1, b"")
+        assert until(lambda: network.router._session.put("c", data) or listener.refused)
+        assert list(listener.refused) == ["/c: unknown type (unknown)"]
+        assert bridge is not None
+    finally:
+        network.close()
+
+
 def test_who_comes_later_is_sent_what_is_kept(network):
     network.session().publisher("/tf_static", STRING, keep=True)(text("kept"))
     late, got = network.session(), []

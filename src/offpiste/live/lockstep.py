@@ -38,7 +38,7 @@ class Lockstep:
         self._transport, self._driver = transport, driver
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
         for topic, history in reception.topics.items():
-            transport.subscribe(topic, self._received.put, history=history)
+            transport.subscribe(topic, self._received.put, msgtype=reception.type_of(topic), history=history)
         transport.subscribe(CLOCK, self._received.put, msgtype="rosgraph_msgs/msg/Clock")
         transport.subscribe(END, self._received.put, msgtype="std_msgs/msg/String")
         self._answer = transport.publisher(COMMAND, "sensor_msgs/msg/Joy")

@@ -102,6 +102,10 @@ class Reception:
             found[self._enable[0]] = False
         return found
 
+    def type_of(self, topic: str) -> str:
+        """Message type of a topic, where the rig gives it; else empty."""
+        return self._rig.live.types.get(topic, "")
+
     @property
     def waiting_for(self) -> str:
         """What is missing before driving can begin, in words; empty once nothing is."""

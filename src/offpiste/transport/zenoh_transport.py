@@ -123,6 +123,8 @@ class ZenohTransport:
     def subscribe(self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False) -> None:
         """Have the messages of a topic delivered (see `Transport`)."""
         zenoh = self._zenoh
+        if not msgtype and self.settings.keys == "bridge" and topic not in self._known:
+            self._known = self.topics()  # here: in zenoh's own thread the answer would never come
 
         def heard(sample: Any) -> None:
             received = time.time()
@@ -179,9 +181,6 @@ class ZenohTransport:
             self._refuse(topic, "too large")
             return None
         msgtype = address.type or wanted or self._known.get(topic, "")
-        if not msgtype and not self._known:
-            self._known = self.topics()
-            msgtype = self._known.get(topic, "")
         if (wanted and msgtype != wanted) or msgtype not in self.types:
             self._refuse(topic, f"of type {_short(msgtype)}" if wanted else f"unknown type {_short(msgtype)}")
             return None
