@@ -6,6 +6,7 @@ import subprocess
 import pytest
 
 from host_kernels import needs_nvcc
+from offpiste.cuda_kernels import machine_code
 from offpiste.dynamics.header.recorded import recorded_text
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.training.run import pretrained
@@ -38,3 +39,10 @@ def test_kernels_keep_a_step_in_registers(architecture, tmp_path):
         # Backwards a thread holds adjoints of state and constants, and what the step computed: more than there are.
         assert spilled <= (1024 if name == "offpiste_backward" else 64), name
         assert registers <= 255, name
+
+
+def test_nvrtc_compiles_them_too():
+    pytest.importorskip("cuda.core", reason="the extra cuda is not installed")
+    pytest.importorskip("cuda.bindings.nvrtc", reason="no NVRTC here")
+    dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
+    assert len(machine_code(recorded_text(dynamics), "sm_90").code) > 100_000
