@@ -146,7 +146,7 @@ def _own_folder(folder: Path) -> Path:
     for needed in _NEEDED:
         if not (folder / needed).is_file():
             others = [other for other in _NEEDED if (folder / other).is_file()]
-            what = f"no {needed} in it" if others else f"neither {' nor '.join(_NEEDED)} in it"
+            what = f"no {needed} in it" if others else "neither config.json nor model.safetensors in it"
             raise PerceptionError(what, where=folder, how=f"{_FOLDER}, {_INSTEAD}")
     return folder
 
