@@ -11,7 +11,7 @@ from offpiste.dynamics import Parametric, Vehicle
 from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
-from offpiste.runtime import prediction, runtime
+from offpiste.runtime import plan_maker, prediction
 from offpiste.runtime.schedule import LaunchSettings
 from runtime.stream import Held, Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
@@ -184,7 +184,7 @@ def test_predictions_step_by_step_are_those_of_the_kernel(monkeypatch):
             found.append(prediction.predicted(*given))
         return found[-1]
 
-    monkeypatch.setattr(runtime, "predicted", both)
+    monkeypatch.setattr(plan_maker, "predicted", both)
     straight_drive().run(0.3)
     assert len(found) >= 2
     np.testing.assert_allclose(found[0], found[1], atol=2e-3)
@@ -301,7 +301,7 @@ def test_without_images_it_continues_in_degraded_mode():
     assert speed(stream) > 2.0
     # The map holds codes, not features: those of the one colour that was seen.
     features = extract_features(np.full((98, 140, 3), 120, np.uint8))[:1, 0]
-    expected = stream.runtime._encoder(torch.from_numpy(features), torch.ones(1, dtype=torch.bool)).numpy()
+    expected = stream.runtime._dynamics.encoder(torch.from_numpy(features), torch.ones(1, dtype=torch.bool)).numpy()
     np.testing.assert_allclose(codes, np.broadcast_to(expected, codes.shape), atol=1e-5)
 
 
