@@ -46,7 +46,7 @@ class Dialect(NamedTuple):
         code: text of a whole function.
     """
 
-    number: Callable[[float], str]
+    number: Callable[[float | int], str]
     function: Callable[[str], str]
     code: Callable[[Code], str]
 
@@ -104,7 +104,7 @@ def _c(code: Code) -> str:
     return "\n    ".join(lines) + "\n}\n"
 
 
-def _c_number(value: float) -> str:
+def _c_number(value: float | int) -> str:
     return f"({value!r}f)" if value < 0 else f"{float(value)!r}f"
 
 
