@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,12 +33,16 @@ def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path, monkeyp
     settings = settings_in(tmp_path)
     inspected = []
     monkeypatch.setattr("offpiste.evidence.collect.inspect_drives", lambda drives, rig: inspected.append(rig))
+    monkeypatch.setattr("offpiste.evidence.collect.rig_text", lambda rig: "mass = 900.0  # GUESSED")
     page = collect(settings)
     text = page.read_text("utf-8")
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text)
     for wanted in (
         "Against b",
         "What has to hold",
+        "Trainings",
+        "Models without networks",
+        "What to doubt",
         "Valid rates",
         "Features of other ground",
         "recorded places give away",
@@ -47,6 +52,13 @@ def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path, monkeyp
     found = json.loads((tmp_path / "evidence.json").read_text("utf-8"))
     numbers = found["backbones"]["filterbank"]
     assert {gain["model"] for gain in numbers["shift"]} == {"cf", "dc", "df"}
+    assert [(gain["model"], gain["baseline"]) for gain in numbers["baselines"]] == [
+        ("b", "parametric"),
+        ("parametric", "kinematic"),
+    ]
+    assert {line[0] for line in numbers["kept_epochs"]} == {"b", "b-hindsight", "cf", "dc", "df"}
+    assert found["doubts"][0] == "the rig has guesses that nobody has confirmed: mass"
+    assert {"vehicle", "sensors", "driving", "command"} <= set(found["facts"])
     assert {gain["model"] for gain in numbers["leak"]} == {"b", "cf", "dc", "df"}
     assert numbers["coverage"]["valid"]
     assert str(tmp_path) not in json.dumps(found)
@@ -56,6 +68,18 @@ def test_one_report_holds_comparisons_rates_and_controls(tmp_path: Path, monkeyp
     assert inspected == ["proving_ground"], "once, before the folder is begun"
     with pytest.raises(RunError, match=r"other settings \(split\)"):
         collect(replace(settings, split="blocks:0.6,0.2,0.2"))
+
+
+def test_a_terminated_run_ends_as_an_interrupted_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr("offpiste.evidence.collect.collect", lambda settings: signal.raise_signal(signal.SIGTERM))
+    with pytest.raises(SystemExit) as ended:
+        main(["evidence"])
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "offpiste: interrupted; what was finished is kept\n"
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_bad_input_ends_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

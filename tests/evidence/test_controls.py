@@ -46,7 +46,11 @@ def gain_of(model: str, case: str, lookup: str, feature_set: str | None, distanc
 
 @pytest.mark.parametrize(
     ("shifted", "leak", "expected"),
-    [(UNSURE, WORSE, ["yes", "yes"]), (BETTER, BETTER, ["no", "no"]), (ONE_DRIVE, NOTHING, ["not certain", "–"])],
+    [
+        (UNSURE, WORSE, ["yes", "yes"]),
+        (BETTER, BETTER, ["no", "no"]),
+        (ONE_DRIVE, NOTHING, ["cannot be said", "cannot be said"]),
+    ],
 )
 def test_a_check_holds_where_no_gain_is_left(
     shifted: PairedDifference, leak: PairedDifference, expected: list[str]
@@ -68,6 +72,7 @@ def test_a_check_holds_where_no_gain_is_left(
             [],
         ),
         [gain_of("b", "recorded places", *HINDSIGHT, leak), gain_of("dc", "recorded places", *HINDSIGHT, BETTER)],
+        [gain_of("b", "", "map", None, UNSURE)],
     )
     lines = checks(FigureResults(runs, Sampling()), controls).lines
     assert [line[0] for line in lines] == [
@@ -75,9 +80,14 @@ def test_a_check_holds_where_no_gain_is_left(
         "dc is below b at recorded places",
         "nothing is left with features of other ground on the map",
         "b gains nothing from recorded places",
+        "b is below b",
     ]
     assert [line[2] for line in lines[:2]] == ["yes", "yes"]
-    assert [line[2] for line in lines[2:]] == expected
+    assert [line[2] for line in lines[2:4]] == expected
+    assert lines[4][2] == "not certain"
+    said = [line[2] for line in checks(FigureResults(runs, Sampling()), controls, learned=False).lines]
+    assert said[:3] == ["cannot be said"] * 3, "a dc that learned nothing shows nothing"
+    assert said[3:] == [line[2] for line in lines[3:]]
 
 
 def test_a_run_at_recorded_places_is_compared_with_itself_on_the_map(tmp_path: Path) -> None:

@@ -58,6 +58,12 @@ def test_time_left_follows_the_pace_so_far_and_counts_what_comes_later():
     assert "[2/3] b; about 3 min left" in bench.logged  # 60 of cost at a third of the pace
 
 
+def test_time_left_says_what_it_is_of_where_more_follows():
+    bench = Bench()
+    bench.run([bench.step("a", 10.0, 30.0)], of="the features")
+    assert "[1/1] a; about 10 s left of the features" in bench.logged
+
+
 def test_what_is_there_takes_no_time():
     bench = Bench()
     bench.made = ["a"]
@@ -97,6 +103,23 @@ def test_side_by_side_a_failure_stops_no_other_step_and_no_later_stage_begins(tm
     assert (tmp_path / "b").exists()
     assert (tmp_path / "d").exists()
     assert "[1/4] make a: there" in lines
+
+
+def test_side_by_side_the_log_says_what_came_out(tmp_path):
+    save_json(tmp_path / "source", {})
+    stage = [
+        Step(
+            f"train {name}",
+            1.0,
+            (tmp_path / name).exists,
+            partial(shutil.copy, tmp_path / "source", tmp_path / name),
+            lambda: "kept epoch 0 of 8",
+        )
+        for name in ("a", "b")
+    ]
+    with logged() as lines:
+        run_steps([stage], processes=2)
+    assert sum("done, kept epoch 0 of 8; about" in line for line in lines) == 2
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (89.0, "89 s"), (90.0, "2 min"), (7200.0, "2.0 h")])

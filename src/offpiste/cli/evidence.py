@@ -1,12 +1,16 @@
 """`offpiste evidence`."""
 
+import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+
+if TYPE_CHECKING:
+    from offpiste.evidence.collect import EvidenceSettings
 
 
 @COMMANDS.register("evidence")
@@ -36,19 +40,27 @@ class Evidence:
 
     def run(self) -> int:
         """Extract, train, evaluate, write the report."""
-        from offpiste.evidence.collect import EvidenceSettings, collect
+        from offpiste.evidence.collect import collect
+
+        # As Ctrl-C: workers are ended, and a line says that what was finished is kept.
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            collect(self._settings())
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        return 0
+
+    def _settings(self) -> "EvidenceSettings":
+        from offpiste.evidence.collect import EvidenceSettings
         from offpiste.reproduction.settings import sized
 
-        collect(
-            EvidenceSettings(
-                out=self.out,
-                size=sized(self.size, None, self.seeds),
-                logs=self.logs,
-                rig=self.rig,
-                split=self.split,
-                weights=self.weights,
-                device=self.device,
-                processes=self.processes,
-            )
+        return EvidenceSettings(
+            out=self.out,
+            size=sized(self.size, None, self.seeds),
+            logs=self.logs,
+            rig=self.rig,
+            split=self.split,
+            weights=self.weights,
+            device=self.device,
+            processes=self.processes,
         )
-        return 0

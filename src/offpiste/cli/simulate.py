@@ -36,7 +36,7 @@ class Simulate:
     manoeuvres: bool = False
     """The driver also stops, crawls, reverses, rocks free and drives fast stretches (rig proving_ground_gear)."""
     vehicle: str = ""
-    """A TOML file of another vehicle than the side-by-side (docs/proving-ground.md)."""
+    """A TOML file of another vehicle than the side-by-side (docs/proving-ground.md); its rig is written beside."""
     mounting_turn: float = 0.0
     """Angle by which each sensor is turned about a random axis from its usual mounting; the log says so [degrees]."""
     twins: int = 0
@@ -75,7 +75,8 @@ class Simulate:
         if self.drives == 1:
             seed = self.seed if self.drive_seed is None else self.drive_seed
             simulate(self._settings(self.seed, seed), self.out, twins=self.twins)
-            show(f"next: offpiste inspect {quote(str(self.out))} --rig {self._rig}")
+            rig = self._rig(self.out.with_suffix(".rig.toml"))
+            show(f"next: offpiste inspect {quote(str(self.out))} --rig {rig}")
             return 0
         if self.drives < 1:
             raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
@@ -104,11 +105,19 @@ class Simulate:
         seeds = range(self.seed, self.seed + self.drives)
         recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
         simulate_all(recordings, self.processes or usable_cores(), self.cluster)
-        show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {self._rig}")
+        rig = self._rig(self.out / "rig.toml")
+        show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {rig}")
 
-    @property
-    def _rig(self) -> str:
-        return "proving_ground_gear" if self.manoeuvres else "proving_ground"
+    def _rig(self, path: Path) -> str:
+        """The rig that reads the drives: a preset, or a file that is written for another vehicle."""
+        preset = "proving_ground_gear" if self.manoeuvres else "proving_ground"
+        if not self.vehicle:
+            return preset
+        from offpiste.files import write_text
+        from offpiste.simulation.vehicle.vehicle_rig import vehicle_rig
+
+        write_text(path, vehicle_rig(preset, Path(self.vehicle)))
+        return quote(str(path))
 
     def _settings(self, world_seed: int, seed: int) -> "DriveSettings":
         from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings

@@ -27,6 +27,7 @@ from offpiste.reproduction.results import gather
 from offpiste.reproduction.runs import EvaluationData, figure_readings, mapped
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size, defaults, figure_models
 from offpiste.reproduction.steps import Step, append_time, claim_folder, run_steps
+from offpiste.rig.rig import rig_text
 from offpiste.simulation.recordings import Recording, simulate_all
 from offpiste.training.run import load_run
 
@@ -111,11 +112,13 @@ def collect(settings: EvidenceSettings) -> Path:
     features = compared_features(settings.weights, settings.device)
     drives = _claimed(settings)
     collected = {}
-    for each in features:
+    for number, each in enumerate(features, start=1):
         folder = settings.out / each.folder
-        run_steps(_data_steps(settings, drives, each, folder), record=partial(append_time, folder / "steps.jsonl"))
+        logger.info(f"{each.name}, backbone {number} of {len(features)}: features, trainings, evaluation, controls")
+        record = partial(append_time, folder / "steps.jsonl")
+        run_steps(_data_steps(settings, drives, each, folder), of="the features", record=record)
         collected[each.name] = _compared(settings, folder)
-    page = write_evidence(collected, settings.out)
+    page = write_evidence(collected, settings.out, rig=rig_text(settings.rig) if settings.rig else "")
     logger.info(f"report to send back: {page}")
     return page
 
@@ -201,7 +204,7 @@ def _compared(settings: EvidenceSettings, folder: Path) -> Collected:
     models = figure_models("fig4", len(data.dataset.features))
     results = gather(of, models, figure_readings("fig4", mapped=mapped(data.dataset)))
     runs = {
-        model.label: [load_run(of.runs / model.folder(seed), device=of.device) for seed in range(of.size.seeds)]
+        model.label: [load_run(of.runs / model.folder(seed)) for seed in range(of.size.seeds)]
         for model in models
         if model.label in MODELS
     }

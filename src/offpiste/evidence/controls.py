@@ -1,5 +1,6 @@
 """Controls of a comparison with `b`: features of other ground, and what recorded places give away."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,18 +12,23 @@ import torch
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.intervals import PairedDifference
+from offpiste.evidence.baselines import baseline_gains
 from offpiste.report.text_table import TextTable
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain
 from offpiste.reproduction.results import FigureResults
-from offpiste.reproduction.shift import SHIFTED, ShiftControl, shift_gains
-from offpiste.reproduction.tables import percent, verdict
+from offpiste.reproduction.shift import OWN_GROUND, SHIFTED, ShiftControl, shift_gains
+from offpiste.reproduction.tables import percent
 from offpiste.training.run import Run
+
+logger = logging.getLogger(__name__)
 
 PLACES: Final = {MAP: "on the map", HINDSIGHT: "at recorded places"}
 """Where the ground is read."""
 
 MODELS: Final = ("b", "df", "cf", "dc")
 """Models that controls are made of."""
+
+UNKNOWN: Final = "cannot be said"
 
 ABOUT_LEAK: Final = (
     "The same run on the same windows, the ground read at recorded places instead of on the map at predicted ones; its "
@@ -38,10 +44,12 @@ class Controls:
     Attributes:
         shift: over `b`, with features as recorded and of other ground.
         leak: at recorded places, over the same model on the map; none where there is no map.
+        baselines: of `b` over its own physics, and of these over `kinematic`.
     """
 
     shift: ShiftControl
     leak: list[Gain]
+    baselines: list[Gain]
 
 
 def run_controls(
@@ -55,9 +63,11 @@ def run_controls(
         scale: of the loss.
         kept: folder of the errors.
     """
+    logger.info(f"control experiments of {sum(map(len, runs.values()))} runs: other ground, recorded places, baselines")
     return Controls(
         shift_gains(dataset, runs, stride=stride, scale=scale, kept=kept),
         leak_gains(dataset, runs, stride=stride, scale=scale, kept=kept),
+        baseline_gains(dataset, runs["b"], stride=stride, scale=scale, kept=kept),
     )
 
 
@@ -78,27 +88,51 @@ def leak_gains(
     return gains
 
 
-def checks(results: FigureResults, controls: Controls) -> TextTable:
-    """What has to hold for a gain of `dc` to be one of seeing the ground, and whether it does."""
+def checks(results: FigureResults, controls: Controls, *, learned: bool = True) -> TextTable:
+    """What has to hold for a gain of `dc` to be one of seeing the ground, and whether it does.
+
+    Args:
+        learned: whether `dc` did; otherwise it cannot be said.
+    """
     dc = next(model for model in results.models if model.label == "dc")
     lines = []
+
+    def add(what: str, difference: PairedDifference, holds: str, *, of_dc: bool = True) -> None:
+        lines.append((what, percent(difference), UNKNOWN if of_dc and not learned else holds))
+
     for reading in (reading for reading in PLACES if reading in results.readings):
         found = results.compare(dc, reading).relative["distance_error_m"]
-        lines.append((f"dc is below b {PLACES[reading]}", percent(found), verdict(found)))
-    for here in (g for g in controls.shift.gains if (g.model, g.case) == ("dc", SHIFTED)):
+        add(f"dc is below b {PLACES[reading]}", found, _below(found))
+    for here in (g for g in controls.shift.gains if g.model == "dc"):
         place = next((name for read, name in PLACES.items() if read == (here.lookup, here.feature_set)), None)
-        if place is not None:
-            what = f"nothing is left with features of other ground {place}"
-            lines.append((what, percent(here.distance), _no_gain(here.distance)))
+        if place is not None and here.case == SHIFTED:
+            add(f"nothing is left with features of other ground {place}", here.distance, _no_gain(here.distance))
+        if place is not None and here.case == OWN_GROUND:
+            add(f"dc is below itself with features of other ground {place}", here.distance, _below(here.distance))
     for here in (g for g in controls.leak if g.model == "b"):
-        lines.append(("b gains nothing from recorded places", percent(here.distance), _no_gain(here.distance)))
-    about = "Distance error after 5 s with 95 % intervals. Where there is no interval, nothing is certain: drive more."
+        add("b gains nothing from recorded places", here.distance, _no_gain(here.distance), of_dc=False)
+    for here in controls.baselines:
+        add(f"{here.model} is below {here.baseline}", here.distance, _below(here.distance), of_dc=False)
+    about = (
+        "Distance errors after 5 s relative to each other, with 95 % intervals; negative: smaller, which is better. "
+        "Below: yes where the whole interval is negative, no where none of it is, not certain between. Nothing left "
+        f"or gained: yes unless the whole interval is negative. {UNKNOWN}: there is no interval (–), for it takes "
+        "three blocks of 10 s: drive more; or dc learned nothing."
+    )
     return TextTable("What has to hold", ("check", "here", "holds"), tuple(lines), about)
+
+
+def _below(difference: PairedDifference) -> str:
+    """Whether an interval lies below zero; where it is zero to the bit, it does not."""
+    low, high = difference.ci95
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return UNKNOWN
+    return "yes" if high < 0 else "no" if low >= 0 else "not certain"
 
 
 def _no_gain(difference: PairedDifference) -> str:
     """Whether an interval is not below zero."""
     low, high = difference.ci95
     if not (np.isfinite(low) and np.isfinite(high)):
-        return "–" if not np.isfinite(difference.mean) else "not certain"
+        return UNKNOWN
     return "no" if high < 0 else "yes"

@@ -1,5 +1,6 @@
 """The report of `offpiste evidence`: comparisons, valid rates and controls of each backbone, side by side."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,8 +9,13 @@ from typing import Any, Final
 import msgspec
 
 from offpiste.conventions import FEATURE_SETS
+from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.intervals import MIN_UNITS
 from offpiste.evaluation.metrics import provenance
+from offpiste.evidence.baselines import ABOUT as ABOUT_BASELINES
 from offpiste.evidence.controls import ABOUT_LEAK, Controls, checks
+from offpiste.evidence.doubts import doubts, public_command, vehicle_facts
+from offpiste.evidence.trainings import NOTHING, has_learned, trainings_table
 from offpiste.files import write_text
 from offpiste.report.figure import png
 from offpiste.report.page import Page, Picture, Section, table_section, write_page
@@ -24,9 +30,14 @@ from offpiste.visualization.coverage_tables import measure_coverage
 
 SCHEMA: Final = 1
 
+ABOUT_RATES: Final = (
+    "Over all drives, those that trained included. The paper's rates are of its own vehicle and course, beside these "
+    "for their size alone."
+)
+
 PRIVACY: Final = (
-    "This file holds numbers, the names of drives and the rig's name. It has no camera images, positions or commands "
-    "of the drives. `evidence.json` beside it holds the same for programs."
+    "This file holds numbers, the names of drives and the rig's name, mass and size. It has no camera images, "
+    "positions or commands of the drives. `evidence.json` beside it holds the same for programs."
 )
 
 
@@ -44,25 +55,46 @@ class Collected:
     controls: Controls
 
 
-def write_evidence(collected: Mapping[str, Collected], out: Path) -> Path:
+def write_evidence(collected: Mapping[str, Collected], out: Path, *, rig: str = "") -> Path:
     """Write report.html with its pictures, and evidence.json, each file whole or not at all.
 
     Args:
         collected: by name of the backbone.
+        rig: text of the rig's file; "" where the proving ground was driven.
 
     Returns:
         Path of report.html.
     """
-    headlines = [f"{name}: {line}" for name, one in collected.items() for line in tables.sentences(one.results, "dc")]
-    sections = [table_section(gains_beside_each_other(collected))]
+    headlines = [f"{name}: {line}" for name, one in collected.items() for line in _main_results(one)]
+    doubted = list(doubts(next(iter(collected.values())).data.dataset, rig))
+    sections = [Section("What to doubt", notes=doubted)] if doubted else []
+    sections.append(table_section(gains_beside_each_other(collected)))
     for name, one in collected.items():
         sections += _of_backbone(name, one)
     facts = _facts(collected)
     write_page(Page("What seeing the ground is worth", headlines, facts, [*sections, _closing()]), out)
     found = {name: _numbers(one) for name, one in collected.items()}
-    content = msgspec.json.encode({"schema": SCHEMA, "facts": facts, "backbones": found})
+    content = msgspec.json.encode({"schema": SCHEMA, "facts": facts, "doubts": doubted, "backbones": found})
     write_text(out / "evidence.json", msgspec.json.format(content, indent=2).decode() + "\n")
     return out / "report.html"
+
+
+def _main_results(one: Collected) -> list[str]:
+    """Sentences with the gain of `dc`, or what forbids to read anything from it."""
+    dc = next(model for model in one.results.models if model.label == "dc")
+    if not has_learned(one.settings, dc):
+        return [
+            "dc learned nothing: all its runs kept the weights that they began with, so that its errors are the "
+            "physics' and say nothing of features"
+        ]
+    said = tables.sentences(one.results, "dc")
+    levels = one.results.levels(next((r for r in one.results.readings if r == tables.MAP), tables.HINDSIGHT))
+    if levels.drives < MIN_UNITS and levels.blocks < MIN_UNITS:
+        said.append(
+            f"Nothing can be said for certain: the test part has {levels.blocks} of the {MIN_UNITS} blocks of 10 s "
+            "that an interval takes. Drive more."
+        )
+    return said
 
 
 def gains_beside_each_other(collected: Mapping[str, Collected]) -> TextTable:
@@ -72,20 +104,16 @@ def gains_beside_each_other(collected: Mapping[str, Collected]) -> TextTable:
     for reading in sorted(first.readings, key=lambda reading: reading[0] != "map"):
         for label in (model.label for model in first.models if model != first.baseline):
             cells = []
-            for one in (each.results for each in collected.values()):
-                model = next((model for model in one.models if model.label == label), None)
-                known = model is not None and (model, reading) in one.runs
-                cells.append(
-                    tables.percent(one.compare(model, reading).relative["distance_error_m"])
-                    if model is not None and known
-                    else "–"
-                )
+            for one in collected.values():
+                cells.append(_against_b(one, label, reading))
             lines.append((label, " ".join(filter(None, reading)), *cells))
     levels = first.levels(first.readings[0])
     about = (
-        f"Distance error after 5 s relative to b on the same windows, with 95 % intervals over {levels.text()}. "
+        "Distance error after 5 s relative to b on the same windows; negative: smaller, which is better. 95 % "
+        f"intervals over {levels.text()}; –: none, for they take three blocks of 10 s. "
         "map: the map as it was at the window's start, read at predicted places: it decides. recorded: under the "
-        "wheels' recorded future places, with features seen from so far."
+        "wheels' recorded future places, with features seen from so many metres away, or in hindsight from anywhere. "
+        f"{NOTHING}: every run kept the weights that it began with, the physics alone (see the trainings)."
     )
     return TextTable("Against b", ("model", "lookup", *collected), tuple(lines), about)
 
@@ -96,17 +124,47 @@ def _of_backbone(name: str, one: Collected) -> list[Section]:
         Picture(f"{_plain(name)}-{title.replace(' ', '-')}", png(figure), figures.caption(title, results))
         for title, figure in figures.fig4(results).items()
     ]
-    listed = [table_section(checks(results, controls), *drawn), table_section(tables.error_table(results.rows()))]
+    dc = next(model for model in results.models if model.label == "dc")
+    learned = has_learned(one.settings, dc)
+    listed = [
+        table_section(checks(results, controls, learned=learned), *drawn),
+        table_section(trainings_table(one.settings, results.models)),
+        table_section(_with_hindsight(tables.error_table(results.rows()))),
+    ]
+    if controls.baselines:
+        listed.append(table_section(gain_table("Models without networks", controls.baselines, ABOUT_BASELINES)))
     seen = measure_coverage(one.data.dataset)
     if seen is not None:
         listed += [
-            replace(section, pictures=[replace(p, name=f"{_plain(name)}-{p.name}") for p in section.pictures])
+            replace(
+                section,
+                pictures=[replace(p, name=f"{_plain(name)}-{p.name}") for p in section.pictures],
+                notes=[*section.notes, ABOUT_RATES],
+            )
             for section in coverage_sections(seen, ("rates",))
         ]
     listed.append(table_section(gain_table("Features of other ground", controls.shift.gains, controls.shift.about)))
     if controls.leak:
         listed.append(table_section(gain_table("What recorded places give away", controls.leak, ABOUT_LEAK)))
     return [replace(section, heading=f"{name}: {section.heading}") for section in listed]
+
+
+def _against_b(one: Collected, label: str, reading: Reading) -> str:
+    """The gain of a model, that it learned nothing, or a dash where it is not known."""
+    model = next((model for model in one.results.models if model.label == label), None)
+    if model is None or (model, reading) not in one.results.runs:
+        return "–"
+    if not has_learned(one.settings, model):
+        return NOTHING
+    return tables.percent(one.results.compare(model, reading).relative["distance_error_m"])
+
+
+def _with_hindsight(table: TextTable) -> TextTable:
+    """Labels with the feature set that other tables name, too."""
+    lines = [
+        (f"{line[0]} hindsight" if str(line[0]).endswith("recorded") else line[0], *line[1:]) for line in table.lines
+    ]
+    return replace(table, lines=lines)
 
 
 def _plain(name: str) -> str:
@@ -126,11 +184,13 @@ def _facts(collected: Mapping[str, Collected]) -> dict[str, str]:
         "drives": f"{len(dataset.drives)}: {driven.train:.0f} s to train, {driven.validation:.0f} s to validate, "
         f"{driven.test:.0f} s to test",
         "rig": dataset.rig.name,
+        **vehicle_facts(dataset),
         "split": dataset.split.kind if dataset.split.kind == "drives" else dataset.split.text,
         "backbones": ", ".join(
             f"{name} ({len(one.data.dataset.features)} features)" for name, one in collected.items()
         ),
         "training": f"{size.train.epochs} epochs, batch {size.train.batch}, {size.seeds} seed{'s' * (size.seeds > 1)}",
+        "command": public_command(sys.argv),
         "date": made.date,
         "machine": made.machine,
         "versions": ", ".join(f"{name} {version}" for name, version in made.versions.items()),
@@ -140,10 +200,12 @@ def _facts(collected: Mapping[str, Collected]) -> dict[str, str]:
 def _numbers(one: Collected) -> dict[str, Any]:
     metrics = msgspec.json.decode((one.settings.out / one.settings.figure / "metrics.json").read_bytes())
     return {
+        "kept_epochs": [list(line) for line in trainings_table(one.settings, one.results.models).lines],
         "against_b": metrics["against_b"],
         "results": metrics["results"],
         "coverage": metrics["coverage"] | {"feature_sets": list(FEATURE_SETS)},
         "shift": one.controls.shift.gains,
         "other_ground": one.controls.shift.ground,
         "leak": one.controls.leak,
+        "baselines": one.controls.baselines,
     }

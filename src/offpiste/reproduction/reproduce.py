@@ -44,7 +44,9 @@ def reproduce(settings: ReproductionSettings) -> Path:
 
     def report() -> None:
         claims = write_figure(settings, data, gather(settings, chosen, chosen_readings))
-        lines.extend(f"{claim}: {here} (paper: {paper}; {same})" for claim, paper, here, same in claims.lines)
+        lines.extend(
+            f"{claim}: {here} (the paper: {paper}; as there: {same})" for claim, paper, here, same in claims.lines
+        )
 
     stages.append([Step("report", REPORT_COST, lambda: False, report)])
     run_steps(stages, before=len(making_data), processes=settings.at_a_time, record=record)

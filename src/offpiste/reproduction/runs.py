@@ -24,7 +24,7 @@ from offpiste.training.distributed import ALONE
 from offpiste.training.fitness import refuse_seen
 from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.prediction import MapSource
-from offpiste.training.run import Run, load_run
+from offpiste.training.run import Run, kept_epochs, load_run
 from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train
 
@@ -214,6 +214,7 @@ def model_stages(
                 _cost_of_training(settings, model, driven),
                 (settings.runs / model.folder(seed) / "model.json").exists,
                 partial(train_run, settings, model, seed),
+                partial(_kept, settings.runs / model.folder(seed)),
             )
             (first if model.model == BASELINE else others).append(training)
     runs = [settings.runs / model.folder(seed) for model in models for seed in range(settings.size.seeds)]
@@ -227,6 +228,12 @@ def model_stages(
         for reading in sorted(readings, key=lambda reading: reading[0] != "map")  # the longest one first
     ]
     return [first, others, evaluations]
+
+
+def _kept(run: Path) -> str:
+    """The epoch that a run's network kept, in words; "" of models without a network."""
+    kept = kept_epochs(run).get("model")
+    return "" if kept is None else kept.line("network")
 
 
 def _where(reading: Reading) -> str:

@@ -109,6 +109,7 @@ def run_steps(
     before: int = 0,
     later: Sequence[Step] = (),
     processes: int = 1,
+    of: str = "",
     record: Record = nothing,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
@@ -120,6 +121,7 @@ def run_steps(
         later: steps that come afterwards; they count for the time left.
         processes: number of steps of a stage that are done side by side; with more than one, `do` and `record` must
             be picklable.
+        of: what the time left is of, where more follows that is not among the steps.
         record: receives the time that each step took.
 
     Raises:
@@ -139,7 +141,7 @@ def run_steps(
             continue
         for step in missing:
             number = numbers[step.name]
-            logger.info(f"{number} {step.name}; about {pace.left()} left")
+            logger.info(f"{number} {step.name}; about {pace.left()} left{of and f' of {of}'}")
             seconds = _timed(step.do, clock)
             record(step.name, seconds)
             pace.spent += step.cost
