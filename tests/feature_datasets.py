@@ -34,9 +34,9 @@ def rows_with_features(rows: int, rng: np.random.Generator, **circle: float) -> 
 
 
 def dataset_with_features(
-    path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0, yaw_rate: float = 0.5
+    path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0, yaw_rate: float = 0.5, cells: int = 100
 ) -> Dataset:
-    """Some drives, each in one part, with a map of random looks."""
+    """Some drives, each in one part, with a map of random looks, `cells` of 0.4 m wide."""
     rng = np.random.default_rng(seed)
     names = [f"circle-{number}" for number in range(len(parts))]
     listed = path.with_suffix(".txt")
@@ -45,8 +45,8 @@ def dataset_with_features(
     create(path, small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
     for name in names:
         driven = rows_with_features(rows, rng, speed=float(rng.uniform(3, 6)), yaw_rate=yaw_rate)
-        looks = rng.normal(size=(100, 100, FEATURES)).astype(np.float32)
-        terrain = TerrainMap(driven.origin - 20.0, 0.4, np.zeros((100, 100), np.float32), looks)
+        looks = rng.normal(size=(cells, cells, FEATURES)).astype(np.float32)
+        terrain = TerrainMap(driven.origin - 0.2 * cells, 0.4, np.zeros((cells, cells), np.float32), looks)
         add_drive(path, name, driven, split, (), terrain)
     return open_dataset(path)
 

@@ -24,7 +24,7 @@ TINY = Size("tiny", (30.0, 15.0, 15.0), stride=320, train=TrainConfig(epochs=1, 
 @pytest.fixture(scope="module")
 def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reproduced")
-    dataset_with_features(folder / "dataset.zarr", rows=1800, yaw_rate=0.05)
+    dataset_with_features(folder / "dataset.zarr", rows=3000, yaw_rate=0.08, cells=800)
     (folder / "settings.json").write_text(json.dumps({"size": asdict(TINY), "dataset": "simulated"}))
     of = open_reproduction(folder)
     for model in ("b", "dc"):
