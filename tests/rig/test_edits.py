@@ -1,5 +1,6 @@
 """Edits of rigs: what they set, what they refuse, how they are written."""
 
+import math
 import tomllib
 from collections.abc import Callable
 from typing import Any
@@ -35,7 +36,19 @@ def test_an_impossible_edit_is_refused(edit: Edit) -> None:
 
 
 @pytest.mark.parametrize(
-    "value", [-1, 0.25, 1.0, 1e-9, "deg", ["x", "y"], [1.0, -2.5], {"above": 4000.0, "period": 6553.6}]
+    "value",
+    [
+        -1,
+        0.25,
+        1.0,
+        1e-9,
+        "deg",
+        ["x", "y"],
+        [1.0, -2.5],
+        {"above": 4000.0, "axes[0]": 6553.6},
+        math.inf,
+        {"a": -math.inf},
+    ],
 )
 def test_values_are_written_as_toml_reads_them(value: object) -> None:
     assert tomllib.loads(f"key = {toml_value(value)}") == {"key": value}

@@ -159,7 +159,11 @@ def test_truth_comes_back(clean: Path) -> None:
 def test_rigs_with_and_without_the_gear_are_alike_but_for_it() -> None:
     plain, geared = load_rig("proving_ground"), load_rig("proving_ground_gear")
     channels = {name: source for name, source in geared.channels.items() if name != "gear"}
-    assert msgspec.structs.replace(geared, name=plain.name, channels=channels) == plain
+    command = geared.outputs["command"]
+    fields = {name: field for name, field in command.fields.items() if field.of != "gear"}
+    outputs = {"command": msgspec.structs.replace(command, fields=fields)}
+    assert msgspec.structs.replace(geared, name=plain.name, channels=channels, outputs=outputs) == plain
+    assert command.fields.keys() - fields.keys() == {"axes[3]"}
     assert geared.present_controls == ("throttle", "brake", "steer", "gear")
 
 

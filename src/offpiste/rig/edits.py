@@ -1,5 +1,7 @@
 """Edits of a rig by the paths of its entries: what a cure of a log changes."""
 
+import math
+import re
 from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -147,10 +149,17 @@ def _without_tail(body: list[tuple[Any, Item]]) -> list[tuple[Any, Item]]:
 def toml_value(value: Any) -> str:
     """A value as TOML writes it: texts, numbers, booleans, lists, and tables in one line."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {toml_value(entry)}" for key, entry in value.items()) + " }"
+        return "{ " + ", ".join(f"{toml_key(key)} = {toml_value(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(entry) for entry in value) + "]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # inf and nan, which JSON lacks
     return msgspec.json.encode(value, enc_hook=lambda number: number.item()).decode()  # of NumPy
+
+
+def toml_key(key: str) -> str:
+    """A key as TOML writes it: in quotes where it has other characters than letters, digits, _ and -."""
+    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else msgspec.json.encode(key).decode()
 
 
 def number(value: float) -> str:
