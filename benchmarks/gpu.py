@@ -1,8 +1,8 @@
 """Parity and times on an NVIDIA GPU: rollouts with map and cost, whole plans, training steps. `gpu.sh` runs all of it.
 
-`python benchmarks/gpu.py [--device cuda] [--out gpu.json] [--small]`. Without a GPU, `--device cpu --small` runs the
-same script on kernels that g++ compiled for this machine (from tests/host_kernels.py), which checks the script, not the
-GPU: its times mean nothing.
+`python benchmarks/gpu.py [--device cuda] [--out gpu.json] [--small]`. Without a GPU, `PYTHONPATH=tests python
+benchmarks/gpu.py --device cpu --small` runs the same script on kernels that g++ compiled for this machine (from
+tests/host_kernels.py), which checks the script, not the GPU: its times mean nothing.
 """
 
 import argparse
@@ -104,7 +104,7 @@ def of_plans(dynamics: Dynamics, device: torch.device, sizes: list[int], turns: 
         if samples == sizes[0]:
             check_planner(planner, plan, start, at, weights, codes)
         cost_of = costs_by_kernels(kernels, dynamics, there, at, weights, codes)
-        controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3)).to(device)
+        controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))).to(device)
         rows[f"rollouts with map and cost, {samples} x {HORIZON_STEPS}"] = milliseconds(
             lambda cost_of=cost_of, controls=controls: cost_of(controls), device, turns
         )

@@ -41,8 +41,11 @@ def write_folder(path: Path, write: Callable[[Path], None]) -> None:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def check_folder(out: Path) -> None:
+def check_folder(out: Path, *, option: str = "--out") -> None:
     """Check that a path can be a folder.
+
+    Args:
+        option: that gives it, for the message.
 
     Raises:
         OffpisteError: it is a file, or lies in one, or in an object store.
@@ -50,7 +53,7 @@ def check_folder(out: Path) -> None:
     refuse_url(out)
     for place in (out, *out.parents):
         if place.exists() and not place.is_dir():
-            raise OffpisteError("is a file", where=place, how="give a folder as --out")
+            raise OffpisteError("is a file", where=place, how=f"give a folder as {option}")
 
 
 def remove_partials(folder: Path, name: str = "") -> None:

@@ -43,16 +43,28 @@ def test_a_c_program_drives_5_s_and_agrees_with_predictions(name, tmp_path):
     assert about["weights_sha256"] in (tmp_path / "out" / "README.md").read_text()
 
 
+@needs_gcc
+def test_the_example_fails_where_a_drive_is_not_a_number_or_turns_otherwise(tmp_path):
+    case = parity_case(pretrained("proving-ground/parametric").dynamics)
+    export_run("pretrained:proving-ground/parametric", tmp_path / "out", "c")
+    assert compiled_and_run(tmp_path / "out").returncode == 0
+    for column, value in ((0, torch.nan), (2, 9.0)):
+        expected = case.expected.clone()
+        expected[0, :, column] = value
+        (tmp_path / "out" / "parity.bin").write_bytes(parity_bytes(replace(case, expected=expected)))
+        assert compiled_and_run(tmp_path / "out").returncode == 1
+
+
 def made_up(kind):
     """Models with what the shipped ones lack: absent channels, a gear, features as they are, codes that are held."""
     vehicle = replace(VEHICLE, wheelbase=2.2)
+    torch.manual_seed(0)
     model = {
         "no actuators": lambda: example(*CHANNELS["no actuators"], codes=0, kind=Hybrid),
         "gear without throttle": lambda: example(*CHANNELS["gear without throttle"], codes=0, kind=Hybrid),
         "features as they are": lambda: Hybrid(vehicle, encoder=Identity(2)),
         "held": lambda: Hybrid(vehicle, encoder=Compressor(2), holds_codes=True),
     }[kind]()
-    torch.manual_seed(0)
     if isinstance(model, Hybrid):
         torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.1)
     return unsettled(model.float(), scale=0.05).requires_grad_(False)

@@ -97,6 +97,11 @@ def test_kernels_that_compute_something_else_are_refused():
     planner = DevicePlanner(HostKernels(wrong), dynamics, SETTINGS, torch.Generator())
     with pytest.raises(PlanningError, match="costs on cpu differ from those on the CPU"):
         check_planner(planner, *given)
+    unlimited = text.replace("controls[t * items + i] = before = value;", "controls[t * items + i] = before = 9.0f;")
+    assert unlimited != text
+    planner = DevicePlanner(HostKernels(unlimited), dynamics, SETTINGS, torch.Generator())
+    with pytest.raises(PlanningError, match="limits of controls on cpu differ"):
+        check_planner(planner, *given)
 
 
 class Nothing:

@@ -34,14 +34,12 @@ def export_run(run: str | Path, to: Path, kind: str) -> None:
         OffpisteError: no such format, no such run, a folder with files, or a model that the format cannot hold.
     """
     write = FORMATS[kind]
-    check_folder(to)
+    check_folder(to, option="--to")
     if to.exists() and any(to.iterdir()):
         raise OffpisteError("has files already", where=to, how="give a folder that is empty or not there yet")
     loaded = load_run(run)
     loaded.dynamics.requires_grad_(False)
     to.parent.mkdir(parents=True, exist_ok=True)
-    if to.exists():
-        to.rmdir()
     write_folder(to, lambda folder: write(loaded, folder))
 
 

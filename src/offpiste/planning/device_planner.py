@@ -7,7 +7,7 @@ captured once, serves all plans; a map that is larger than all before it means n
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, final
+from typing import Any, final
 
 import torch
 from jaxtyping import Float
@@ -24,10 +24,8 @@ from offpiste.planning.header.costs import packed_maps, packed_situation
 from offpiste.planning.kernel import Codes
 from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, sample_groups, smoothed
 from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients
+from offpiste.planning.pedal import controls_of
 from offpiste.state import ModelState
-
-PEDAL_AND_STEER: Final = 2
-"""Controls that are sampled where one pedal stands for throttle and brake (`planning.pedal`)."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class DevicePlanner:
         maps = packed_maps(situation, codes, torch.device("cpu"))
         buffers = self._buffers_for(controls, packed, maps)
         buffers.plan.copy_(controls)
-        buffers.bounds.copy_(_bounds(settings, previous))
+        buffers.bounds.copy_(bounds_of(settings, previous))
         buffers.situation.copy_(packed)
         for room, part in zip((buffers.slope, buffers.codes, buffers.layers), maps, strict=True):
             room[: part.numel()].copy_(part.flatten())
@@ -138,7 +136,7 @@ class DevicePlanner:
             by_step = draws.permute(1, 2, 0).contiguous()
             items = count * settings.samples
             self.kernels.launch("offpiste_keep_within", items, by_step, b.bounds, count, steps)
-            given = throttle_brake_steer(by_step)
+            given = model_controls(by_step.permute(2, 0, 1)).permute(1, 2, 0).contiguous()
             costs = b.costs.new_empty(settings.samples, dtype=torch.float32)
             self.kernels.launch(
                 "offpiste_roll_out", settings.samples, self._params, b.situation, b.slope, b.codes, b.layers, given,
@@ -150,13 +148,9 @@ class DevicePlanner:
             b.plan.copy_(torch.einsum("k,tuk->tu", b.weights.float(), by_step))
 
 
-def throttle_brake_steer(controls: Float[Tensor, "T U K"]) -> Float[Tensor, "T 3 K"]:
-    """Controls of the model, from those that are sampled."""
-    if controls.shape[1] != PEDAL_AND_STEER:
-        assert controls.shape[1] == len(CONTROL)
-        return controls
-    pedal, steer = controls.unbind(1)
-    return torch.stack((pedal.clamp(min=0), (-pedal).clamp(min=0), steer), dim=1)
+def model_controls(sampled: Float[Tensor, "K T U"]) -> Float[Tensor, "K T 3"]:
+    """Throttle, brake and steer, from those or from pedal and steer."""
+    return sampled if sampled.shape[-1] == len(CONTROL) else controls_of(sampled)
 
 
 def prepared(noise: Noise, steps: int, device: torch.device) -> Noise | None:
@@ -197,7 +191,7 @@ def _groups(settings: Settings) -> tuple[Float[Tensor, "K 1 U"], Float[Tensor, "
     return factor[:, None, None] * deviation, is_fresh[:, None, None], rest
 
 
-def _bounds(settings: Settings, previous: Tensor | None) -> Float[Tensor, "4 U"]:
+def bounds_of(settings: Settings, previous: Tensor | None) -> Float[Tensor, "4 U"]:
     """Low and high bounds, largest change of a step, control before the first; NaN leaves that one free."""
     limits = settings.limits
     low, high = torch.tensor(limits.low), torch.tensor(limits.high)

@@ -11,7 +11,7 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.planning import mppi
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.device_planner import DevicePlanner, throttle_brake_steer
+from offpiste.planning.device_planner import DevicePlanner, bounds_of, model_controls
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
@@ -23,6 +23,9 @@ CHECKED: Final = 64
 
 APART: Final = 1e-3
 """Largest median of the relative differences; single samples part where rounding chooses another cell."""
+
+
+HOW: Final = "plan on the CPU, and report GPU, driver and this line"
 
 
 def gpu_planner(
@@ -52,7 +55,7 @@ def check_planner(
     weights: CostWeights,
     codes: Codes,
 ) -> None:
-    """Compare costs of samples around a plan with those of the CPU's kernel.
+    """Compare limits and costs of samples around a plan with those of the CPU.
 
     Raises:
         PlanningError: they differ.
@@ -60,12 +63,26 @@ def check_planner(
     settings, dynamics, device = planner.settings, planner.dynamics, planner.device
     draws = mppi.sample(plan, settings, torch.Generator().manual_seed(0))[:: max(settings.samples // CHECKED, 1)]
     sampled = mppi.limited(draws, settings)
-    controls = throttle_brake_steer(sampled.permute(1, 2, 0)).permute(2, 0, 1).contiguous()
+    _check_limits(planner, draws, sampled)
+    controls = model_controls(sampled).contiguous()
     wanted = fused_costs(dynamics, model_state, situation, weights, codes)(controls)
     there = ModelState(*(part.to(device) for part in vars(model_state).values()))
     cost_of = costs_by_kernels(planner.kernels, dynamics, there, situation, weights, codes)
     found = cost_of(controls.to(device)).cpu()
-    apart = float(((found - wanted).abs() / wanted.abs().clamp(min=1e-6)).nan_to_num(nan=0.0).median())
-    if not torch.equal(found.isfinite(), wanted.isfinite()) or not apart < APART:
+    finite = wanted.isfinite()
+    apart = float(((found - wanted).abs() / wanted.abs().clamp(min=1e-6))[finite].median())  # NaN where none is
+    if not torch.equal(found.isfinite(), finite) or not apart < APART:
         what = f"costs on {device} differ from those on the CPU, by {apart:.1e} in the median"
-        raise PlanningError(what, how="plan on the CPU, and report GPU, driver and this line")
+        raise PlanningError(what, how=HOW)
+
+
+def _check_limits(planner: DevicePlanner, draws: Float[Tensor, "K T U"], limited: Float[Tensor, "K T U"]) -> None:
+    """Compare the kernel's bounds and rates with those of `mppi.limited`."""
+    samples, steps, count = draws.shape
+    by_step = draws.permute(1, 2, 0).contiguous().to(planner.device)
+    bounds = bounds_of(planner.settings, None).to(planner.device)
+    planner.kernels.launch("offpiste_keep_within", count * samples, by_step, bounds, count, steps)
+    apart = float((by_step.permute(2, 0, 1).cpu() - limited).abs().max())
+    if not apart < APART:
+        what = f"limits of controls on {planner.device} differ from those on the CPU, by {apart:.1e}"
+        raise PlanningError(what, how=HOW)

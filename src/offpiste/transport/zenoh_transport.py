@@ -158,7 +158,7 @@ class ZenohTransport:
         return found
 
     def routers(self) -> int:
-        """Number of routers that this session is connected to; 0 while the connection is lost."""
+        """Number of routers it is connected to; 0 while the connection is lost."""
         return len(self._session.info.routers_zid())
 
     def decode(self, message: Received) -> Any:

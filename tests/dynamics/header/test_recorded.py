@@ -1,6 +1,7 @@
 """The printed C, compiled for this machine, against the eager model: rollouts, and all gradients that training uses."""
 
 import copy
+from dataclasses import replace
 
 import pytest
 import torch
@@ -71,8 +72,30 @@ def test_kernels_are_checked_before_their_first_use_and_the_cpu_has_others():
     model, cpu = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), torch.device("cpu")
     text = recorded_text(model)
     check_kernels(HostKernels(text), model, cpu)
-    for right, wrong in (("0.02f*yaw_rate", "0.021f*yaw_rate"), ("1.0f - a->layer[k]", "0.9f - a->layer[k]")):
+    for right, wrong in (
+        ("0.02f*yaw_rate", "0.021f*yaw_rate"),
+        ("1.0f - a->layer[k]", "0.9f - a->layer[k]"),
+        ("start_bar[k * n + i] = bar[k];", "start_bar[k * n + i] = 0.0f / 0.0f;"),
+        ("constants_bar[k * n + i] = c_bar[k];", "constants_bar[k * n + i] = 5.0f;"),
+    ):
         assert right in text
         with pytest.raises(OffpisteError, match="rollouts on cpu differ from the eager model's"):
             check_kernels(HostKernels(text.replace(right, wrong)), model, cpu)
     assert gpu_kernels(model, cpu, torch.float32) is None
+
+
+@pytest.mark.parametrize("wrong", ["controls", "type", "steps"])
+def test_what_kernels_would_read_wrongly_is_refused(wrong):
+    model = example(*CHANNELS["all"], codes=0, kind=Hybrid).float().requires_grad_(False)
+    kernels = HostKernels(recorded_text(model))
+    model_state, control, terrain = windows(model, 4, 3)
+    whole = rollout_by_kernels(kernels, model, model_state, control, terrain).state
+    spare = replace(terrain, latent=torch.randn(*terrain.known.shape, 3, generator=torch.Generator().manual_seed(0)))
+    assert torch.equal(rollout_by_kernels(kernels, model, model_state, control, spare).state, whole)
+    given = {
+        "controls": (torch.cat((control, control[..., :1]), dim=-1), terrain),
+        "type": (control.double(), terrain),
+        "steps": (control, terrain.rows(slice(2))),
+    }[wrong]
+    with pytest.raises(ValueError, match=r"kernels want|known normals are"):
+        rollout_by_kernels(kernels, model, model_state, *given)

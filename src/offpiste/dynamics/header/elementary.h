@@ -66,12 +66,9 @@ OFFPISTE_FN double offpiste_atan(double x) { return atan(x); }
 
 #else
 
-/* On GPUs 1 - 2 / (1 + e^2x), by their exponential and reciprocal; OFFPISTE_TANH_APPROX: their own tanh, of 5e-4. */
+/* On GPUs 1 - 2 / (1 + e^2x), by their exponential and reciprocal. */
 OFFPISTE_FN offpiste_real offpiste_tanh(offpiste_real x) {
-#if defined(__CUDA_ARCH__) && defined(OFFPISTE_TANH_APPROX)
-    asm("tanh.approx.f32 %0, %0;" : "+f"(x));
-    return x;
-#elif defined(__CUDA_ARCH__)
+#ifdef __CUDA_ARCH__
     float e = 2.8853900817779268f * x, r;
     asm("ex2.approx.ftz.f32 %0, %0;" : "+f"(e));
     e += 1.0f;

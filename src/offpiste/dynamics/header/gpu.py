@@ -10,7 +10,7 @@ from offpiste.conventions import ACTUATORS
 from offpiste.cuda_kernels import Kernels, cuda_kernels
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
-from offpiste.dynamics.kernels.model_arrays import knows_channels
+from offpiste.dynamics.kernels.model_arrays import kernel_parts, knows_channels
 from offpiste.errors import OffpisteError, is_installed
 from offpiste.state import ModelState, RecordedTerrain, Terrain
 
@@ -57,12 +57,15 @@ def _say_that_kernels_are_missing() -> None:
 
 @torch.enable_grad()
 def check_kernels(kernels: Kernels, dynamics: Dynamics, device: torch.device) -> None:
-    """Compare states and their gradients by the start and the codes with the eager model's, on random input.
+    """Compare states, and their gradients by start, codes and what learns, with the eager model's, on random input.
 
     Raises:
         OffpisteError: they differ.
     """
     model_state, controls, terrain = _random(dynamics, device, batch=65, steps=10)
+    parts, _ = kernel_parts(dynamics)
+    networks = () if parts.compensator is None else parts.compensator.parameters()
+    learning = [each for each in (*parts.bicycle.parameters(), *networks) if each.requires_grad]
 
     def of(by_kernels: bool) -> list[Tensor]:
         leaves = [part.detach().clone().requires_grad_() for part in (model_state.state, terrain.latent)]
@@ -72,11 +75,13 @@ def check_kernels(kernels: Kernels, dynamics: Dynamics, device: torch.device) ->
             states = rollout_by_kernels(kernels, dynamics, start, controls, ground).state
         else:
             states = rollout(dynamics, start, controls, RecordedTerrain(ground)).state
-        gradients = torch.autograd.grad(states[..., 3:].square().sum(), leaves, allow_unused=True)
-        return [states.detach(), *(gradient for gradient in gradients if gradient is not None)]
+        of_all = (*leaves, *learning)
+        gradients = torch.autograd.grad(states[..., 3:].square().sum(), of_all, materialize_grads=True)
+        return [states.detach(), *gradients]
 
     pairs = zip(of(by_kernels=True), of(by_kernels=False), strict=True)
-    apart = max(float((a - b).abs().max() / b.abs().max().clamp(min=1e-6)) for a, b in pairs if a.numel())
+    differences = [(a - b).abs().max() / b.abs().max().clamp(min=1e-6) for a, b in pairs if a.numel()]
+    apart = float(torch.stack(differences).max())  # NaN where one is
     if not apart < APART:
         what = f"rollouts on {device} differ from the eager model's, by {apart:.1e}"
         raise OffpisteError(what, how="use --device cpu, and report GPU, driver and this line")

@@ -19,6 +19,7 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.autograd import check_shapes, read_codes
 from offpiste.dynamics.kernels.model_arrays import (
     compensator_inputs,
     compensator_weights,
@@ -62,9 +63,18 @@ def rollout_by_kernels(
 
     Gradients reach the bicycle's constants, the compensator, `model_state` and `terrain.latent`; not the actuators'
     models, controls or normals.
+
+    Raises:
+        ValueError: shapes, types or devices that the kernels cannot take.
+        DatasetError: there is neither a steering angle nor a steering command.
     """
     parts, _ = kernel_parts(dynamics)
-    terms = terms_of_codes(dynamics, terrain.latent.flatten(-2))
+    latent = read_codes(dynamics, terrain)
+    check_shapes(dynamics, model_state, controls, terrain, latent)
+    params = packed_parameters(dynamics, apart=True)
+    if params.dtype != controls.dtype:
+        raise ValueError(f"controls are {controls.dtype}; this model's kernels want {params.dtype}")
+    terms = terms_of_codes(dynamics, latent.flatten(-2))
     unknown = (~terrain.known).to(controls).mean(dim=-1, keepdim=True)
     columns = [controls.detach(), terrain.normal.detach().mean(dim=-2), unknown, terms.detach()]
     rows = torch.cat(columns, dim=-1).permute(1, 2, 0).contiguous()
@@ -73,7 +83,7 @@ def rollout_by_kernels(
     tensors = (start, learned_constants(dynamics), terms, *matrices)
     differentiate = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     inputs = len(compensator_inputs(dynamics.vehicle))
-    given = _Given(kernels, packed_parameters(dynamics, apart=True), rows, inputs, differentiate)
+    given = _Given(kernels, params, rows, inputs, differentiate)
     return Trajectory(*_Recorded.apply(given, *tensors))  # type: ignore[no-untyped-call]
 
 

@@ -66,8 +66,10 @@ def rollout_recorded(
         ValueError: model, types or shapes that the kernels cannot take.
         DatasetError: there is neither a steering angle nor a steering command.
     """
-    latent = terrain.latent if dynamics.codes else terrain.latent[..., :0]
-    _check(dynamics, model_state, controls, terrain, latent)
+    if not supports(dynamics, controls.device, controls.dtype):
+        raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
+    latent = read_codes(dynamics, terrain)
+    check_shapes(dynamics, model_state, controls, terrain, latent)
     start, learned = model_state.pack(), learned_constants(dynamics)
     terms, matrices = terms_of_codes(dynamics, latent.flatten(-2)), compensator_weights(dynamics, apart=True)
     tensors = (start, learned, terms, *matrices)
@@ -120,8 +122,23 @@ class _Rollout(torch.autograd.Function):
         return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
 
 
-def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrain: Terrain, latent: Tensor) -> None:
-    """Refuse what the kernels would read out of bounds, or wrongly."""
+def read_codes(dynamics: Dynamics, terrain: Terrain) -> Float[Tensor, "B T 4 n"]:
+    """Codes of the terrain that a model reads: none, where it has no encoder."""
+    return terrain.latent if dynamics.codes else terrain.latent[..., :0]
+
+
+def check_shapes(
+    dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrain: Terrain, latent: Tensor
+) -> None:
+    """Refuse what kernels would read out of bounds, or wrongly.
+
+    Args:
+        latent: see `read_codes`.
+
+    Raises:
+        ValueError: a shape, a type or a device.
+        DatasetError: there is neither a steering angle nor a steering command.
+    """
     batch, steps = controls.shape[:2]
     codes, units = dynamics.codes, dynamics.recurrent_size
     expected = {
@@ -133,8 +150,6 @@ def _check(dynamics: Dynamics, model_state: ModelState, controls: Tensor, terrai
         "hidden": (model_state.hidden, (batch, units)),
         "cell": (model_state.cell, (batch, units)),
     }
-    if not supports(dynamics, controls.device, controls.dtype):
-        raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
     if terrain.known.shape != (batch, steps, 4) or terrain.known.dtype != torch.bool:
         raise ValueError(f"known normals are {list(terrain.known.shape)}, {terrain.known.dtype}")
     for name, (tensor, shape) in expected.items():
