@@ -2,10 +2,10 @@
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,21 +13,26 @@ from experiments.control_experiments.distilled import distilled
 from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
+from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.map_snapshots import CellList, Snapshots
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.reproduction.gains import MAP, Gain, errors_of, evaluation_index, gain, gain_table
+from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run
 
 logger = logging.getLogger("experiments")
 
 ABOUT: Final = (
     "On the windows of the validation part; the test part is not looked at. Relative to `dc` (below 0: better), with "
-    "95 % intervals over drives, blocks of 10 s and seeds. Each differs from `dc` in one thing."
+    "95 % intervals over drives, blocks of 10 s and seeds. Each differs from `dc` in what its line says."
 )
 READINGS: Final[tuple[Reading, ...]] = (MAP, *(("recorded", name) for name in ("10", "20", "30")))
+
+BESIDE_HINDSIGHT: Final = FEATURE_SETS.index("10")
+"""Feature set that is read beside hindsight's own, which has no distance."""
 
 BLIND_SPOT: Final = 4.0
 """Nearer to the vehicle no ground is seen [m]."""
@@ -40,7 +45,7 @@ class Idea:
     Attributes:
         what: it is, in a few words.
         model: that is trained.
-        settings: of `TrainConfig` that differ.
+        config: its settings, from those of the reproduction's `dc`.
         changed: the dataset that it is trained and evaluated on; the reproduction's own by default.
         mapped: whether the maps of that dataset hold what the model reads.
         made: makes a run otherwise than by training, from the reproduction, a folder and a seed.
@@ -48,7 +53,7 @@ class Idea:
 
     what: str
     model: str = "dc"
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    config: Callable[[TrainConfig], TrainConfig] = lambda config: config
     changed: Callable[[Dataset], Dataset] | None = None
     mapped: bool = True
     made: Callable[[Reproduced, Path, int], Run] | None = None
@@ -83,9 +88,8 @@ def ideas_control(of: Reproduced, out: Path, chosen: list[str], seeds: int) -> P
 def _run(of: Reproduced, idea: Idea, dataset: Dataset, runs: Path, seed: int) -> Run:
     if idea.made is not None:
         return idea.made(of, runs, seed)
-    config = replace(of.member("dc").config(of.size, seed, "cpu"), model=idea.model)
-    wanted = {name: value(config) if callable(value) else value for name, value in idea.settings.items()}
-    return trained(dataset, replace(config, **wanted), runs, stages=of.folder / "runs")
+    config = idea.config(replace(of.member("dc").config(of.size, seed, "cpu"), model=idea.model))
+    return trained(dataset, config, runs, stages=of.folder / "runs")
 
 
 def with_distance(dataset: Dataset) -> Dataset:
@@ -135,7 +139,7 @@ def with_farther_views(count: int, dataset: Dataset) -> Dataset:
 
     def two_views(cells: Cells) -> Cells:
         farther = np.arange(len(cells.features)) + 1
-        farther[[0, -1]] = [FIRST_SEEN, len(farther) - 1]
+        farther[[0, -1]] = [BESIDE_HINDSIGHT, len(farther) - 1]
         own, other = cells.features[..., :count], cells.features[farther][..., :count]
         other = np.where(cells.valid[farther][..., None], other, own)
         return replace(cells, features=np.concatenate((own, other), axis=-1))
@@ -148,25 +152,24 @@ def with_farther_views(count: int, dataset: Dataset) -> Dataset:
     return replace(dataset, drives=tuple(map(changed, dataset.drives)), features=names)
 
 
-FIRST_SEEN: Final = 4
-"""Feature set beside hindsight's view: seen from 10 m."""
-
 IDEAS: Final[Mapping[str, Idea]] = {
     "as seen": Idea("ground ahead as it looks from the start, not one distance a trajectory", model="dc-view"),
     "distance": Idea(
         "the encoder knows from how far a cell was seen",
-        settings={"pca": lambda config: config.pca + 1},
+        config=lambda config: replace(config, pca=config.pca + 1),
         changed=with_distance,
     ),
     "two views": Idea(
         "the encoder reads the view from 10 m farther away, too",
-        settings={"pca": 80},
+        config=lambda config: replace(config, pca=80),
         changed=partial(with_farther_views, 40),
         mapped=False,
     ),
     "distilled": Idea("codes of far views learn what cf's are in hindsight; the rest is cf's", made=distilled),
-    "eight codes": Idea("codes twice as long", settings={"codes": 8}),
-    "few features": Idea("the first 12 of 40 features", settings={"pca": 12}),
-    "slow windows": Idea("errors count relative to the driven distance", settings={"relative": 1.0}),
+    "eight codes": Idea("codes twice as long", config=lambda config: replace(config, codes=8)),
+    "few features": Idea("the first 12 of 40 features", config=lambda config: replace(config, pca=12)),
+    "slow windows": Idea(
+        "errors count relative to the driven distance", config=lambda config: replace(config, relative=1.0)
+    ),
 }
 """What is tried, by name."""

@@ -11,7 +11,8 @@ from experiments.control_experiments.tables import write_control
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, load_errors, save_errors
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.evaluation.speed_bands import BANDS
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows
+from offpiste.evaluation.speed_bands import members
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, evaluation_index, gain, gain_table
 from offpiste.reproduction.runs import errors_of_runs, errors_path
 
@@ -37,14 +38,10 @@ def strata_control(of: Reproduced, out: Path) -> Path:
 
 
 def strata(windows: Windows, index: Int[np.ndarray, " n"]) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Which of some windows start in each band of speed, and in each kind of world, as drives are named after it."""
-    drives, rows = windows.dataset.drives, windows.row_in_drive(index)
-    start = np.stack([drives[d].rows.state_causal[r] for d, r in zip(windows.drive[index], rows, strict=True)])
-    speed = np.hypot(start[:, 3], start[:, 4])
-    world = np.array([drives[d].name.rsplit("-", 1)[0] for d in windows.drive[index]])
-    bands = {band.name: (speed >= band.low) & (speed < band.high) for band in BANDS}
-    every = bands | {str(name): world == name for name in np.unique(world)}
-    return {name: among for name, among in every.items() if among.any()}
+    """Which of some windows start in each band of speed or in reverse, and in each kind of world (in drives' names)."""
+    bands = members(EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index)))
+    world = np.array([windows.drive_names[drive].rsplit("-", 1)[0] for drive in windows.drive[index]])
+    return bands | {str(name): world == name for name in np.unique(world)}
 
 
 def _errors(

@@ -93,7 +93,8 @@ def as_seen(
 ) -> FeatureSetChoice:
     """`dc-view`: each row's features are those seen from as far as the row lies ahead, as on a map at the start.
 
-    Sets are 10 m apart: where one ends and the next begins is drawn for each trajectory.
+    Sets are 10 m apart: where one ends and the next begins is drawn for each trajectory. As recorded places do, this
+    gives away how far the vehicle will go; on a map at predicted places nothing does.
     """
     if stored == 1:
         return same_feature_set(len(ahead), 0)

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -11,37 +10,29 @@ import numpy as np
 
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
-from offpiste.evaluation.speed_bands import BANDS
+from offpiste.evaluation.speed_bands import members
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
 from offpiste.training.checkpoint import load_json, save_tensors
 from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.calibration import (
-    HORIZONS,
     CalibrationRow,
     calibration_rows,
     calibration_table,
     draw_calibration,
+    within_regions,
 )
-from offpiste.uncertainty.fit import SpreadSettings, Strayed, fit_spread, strayed_on_maps
+from offpiste.uncertainty.fit import SpreadSettings, fit_spread, strayed_on_maps
 from offpiste.uncertainty.prediction import FILE, load_spread
-from offpiste.uncertainty.spread import INTERVAL, Spread
-from offpiste.uncertainty.student import probability_within, squared_distance
+from offpiste.uncertainty.spread import Spread
 
 logger = logging.getLogger(__name__)
 
 PART: Final = "test"
 """Part of the dataset that calibration is evaluated on."""
-
-
-@dataclass(frozen=True)
-class Located:
-    """Where windows lie in the dataset, for intervals."""
-
-    drive: np.ndarray = field(repr=False)
-    row: np.ndarray = field(repr=False)
 
 
 def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
@@ -65,12 +56,9 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
         index = windows.evaluation_indices(5)
         spread = kept_or_fitted(run, mine, settings)
         strayed = strayed_on_maps(run, windows, index)
-        speed = strayed.inputs[:, 0, 0].numpy()
-        bands = {band.name: (speed >= band.low) & (speed < band.high) for band in BANDS}
-        groups = {name: among for name, among in bands.items() if among.any()}
-        drawn = Sampling().on(Located(windows.drive[index], windows.row_in_drive(index)))
-        rows += calibration_rows(folder.name, spread, strayed, groups, drawn)
-        within[folder.name] = _within(spread, strayed)
+        located = EvaluatedWindows(mine, windows.drive[index], windows.row_in_drive(index))
+        rows += calibration_rows(folder.name, spread, strayed, members(located), Sampling().on(located))
+        within[folder.name] = within_regions(spread, strayed)
     table = calibration_table(rows)
     write_png(out / "calibration.png", draw_calibration(within), dpi=110)
     write_text(out / "calibration.json", msgspec.json.encode({"schema": 1, "part": PART, "rows": rows}).decode())
@@ -96,9 +84,3 @@ def _min_speed(run: Run) -> float | None:
     config = run.folder / "config.json"
     speed = load_json(config)["train"].get("min_speed") if config.exists() else None
     return None if speed is None else float(speed)
-
-
-def _within(spread: Spread, strayed: Strayed) -> np.ndarray:
-    at = [round(horizon / INTERVAL) - 1 for horizon in HORIZONS]
-    squared = squared_distance(strayed.error, spread(strayed.inputs)).numpy()
-    return probability_within(squared[:, at], float(spread.freedom))

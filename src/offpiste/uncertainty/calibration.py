@@ -18,6 +18,9 @@ from offpiste.uncertainty.student import area_under_curve, crps, probability_wit
 HORIZONS: Final = (1.0, 3.0, 5.0)
 """Moments that are evaluated [s]."""
 
+AT: Final = [round(horizon / INTERVAL) - 1 for horizon in HORIZONS]
+"""Numbers of these moments among those of a spread."""
+
 NOMINAL: Final = (0.5, 0.8, 0.95)
 """Share of errors that each region should hold."""
 
@@ -73,15 +76,13 @@ def calibration_rows(
         drawn: of the same windows, for intervals of the row of all of them.
     """
     scale, error, freedom = spread(strayed.inputs).numpy(), strayed.error.numpy(), float(spread.freedom)
-    within = probability_within(squared_distance(strayed.error, spread(strayed.inputs)).numpy(), freedom)
-    speed, rows = strayed.inputs[:, 0, 0].numpy(), []
-    for horizon in HORIZONS:
-        k = round(horizon / INTERVAL) - 1
+    within, speed, rows = within_regions(spread, strayed), strayed.inputs[:, 0, 0].numpy(), []
+    for place, (horizon, k) in enumerate(zip(HORIZONS, AT, strict=True)):
         distance, reach = np.linalg.norm(error[:, k], axis=-1), np.linalg.norm(scale[:, k], axis=-1)
         score = crps(error[:, k], scale[:, k], freedom).mean(axis=-1)
         for name, mine in ({ALL: np.ones(len(error), bool)} | dict(groups)).items():
             worst = distance[mine] >= np.quantile(distance[mine], 1 - WORST)
-            covered = within[mine, k, None] <= np.array(NOMINAL)
+            covered = within[mine, place, None] <= np.array(NOMINAL)
             rows.append(
                 CalibrationRow(
                     run=run,
@@ -98,6 +99,12 @@ def calibration_rows(
                 )
             )
     return rows
+
+
+def within_regions(spread: Spread, strayed: Strayed) -> Float[np.ndarray, "N H"]:
+    """Probability of the region that each error lies on, at each of `HORIZONS`."""
+    squared = squared_distance(strayed.error, spread(strayed.inputs)).numpy()
+    return probability_within(squared[:, AT], float(spread.freedom))
 
 
 def _intervals(covered: Bool[np.ndarray, "N R"], drawn: Resampling) -> tuple[tuple[float, float], ...]:

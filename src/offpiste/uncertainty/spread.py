@@ -24,7 +24,8 @@ INTERVAL: Final = EVERY * DT
 """Time between them [s]."""
 
 MOTION: Final = ("speed", "yaw_rate", "lateral_acceleration", "slope_along", "slope_across", "unknown")
-"""Inputs beside commands and codes."""
+"""Inputs beside commands and codes: speed [m/s], yaw rate [rad/s] and lateral acceleration [m/s²] without their signs,
+slopes as components of the normal (uphill positive, across without sign), and the share of wheels on unknown ground."""
 
 LEAST_FREEDOM: Final = 2.0
 """Degrees of freedom stay above it, so that a variance exists."""

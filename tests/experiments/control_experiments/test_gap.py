@@ -11,6 +11,7 @@ from experiments.control_experiments.gap import PARTS, Bar, draw_gap, gap_contro
 from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import open_reproduction
 from feature_datasets import dataset_with_features
+from offpiste.evaluation.errors import load_errors
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
 
@@ -29,9 +30,12 @@ def test_shares_add_up_to_the_baselines_error(tmp_path: Path) -> None:
     page = gap_control(of, tmp_path / "controls", 1)
     bars = json.loads((page.parent / "control.json").read_text("utf-8"))["bars"]
     assert [bar["lookup"] for bar in bars] == ["10 m", "20 m", "30 m", "40 m", "map"]
+    errors = {model: load_errors(tmp_path / f"controls/evaluated/{model}-0/map.safetensors") for model in ("b", "dc")}
+    blind, seeing = (float(each.distance().mean()) for each in errors.values())
+    assert bars[-1]["error_m"] == pytest.approx(blind)
+    assert bars[-1]["gained"] == pytest.approx(1 - seeing / blind)
     for bar in bars:
         assert sum(bar[part] for part in PARTS) == pytest.approx(1)
-        assert bar["error_m"] > 0
     assert bars[-1]["distance"] == 0, "the map has no hindsight"
     assert (page.parent / "gap.png").exists()
 

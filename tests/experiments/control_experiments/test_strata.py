@@ -11,7 +11,7 @@ from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.strata import strata, strata_control
 from feature_datasets import dataset_with_features
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.speed_bands import BANDS
+from offpiste.evaluation.speed_bands import BANDS, REVERSE
 from offpiste.reproduction.runs import errors_path
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
@@ -28,7 +28,7 @@ def test_strata_from_end_to_end(tmp_path: Path) -> None:
     runs = [trained(of.dataset, of.member(m).config(of.size, 0, "cpu"), folder / "runs").folder for m in ("b", "dc")]
     windows = Windows(of.dataset, "test")
     found = strata(windows, np.arange(len(windows)))
-    bands = {band.name for band in BANDS}
+    bands = {REVERSE, *(band.name for band in BANDS)}
     assert sum(among.sum() for name, among in found.items() if name in bands) == len(windows)
     assert found["circle"].all()
     page = strata_control(of, tmp_path / "controls")
