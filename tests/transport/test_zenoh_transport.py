@@ -23,7 +23,7 @@ def text(data):
 def test_messages_arrive_in_order_with_their_numbers(keys):
     network, got = Network(keys=keys), []
     try:
-        listener, speaker = network.session(), network.session()
+        listener, speaker = network.session(), network.session(patient=True)
         listener.subscribe("/a/b", got.append, msgtype=STRING)
         publish = speaker.publisher("/a/b", STRING)
         assert until(lambda: publish(text("x")) or got)
