@@ -2,8 +2,9 @@
 
     python -m experiments.pretrained_models --reproduction results/ --controls controls/
 
-finishes `offpiste reproduce fig4 --size laptop` in `--reproduction` and the control experiment `oracle` in `--controls`
-where they are not, takes of each model the run with the least validation loss, and replaces the folder `--out`.
+finishes `offpiste reproduce fig4 --size evening` in `--reproduction` and the control experiment `oracle` in
+`--controls` where they are not, takes of each model the run with the least validation loss, and replaces the folder
+`--out`.
 `python -m experiments.closed_loop_table --cards` adds how planners drive with them.
 """
 
@@ -11,17 +12,18 @@ import json
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Bool
 
 from experiments.command import run
+from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
+from experiments.control_experiments.strata import strata
 from experiments.provenance import commit, today
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
@@ -31,7 +33,6 @@ from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
-from offpiste.logs.ground_truth import GROUND_KINDS, read_truth
 from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import ReproductionSettings, sized
@@ -42,8 +43,6 @@ from offpiste.training.run import WEIGHTS, Run, load_run
 
 FAMILY: Final = "proving-ground"
 BASELINE: Final = "b"
-SPEEDS: Final = (1.5, 3.0, 5.0, 7.0, np.inf)
-"""Bounds of the groups by speed [m/s]."""
 FEWEST: Final = 30
 """Groups of fewer windows are left out."""
 
@@ -58,7 +57,7 @@ LOOKUP: Final = {"oracle": "the whole map of the true ground, which no vehicle h
 NOT_FOR: Final = (
     "A real vehicle. All data are simulated: one vehicle of 1150 kg, its camera and LiDAR without errors.",
     "Other mountings, image sizes or backbones than those of the rig `proving_ground`, where a model sees the ground.",
-    "Starts below 1.5 m/s, reversing, or speeds above 8 m/s, which training hardly holds.",
+    "Speeds above 12 m/s, which training hardly holds.",
     "A safety function of any kind. Rollovers and collisions are not among what it predicts.",
 )
 
@@ -68,7 +67,11 @@ class PretrainedModels:
     """Train, evaluate and write the models that ship; what is finished is used again."""
 
     reproduction: Path = Path("results")
-    """Folder of `offpiste reproduce fig4 --size laptop`."""
+    """Folder of `offpiste reproduce fig4`, of the size and seeds below."""
+    size: Literal["evening", "day"] = "evening"
+    """As of `reproduce`: with drives at all speeds and in reverse."""
+    seeds: int | None = None
+    """Runs of every model, instead of the size's."""
     controls: Path = Path("controls")
     """Folder of the control experiments."""
     out: Path = Path("src/offpiste/pretrained_models") / FAMILY
@@ -76,7 +79,7 @@ class PretrainedModels:
 
     def run(self) -> str:
         """Make what is missing, choose, evaluate, write."""
-        reproduce(ReproductionSettings("fig4", sized("laptop"), self.reproduction))
+        reproduce(ReproductionSettings("fig4", sized(self.size, seeds=self.seeds), self.reproduction))
         of = open_reproduction(self.reproduction)
         claim_folder(self.controls, {"reproduction": str(self.reproduction.resolve())})
         oracle_control(of, self.controls, of.size.seeds)
@@ -121,7 +124,7 @@ def candidates(of: Reproduced, controls: Path) -> Iterator[Candidates]:
     index = evaluation_index(windows, MAP, size.stride)
     config = of.member("parametric").config(size, 0, "cpu")
     parametric = trained_seeds(of.dataset, config, of.folder / "runs", size.seeds)
-    truth = Windows(open_dataset(controls / "oracle" / "dataset.zarr"), "test")
+    truth = Windows(true_ground(of, controls / "oracle"), "test")
     there = same_windows(windows, index, truth)
     oracle = [load_run(path.parent) for path in sorted((controls / "oracle" / "runs").glob("df-*/model.json"))]
     for name, runs, mine, places, kept in (
@@ -148,25 +151,11 @@ def validation_loss(folder: Path) -> float:
 
 
 def groups_of(of: Reproduced) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
-    """Names of groups of the evaluated windows, and which windows are in each: all, by speed, by kind of ground."""
+    """Names of groups of the evaluated windows, and which windows are in each: all, by speed, by kind of world."""
     windows = Windows(of.dataset, "test")
     index = evaluation_index(windows, MAP, of.size.stride)
-    drive, row = windows.drive[index], windows.row_in_drive(index)
-    speed, kind = np.zeros(len(index)), np.zeros(len(index), np.int64)
-    for number in np.unique(drive):
-        mine = drive == number
-        stored = of.dataset.drives[number]
-        speed[mine] = np.asarray(stored.rows.state_causal)[row[mine], 3]
-        truth = read_truth(of.folder / "logs" / f"{stored.name}.mcap")
-        times = np.asarray(stored.rows.time)[row[mine]]
-        nearest = np.abs(truth.time[:, None] - times[None]).argmin(axis=0)
-        kind[mine] = [np.bincount(wheels).argmax() for wheels in truth.kind[nearest]]
     yield "all", np.ones(len(index), bool)
-    for low, high in pairwise(SPEEDS):
-        text = f"at {low:g} to {high:g} m/s" if np.isfinite(high) else f"above {low:g} m/s"
-        yield text, (speed >= low) & (speed < high)
-    for number, name in enumerate(GROUND_KINDS):
-        yield f"on {name.replace('_', ' ')}", kind == number
+    yield from strata(windows, index).items()
 
 
 def card_of(

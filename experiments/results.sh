@@ -88,13 +88,13 @@ controls() {
 }
 
 closed_loop() {
-    local runs=("$out"/laptop/runs/{parametric,b,dc}-{0,1,2} "$out"/controls/oracle/runs/df-{0,1,2})
-    step pretrained python -m experiments.pretrained_models --reproduction "$out/laptop" --controls "$out/controls" \
-        --out "$out/pretrained"
+    local runs=("$out"/evening/runs/{parametric,b,dc}-{0,1,2} "$out"/evening-controls/oracle/runs/df-{0,1,2})
+    step pretrained python -m experiments.pretrained_models --reproduction "$out/evening" \
+        --controls "$out/evening-controls" --out "$out/pretrained"
     step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
-    step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
+    step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/evening/pca.safetensors" \
         --courses 20 --test --out "$out/closed-loop"
-    step faults python -m experiments.closed_loop_table --runs "$out/laptop/runs/dc-0" --pca "$out/laptop/pca.safetensors" \
+    step faults python -m experiments.closed_loop_table --runs "$out/evening/runs/dc-0" --pca "$out/evening/pca.safetensors" \
         --faults --courses 1 --out "$out/faults"
 }
 

@@ -57,15 +57,16 @@ def test_worlds_are_mixed_as_in_the_paper(name):
     assert sum(MIX.values()) == pytest.approx(1.0)
 
 
-def test_a_day_has_worlds_that_nothing_else_uses_and_the_whole_range_of_speeds():
-    size, by_part = SIZES["day"], {part: set() for part in PARTS}
+@pytest.mark.parametrize(("name", "hours", "test_worlds"), [("evening", 1.25, 20), ("day", 5, 40)])
+def test_worlds_that_nothing_else_uses_and_the_whole_range_of_speeds(name, hours, test_worlds):
+    size, by_part = SIZES[name], {part: set() for part in PARTS}
     for drive in planned_drives(size):
         by_part[drive.part].add(drive.settings.world.seed)
         assert drive.settings.driver.manoeuvres > 0
         assert drive.settings.driver.top_speed > 12
-    assert len(by_part["train"]) >= 60
-    assert len(by_part["test"]) >= 40
-    assert size.seconds[0] >= 5 * 3600
+    assert len(by_part["train"]) >= 1.5 * test_worlds
+    assert len(by_part["test"]) >= test_worlds
+    assert size.seconds[0] >= hours * 3600
     assert size.train.min_speed == 0
     assert "gear" in rig_of(size).channels
     others = {drive.settings.seed for other in SIZES.values() if other is not size for drive in planned_drives(other)}

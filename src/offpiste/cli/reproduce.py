@@ -16,8 +16,8 @@ class Reproduce:
 
     figure: tyro.conf.Positional[Literal["fig3", "fig4"]]
     """fig3: error with features in hindsight; fig4: error by the distance that features were seen from."""
-    size: Literal["smoke", "laptop", "day", "full", "paper"] = "smoke"
-    """Ten minutes, half an hour, a day, a smaller set with all sensors, or as much as in the paper."""
+    size: Literal["smoke", "laptop", "evening", "day", "full", "paper"] = "smoke"
+    """Ten minutes, half an hour, an evening, a day, a smaller set with all sensors, or as much as in the paper."""
     seconds: tuple[float, float, float] | None = None
     """Driving to train, validate and test on [s], instead of the size's."""
     seeds: int | None = None

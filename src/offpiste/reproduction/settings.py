@@ -76,6 +76,17 @@ SIZES = {
         seeds=3,
         train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128),
     ),
+    "evening": Size(
+        "evening",
+        (4_500.0, 600.0, 2_400.0),
+        pca_drives=2,
+        snapshot_seconds=1.0,
+        seeds=3,
+        train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128, min_speed=0.0),
+        first_seed=22_000,
+        manoeuvres=True,
+        portion=16,
+    ),
     "day": Size(
         "day",
         (18_000.0, 1_200.0, 4_800.0),
@@ -108,9 +119,9 @@ SIZES = {
         train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
     ),
 }
-"""Sizes by name: `smoke` takes minutes, `laptop` half an hour; `day` has the whole range of speeds, in worlds that
-nothing else uses; `full` has fewer, and four cameras and two LiDARs; `paper` has some 2M windows to train and 250k to
-test."""
+"""Sizes by name: `smoke` takes minutes, `laptop` half an hour; `evening` and `day` have the whole range of speeds, in
+worlds that nothing else uses; `full` too, and four cameras and two LiDARs; `paper` has some 2M windows to train and
+250k to test."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
