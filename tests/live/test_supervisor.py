@@ -56,7 +56,7 @@ class Drive:
         if reads:
             place, turn = np.array((1.0, 0, 0)), np.array((0, 0, 0, 1.0))
             reading = VehicleReading(now, place, turn, np.zeros(3), 0.0, np.zeros(4))
-            self.rings["readings"].write(pack_measured(reading, control=None))
+            self.rings["readings"].write(pack_measured(reading, control=None, came=time.monotonic()))
         self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
         if plans:
             controls = torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1)
