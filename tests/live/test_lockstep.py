@@ -9,12 +9,13 @@ import pytest
 from live.made_up_robot import ENABLE, planner, rig, small_settings, write_course, write_log
 from offpiste.errors import LiveError
 from offpiste.live.command_messages import CommandMessages
-from offpiste.live.driver import StepDriver
+from offpiste.live.driver import Heard, StepDriver
 from offpiste.live.lockstep import Lockstep
 from offpiste.live.log_steps import RecordedDrive
-from offpiste.live.play import LogPlayer
+from offpiste.live.play import LogPlayer, clock_message
 from offpiste.live.reception import CourseRequest, Reception
-from offpiste.live.replay import replayed
+from offpiste.live.replay import decoded, replayed
+from offpiste.logs.ros.writer import make
 from offpiste.transport.message_types import MessageTypes
 from transport.routers import network, until
 
@@ -59,7 +60,10 @@ def test_lockstep_over_the_transport_is_the_replay_to_the_bit(tmp_path, network)
     np.testing.assert_array_equal(commands(got), expected)
     assert len(expected) > 50
     assert (expected[:, 1] > 0).any(), "it drives"
-    assert until(lambda: len(heard) == len(expected)), "each command is sent"
+    assert until(lambda: len(heard) == len(expected) + 5), "each command is sent, and the stop at the end"
+    sent = [spy.decode(message).drive for message in heard]
+    assert sent[len(expected) - 1].acceleration > 0
+    assert all(drive.acceleration < 0 and drive.speed == 0 for drive in sent[-5:])
     assert not node.refused
 
 
@@ -90,6 +94,73 @@ def test_without_the_switch_it_is_held_and_does_not_wind_up(log, tmp_path):
     assert {step.controls.mode for step in steps} <= {"stopping", "stopped"}
     assert all(step.command.control[0] == 0 for step in steps)
     assert all(step.command.prediction is None for step in steps), "a speed of zero is sent"
+
+
+def test_in_shadow_mode_no_switch_is_needed(log, tmp_path):
+    steps = [step for _, step in offline(log, rig(ENABLE), CourseRequest(write_course(tmp_path))) if step is not None]
+    assert steps[-1].controls.mode == "driving"
+    assert steps[-1].why == ""
+    assert any(step.command.control[0] > 0 for step in steps), "what would be commanded is shown"
+
+
+def stepped(driver, log, vehicle, times):
+    """Steps of a log whose clock is changed."""
+    drive, types = RecordedDrive(log, vehicle), MessageTypes()
+    for step, time in zip(drive.steps(), times, strict=False):
+        heard = [Heard(one.topic, decoded(types, one.type, one.data), time) for one in step.messages]
+        yield driver.step(heard, time)
+
+
+def test_a_clock_that_goes_back_makes_it_stop_and_the_switch_be_heard_again(tmp_path):
+    log = write_log(tmp_path / "stands.mcap", seconds=1.6, speed=0.0)
+    vehicle = rig(ENABLE)
+    driver, _ = driver_of(vehicle, CourseRequest(write_course(tmp_path)), shadow=False)
+    first = next(iter(RecordedDrive(log, vehicle).steps())).time / 1e9
+    times = [first + 0.02 * k for k in range(70)]
+    pressed, found = make("std_msgs/Bool", data=True), []
+    for time, _ in zip(times, stepped(driver, log, vehicle, times), strict=False):
+        found.append(driver.step([Heard("/enable", pressed, time)], time))
+    assert found[-1].controls.mode == "driving"
+    back = driver.step([], first + 0.1)
+    assert back.controls.mode == "stopping"
+    assert back.why == "the enable topic is not heard", "that it was pressed later is of another time"
+    assert back.command.control[0] == 0
+
+
+def test_in_lockstep_another_publisher_makes_it_stop_and_a_frozen_clock_is_no_step(tmp_path, network, monkeypatch):
+    monkeypatch.setattr("offpiste.live.lockstep._STILL", 0.3)
+    log = write_log(tmp_path / "stands.mcap", seconds=1.6, speed=0.0)
+    vehicle, request = rig(), CourseRequest(write_course(tmp_path))
+    driver, reception = driver_of(vehicle, request, shadow=False)
+    node, robot, got, heard = network.session(), network.session(patient=True), [], []
+    network.session().subscribe("/drive", heard.append)
+    lockstep, stop = Lockstep(node, driver, reception, CommandMessages(vehicle, node.types)), threading.Event()
+    running = threading.Thread(target=lockstep.run, args=(lambda *step: got.append(step), stop))
+    running.start()
+    other = robot.publisher("/drive", "std_msgs/msg/String")
+    clock = robot.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    drive = RecordedDrive(log, vehicle)
+    send = {topic: robot.raw_publisher(topic, kind) for topic, kind in drive.types.items()}
+    assert until(lambda: len(got) or clock(clock_message(next(iter(drive.steps())).time)))
+    for step in drive.steps():
+        count = len(got)
+        for one in step.messages:
+            send[one.topic](one.data)
+        clock(clock_message(step.time))
+        assert until(lambda: len(got) > count or step.time <= round(1e9 * got[0][0]), 20)  # noqa: B023
+        last = step.time
+    assert got[-1][1].controls.mode == "driving"
+    other(make("std_msgs/String", data="mine"))
+    times = iter(range(last + 20_000_000, 1 << 62, 20_000_000))
+    assert until(lambda: clock(clock_message(next(times))) or "publisher" in got[-1][1].why, 5)
+    last = next(times)
+    count = len(got)
+    del heard[:]
+    assert until(lambda: clock(clock_message(last)) or len(heard) >= 2, 5), "the stop, though no step is made"
+    assert len(got) <= count + 2
+    stop.set()
+    running.join(10)
+    assert not running.is_alive()
 
 
 @pytest.mark.parametrize(

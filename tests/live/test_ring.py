@@ -64,6 +64,82 @@ def test_another_file_is_refused(tmp_path):
         Ring(tmp_path / "nothing")
 
 
+def half_written(ring, words):
+    """Write a message as far as a number of stores, as a writer that is killed there does."""
+
+    class Stopped(Exception):
+        pass
+
+    class Words:
+        def __init__(self, view):
+            self.view = view
+
+        def __getitem__(self, key):
+            return self.view[key]
+
+        def __setitem__(self, key, value):
+            nonlocal words
+            if not words:
+                raise Stopped
+            words -= 1
+            self.view[key] = value
+
+    whole = ring._words, ring._view, ring._times
+    ring._words, ring._view, ring._times = (Words(view) for view in whole)
+    try:
+        with pytest.raises(Stopped):
+            ring.write(b"never finished")
+    finally:
+        ring._words, ring._view, ring._times = whole
+
+
+@pytest.mark.parametrize("stores", range(7))
+def test_a_writer_that_dies_at_any_store_leaves_what_was_there(ring, stores):
+    for k in range(10):
+        ring.write(bytes([k]))
+    half_written(ring, stores)
+    reader = Ring(ring.path)
+    assert (reader.written, reader.newest()) == (10, (10, bytes([9])))
+    assert [entry.number for entry in reader.since(0)] == [8, 9, 10]
+    assert 0 <= reader.age < 1
+    again = Ring(ring.path)
+    assert again.write(b"next")
+    assert reader.newest() == (11, b"next")
+
+
+def test_a_number_that_comes_round_again_is_not_taken_for_an_older_one(tmp_path):
+    """Number 5 is looked for in the slot in which 261 was begun: its first byte is that of 5."""
+    ring = Ring.create(tmp_path / "one", slots=256, size=16)
+    for k in range(260):
+        ring.write(bytes([k % 256]))
+    half_written(ring, 6)
+    ring._words[ring._slot(261)] = 5
+    assert ring._read(5) is None
+
+
+def test_a_reader_that_is_lapped_looks_again(ring, monkeypatch):
+    ring.write(b"a")
+    reader, read = Ring(ring.path), Ring._read
+
+    def lapped(self, number):
+        if ring.written < 6:
+            for _ in range(5):
+                ring.write(b"b")
+        return read(self, number)
+
+    monkeypatch.setattr(Ring, "_read", lapped)
+    assert reader.newest() == (6, b"b")
+
+
+def test_what_cannot_be_reserved_is_refused(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(LiveError, match=r"No space left.*make room"):
+        Ring.create(tmp_path / "ring", slots=2, size=10)
+
+
 def write_forever(path):
     ring = Ring(path)
     number = 0

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from live.made_up_robot import ENABLE, write_course, write_rig
+from live.made_up_robot import ACKERMANN, ENABLE, write_course, write_rig
 from offpiste.live.packing import pack_course, pack_measured, pack_plan, packed, unpacked
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
@@ -32,23 +32,28 @@ RUN = "pretrained:proving-ground/parametric"
 class Drive:
     """Control and its watchdog, fed with what the other processes would hand over, and a vehicle that listens."""
 
-    def __init__(self, folder, more=""):
-        self.network, self.heard = Network(), []
+    def __init__(self, folder, more="", *, keys="rmw_zenoh", clock="system"):
+        self.network, self.heard = Network(keys=keys), []
         self.settings = LiveSettings(
             write_rig(folder, more), RUN, None, CourseRequest(write_course(folder)),
-            robot=ZenohSettings(endpoint=self.network.endpoint), drive=True,
+            robot=ZenohSettings(endpoint=self.network.endpoint, keys=keys), drive=True, clock=clock,
         )  # fmt: skip
         self.vehicle = self.network.session()
-        self.vehicle.subscribe("/drive", lambda m: self.heard.append((time.monotonic(), self.vehicle.decode(m).drive)))
+        self.vehicle.subscribe("/drive", self._commanded, msgtype=ACKERMANN)
         self._new = new_session(self.settings)
         self.session = self._new.__enter__()
         self.rings = {
-            name: self.session.ring(name) for name in ("readings", "course", "plans", "map-state", "commands")
+            name: self.session.ring(name) for name in ("readings", "course", "plans", "map-state", "commands", "clock")
         }
         x = np.arange(0.0, 60.0)
         self.rings["course"].write(pack_course(Course(np.stack((x, 0 * x), axis=1), np.full(60, 4.0))))
         self.supervisor = Supervisor(self.session, self.network.session(), cameras=False, names=("control", "watchdog"))
         self.supervisor.start()
+
+    def _commanded(self, received):
+        message = self.vehicle.decode(received)
+        if message is not None:
+            self.heard.append((time.monotonic(), message.drive))
 
     def feed(self, *, reads=True, plans=True):
         """What the other processes hand over now."""
@@ -56,7 +61,7 @@ class Drive:
         if reads:
             place, turn = np.array((1.0, 0, 0)), np.array((0, 0, 0, 1.0))
             reading = VehicleReading(now, place, turn, np.zeros(3), 0.0, np.zeros(4))
-            self.rings["readings"].write(pack_measured(reading, control=None))
+            self.rings["readings"].write(pack_measured(reading, control=None, came=time.monotonic()))
         self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
         if plans:
             controls = torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1)

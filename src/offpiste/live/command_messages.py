@@ -77,7 +77,7 @@ class CommandMessages:
     def _message(self, output: Output, command: Command) -> Any:
         message = self._types.empty(output.type)
         if hasattr(message, "header"):
-            message.header = header(max(round(command.time * 1e9), 0), output.frame)
+            message.header = header(round(max(command.time, 0.0) * 1e9), output.frame)
         for path, field in output.fields.items():
             _put(message, path, field.written(command.value(field), self._rig.vehicle.max_steer))
         return message

@@ -35,10 +35,9 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
         OffpisteError: the rig, the run, the course or the connection is wrong.
     """
     require("live", "zenoh")
+    _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
-    if settings.drive and not rig.outputs:
-        how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
-        raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
+    _refuse_driving(settings, rig)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
     if settings.record is not None and settings.record.exists():
@@ -52,6 +51,46 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
             _lockstep(settings, rig, driver, reception, on_step)
         else:
             supervise(settings, planner, [Path(name) for name in rig.live.definitions])
+
+
+def _refuse_ignored(settings: LiveSettings, *, lockstep: bool, replay: Path | None, commands: Path | None) -> None:
+    """Refuse options that would do nothing.
+
+    Raises:
+        LiveError: which, and what they go with.
+    """
+    mode = "--replay" if replay is not None else "--lockstep" if lockstep else "driving in real time"
+    given = {
+        "--lockstep": lockstep and replay is not None,
+        "--record": settings.record is not None and mode != "driving in real time",
+        "--status": settings.status is not None and mode != "driving in real time",
+        "--commands": commands is not None and mode == "driving in real time",
+        f"--clock {settings.clock}": settings.clock != "system" and mode == "--replay",
+        "--clock stamps": settings.clock == "stamps" and mode == "--lockstep",
+    }
+    if ignored := [option for option, is_ignored in given.items() if is_ignored]:
+        raise LiveError(f"{' and '.join(ignored)} would do nothing", where=mode, how="leave it out")
+    if not settings.seconds > 0:
+        raise LiveError(f"{settings.seconds:g} seconds", where="--seconds", how="give more than 0")
+
+
+def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
+    """Refuse to drive where commands or their switch would not get through.
+
+    Raises:
+        LiveError: what is missing.
+    """
+    if not settings.drive:
+        return
+    if not rig.outputs:
+        how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
+        raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
+    enable = rig.live.enable
+    if enable is not None and settings.robot.keys == "bridge" and enable.topic not in rig.live.types:
+        how = (
+            f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the keys of the bridge do not say it'
+        )
+        raise LiveError(f"the type of the enable topic {enable.topic} is not known", where=settings.rig, how=how)
 
 
 def _replay(
@@ -72,7 +111,7 @@ def _lockstep(settings: LiveSettings, rig: Rig, driver: StepDriver, reception: R
     definitions = [Path(name) for name in rig.live.definitions]
     with closing(ZenohTransport(settings.robot, definitions)) as transport:
         outputs = CommandMessages(rig, transport.types) if settings.drive else None
-        Lockstep(transport, driver, reception, outputs).run(on_step, threading.Event())
+        Lockstep(transport, driver, reception, outputs).run(on_step, threading.Event(), settings.seconds)
         for what, count in sorted(transport.refused.items()):
             logger.warning(f"refused {count} messages: {what}")
 

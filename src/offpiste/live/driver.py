@@ -76,7 +76,9 @@ class StepDriver:
         refuse_ceiling(planner)
         self._rig, self._planner, self._reception = rig, planner, reception
         self._settings, self._shadow, self._seed = settings or RuntimeSettings(), shadow, seed
-        self._gate = Gate(rig.live.limits, rig.live.enable, self._settings.stop)
+        # In shadow mode nothing is sent: no switch has to be pressed for a look at what would be.
+        self._gate = Gate(rig.live.limits, None if shadow else rig.live.enable, self._settings.stop)
+        self._now = -np.inf
         self.runtime: Runtime | None = None
 
     def step(self, heard: Iterable[Heard], now: float) -> Step | None:
@@ -88,6 +90,9 @@ class StepDriver:
         Returns:
             None while something is missing that driving needs.
         """
+        if now < self._now:
+            self._gate.restart(now)
+        self._now = now
         for topic, message, received in self._in_order(heard):
             for taken in self._reception.take(topic, message, received):
                 self._pass_on(taken, now)
@@ -108,6 +113,17 @@ class StepDriver:
         stopped = passed[-1].why != ""
         command = Command(now, passed[-1].control, self._settings.gear, None if stopped else followed)
         return Step(controls, command, passed[-1].why)
+
+    def other(self, now: float) -> None:
+        """Another publisher commanded the vehicle [s]."""
+        if not self._shadow:
+            self._gate.other(now)
+
+    @property
+    def stop(self) -> Command:
+        """The stop, with the steering that was sent last."""
+        control = np.array((0.0, self._settings.stop, self._gate.steer))
+        return Command(max(self._now, 0.0), control, self._settings.gear)
 
     def _in_order(self, heard: Iterable[Heard]) -> list[Heard]:
         """The vehicle's messages by their stamps, the position last of those of one stamp; then all others."""

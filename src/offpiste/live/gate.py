@@ -29,20 +29,28 @@ class Gate:
     """Lets commands pass.
 
     Args:
-        enable: the dead man's switch; None for none.
+        enable: the dead man's switch; None for none, as in shadow mode, where nothing is sent.
         stop: brake of a stop [0..1].
+        last: throttle, brake, steer that were sent last, where another process sent them: rates count from there.
     """
 
-    def __init__(self, limits: CommandLimits, enable: Enable | None, stop: float) -> None:
+    def __init__(
+        self, limits: CommandLimits, enable: Enable | None, stop: float, last: Float[np.ndarray, " 3"] | None = None
+    ) -> None:
         self._limits, self._enable, self._stop = limits, enable, stop
         self._pressed, self._pressed_at, self._other_at = False, -np.inf, -np.inf
-        self._last = np.array((0.0, stop, 0.0))
+        self._last = np.array((0.0, stop, 0.0)) if last is None else np.asarray(last, np.float64)
+
+    @property
+    def steer(self) -> float:
+        """Steering that was sent last [-1..1]."""
+        return float(self._last[2])
 
     def enabled(self, pressed: bool, now: float) -> None:
         """The switch was heard.
 
         Args:
-            now: by the computer's steady clock [s], which no message sets.
+            now: by the computer's steady clock [s], which no message sets; in lockstep, by its steps.
         """
         self._pressed, self._pressed_at = pressed, now
 
@@ -50,13 +58,18 @@ class Gate:
         """A command of another publisher was heard."""
         self._other_at = now
 
+    def restart(self, now: float) -> None:
+        """The clock went back: the switch has to be heard again, and another who commands counts from now on."""
+        self._pressed, self._pressed_at = False, -np.inf
+        self._other_at = min(self._other_at, now)
+
     def blocked(self, now: float) -> str:
         """Why nothing but a stop may be sent; empty for nothing."""
         if now - self._other_at < OTHERS_FOR:
             return "another publisher commands the vehicle"
         if self._enable is None:
             return ""
-        if now - self._pressed_at > self._enable.timeout:
+        if not 0 <= now - self._pressed_at <= self._enable.timeout:
             return "the enable topic is not heard"
         return "" if self._pressed else "not enabled"
 
@@ -73,10 +86,11 @@ class Gate:
         if not np.isfinite(control).all():
             why = "the command is not finite"
         if why:
-            steer = float(control[2]) if np.isfinite(control[2]) else float(self._last[2])
+            steer = float(control[2]) if np.isfinite(control[2]) else self.steer
             control, stopping = np.array((0.0, self._stop, steer)), True
         throttle, brake, steer = (float(value) for value in control)
-        throttle = 0.0 if stopping or speed > limits.speed else min(max(throttle, 0.0), limits.throttle)
+        too_fast = not speed <= limits.speed  # also where the speed is not known
+        throttle = 0.0 if stopping or too_fast else min(max(throttle, 0.0), limits.throttle)
         brake = min(max(brake, 0.0), 1.0 if stopping else limits.brake)
         steer = min(max(steer, -limits.steer), limits.steer)
         before = self._last

@@ -2,12 +2,14 @@
 
 import queue
 import threading
+import time
 from typing import Final
 
 import numpy as np
 
+from offpiste.conventions import DT
 from offpiste.errors import LiveError
-from offpiste.live.command_messages import CommandMessages
+from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import Heard, StepDriver
 from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep
@@ -23,6 +25,13 @@ END: Final = "/offpiste/end"
 """Topic of a message that ends a lockstep: the log is played."""
 _WAIT: Final = 60.0
 """Longest time between two messages on /clock [s]."""
+_STILL: Final = 2.0
+"""Once the clock has stood still for so long, the stop is sent [s]: a simulator's step may take its time."""
+_LOOK: Final = 0.2
+_STOPS: Final = 5
+"""Number of stops that are sent at the end."""
+_BEHIND: Final = 50
+"""Steps that may wait; where more do, nobody waits for the commands, and they would come later and later."""
 
 
 class Lockstep:
@@ -37,48 +46,96 @@ class Lockstep:
     ) -> None:
         self._transport, self._driver = transport, driver
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        self._clocks, self._last, self._commanded = 0, -1, False
         for topic, history in reception.topics.items():
             transport.subscribe(topic, self._received.put, msgtype=reception.type_of(topic), history=history)
-        transport.subscribe(CLOCK, self._received.put, msgtype="rosgraph_msgs/msg/Clock")
+        transport.subscribe(CLOCK, self._clock, msgtype="rosgraph_msgs/msg/Clock")
         transport.subscribe(END, self._received.put, msgtype="std_msgs/msg/String")
         self._answer = transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
         self._outputs = outputs
         topics = {} if outputs is None else outputs.topics
         self._publish = {topic: transport.publisher(topic, msgtype) for topic, msgtype in topics.items()}
+        for topic in topics:
+            transport.subscribe(topic, self._other, unchecked=True)
         transport.publisher(READY, "std_msgs/msg/String", keep=True)(make("std_msgs/String", data="ready"))
 
-    def run(self, on_step: OnStep, stop: threading.Event) -> None:
-        """Step until asked to stop, until the log is played, or until /clock falls silent.
+    def run(self, on_step: OnStep, stop: threading.Event, seconds: float = np.inf) -> None:
+        """Step until asked to stop, until the log is played, or until /clock falls silent; then stop the vehicle.
+
+        Args:
+            seconds: it ends after so much time on /clock [s].
 
         Raises:
-            LiveError: /clock was never heard.
+            LiveError: /clock was never heard, or does not wait for the commands.
         """
-        batch, now, steps = list[Received](), 0.0, 0
+        try:
+            self._run(on_step, stop, seconds)
+        finally:
+            for _ in range(_STOPS if self._commanded else 0):
+                self._send(self._driver.stop)
+                time.sleep(DT)
+
+    def _run(self, on_step: OnStep, stop: threading.Event, seconds: float) -> None:
+        batch, first, moved = list[Received](), -1, time.monotonic()
         while not stop.is_set():
             try:
-                received = self._received.get(timeout=_WAIT if steps else 10 * _WAIT)
+                received = self._received.get(timeout=_LOOK)
             except queue.Empty:
-                if steps:
-                    return
-                raise LiveError("/clock was not heard", how="start `offpiste play LOG --lockstep`") from None
+                received = None
+            silent = time.monotonic() - moved
+            if silent > _STILL and self._commanded:
+                self._send(self._driver.stop)  # the clock stands still, the vehicle may not
+            if received is None:
+                if silent > (_WAIT if self._last >= 0 else 10 * _WAIT):
+                    if self._last >= 0:
+                        return
+                    raise LiveError("/clock was not heard", how="start `offpiste play LOG --lockstep`")
+                continue
             if received.topic == END:
                 return
             if received.topic != CLOCK:
                 batch.append(received)
                 continue
-            clock = self._transport.decode(received)
-            if clock is None:
+            if self._clocks > _BEHIND:
+                how = "let it wait (`offpiste play --lockstep`), or leave out --lockstep"
+                raise LiveError("/clock does not wait for the commands", how=how)
+            clock, self._clocks = self._transport.decode(received), self._clocks - 1
+            nanoseconds = -1 if clock is None else clock.clock.sec * 10**9 + clock.clock.nanosec
+            if nanoseconds in (-1, self._last):  # a clock that stands still is no step
                 continue
-            nanoseconds = clock.clock.sec * 10**9 + clock.clock.nanosec
-            now, steps = nanoseconds / 10**9, steps + 1
-            messages = [(one.topic, self._transport.decode(one)) for one in batch]
-            heard = [Heard(topic, message, now) for topic, message in messages if message is not None]
+            self._last, moved, first = nanoseconds, time.monotonic(), nanoseconds if first < 0 else first
+            self._step(batch, nanoseconds, on_step)
             batch = []
-            step = self._driver.step(heard, now)
-            if step is not None and self._outputs is not None:
-                for topic, message in self._outputs.messages(step.command).items():
-                    self._publish[topic](message)
-            axes = np.zeros(0, np.float32) if step is None else step.command.control.astype(np.float32)
-            head = header(nanoseconds, "base_link")
-            self._answer(make("sensor_msgs/Joy", header=head, axes=axes, buttons=np.zeros(0, np.int32)))
-            on_step(now, step)
+            if (nanoseconds - first) / 1e9 >= seconds:
+                return
+
+    def _step(self, batch: list[Received], nanoseconds: int, on_step: OnStep) -> None:
+        """Answer a message on /clock."""
+        now = nanoseconds / 10**9
+        if any(one.topic in self._publish and not one.data for one in batch):
+            self._driver.other(now)
+        messages = [(one.topic, self._transport.decode(one)) for one in batch if one.type]
+        heard = [Heard(topic, message, now) for topic, message in messages if message is not None]
+        step = self._driver.step(heard, now)
+        if step is not None:
+            self._send(step.command)
+        axes = np.zeros(0, np.float32) if step is None else step.command.control.astype(np.float32)
+        head = header(nanoseconds, "base_link")
+        self._answer(make("sensor_msgs/Joy", header=head, axes=axes, buttons=np.zeros(0, np.int32)))
+        on_step(now, step)
+
+    def _send(self, command: Command) -> None:
+        """Send a command to the vehicle; in shadow mode nothing."""
+        if self._outputs is not None:
+            self._commanded = True
+            for topic, message in self._outputs.messages(command).items():
+                self._publish[topic](message)
+
+    def _clock(self, received: Received) -> None:
+        """Called in the transport's thread."""
+        self._clocks += 1
+        self._received.put(received)
+
+    def _other(self, received: Received) -> None:
+        if received.publisher[:8] != self._transport.identity:
+            self._received.put(received)

@@ -1,26 +1,29 @@
 """What all processes of a drive share: their rings, the clock, the vehicle's track, and a sign of life."""
 
 import os
-import signal
 import struct
 import time
-from collections import Counter
 from collections.abc import Collection
 from multiprocessing import parent_process
 from typing import Any, Final
+
+import numpy as np
 
 from offpiste.live.packing import packed, reading_from, unpacked
 from offpiste.live.ring import Ring
 from offpiste.live.session import Session
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.intake import Intake
+from offpiste.transport.tally import Tally
 
 BEAT: Final = 0.2
 """Time between two signs of life [s]."""
 STAMP: Final = struct.Struct("<dd")
 """A stamp, and when it was heard by the steady clock [s]."""
-_RUNS_ON: Final = 1.0
-"""The clock runs on for so long after the last stamp [s]."""
+RUNS_ON: Final = 1.0
+"""The clock runs on for so long after the last new stamp [s]; then it stands still, and nothing is driven by it."""
+AFTER: Final = 8.0
+"""Once the parent is gone, what stops the vehicle is looked after for so long [s]."""
 
 
 class Part:
@@ -34,9 +37,8 @@ class Part:
         self.name, self.session, self.settings = name, session, session.settings
         self._rings: dict[str, Ring] = {}
         self._status, self._beat = session.ring(f"status-{name}"), -1.0
-        self.dropped: Counter[str] = Counter()
-        self._started = time.monotonic()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends us
+        self.dropped = Tally()
+        self._started, self._orphaned_at = time.monotonic(), np.inf
 
     def ring(self, name: str) -> Ring:
         """A ring of the session."""
@@ -44,16 +46,29 @@ class Part:
             self._rings[name] = self.session.ring(name)
         return self._rings[name]
 
+    def hand_on(self, name: str, data: bytes) -> None:
+        """Write to a ring; what is larger than its slots is dropped and counted."""
+        if not self.ring(name).write(data):
+            self.dropped[f"{name}: larger than the shared memory for it"] += 1
+
     @property
     def ending(self) -> bool:
-        """Whether the drive ends, or the parent is gone."""
+        """Whether the drive ends, or the parent is gone: the vehicle is stopped."""
         return self.orphaned or self.ring("end").written > 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether the vehicle was stopped, so that nobody needs its readings any more."""
+        return self.ring("end").written > 1 or (self.orphaned and time.monotonic() - self._orphaned_at > AFTER)
 
     @property
     def orphaned(self) -> bool:
         """Whether the parent is gone."""
         parent = parent_process()
-        return parent is not None and not parent.is_alive()
+        if parent is None or parent.is_alive():
+            return False
+        self._orphaned_at = min(self._orphaned_at, time.monotonic())
+        return True
 
     def beat(self, state: str, **values: Any) -> None:
         """Give a sign of life, with a state in words ("ready", or what it waits for) and numbers; not too often."""
@@ -62,7 +77,9 @@ class Part:
             return
         self._beat = now
         about = {"state": state, "cpu_s": time.process_time(), "rss_mb": _resident(), "dropped": dict(+self.dropped)}
-        self._status.write(packed(about | {"pid": os.getpid(), "up_s": now - self._started} | values))
+        about |= {"pid": os.getpid(), "up_s": now - self._started}
+        if not self._status.write(packed(about | values)):
+            self._status.write(packed(about))  # a sign of life, whatever there is to say
 
     def end_with(self, state: str) -> None:
         """Leave a last state."""
@@ -73,11 +90,18 @@ class Part:
         """Time of the robot [s]; minus infinity before it is known."""
         if self.settings.clock == "system":
             return time.time()
+        stamp, at = self._stamp()
+        return stamp + min(time.monotonic() - at, RUNS_ON)
+
+    @property
+    def clock_stands_still(self) -> bool:
+        """Whether no new stamp of the robot's clock has come for so long that it says nothing about ages any more."""
+        return self.settings.clock != "system" and time.monotonic() - self._stamp()[1] > RUNS_ON
+
+    def _stamp(self) -> tuple[float, float]:
+        """The newest stamp of the robot's clock, and when it was first heard by the steady clock [s]."""
         newest = self.ring("clock").newest()
-        if newest is None:
-            return float("-inf")
-        stamp, at = STAMP.unpack(newest.data)
-        return float(stamp + min(time.monotonic() - at, _RUNS_ON))
+        return (-np.inf, -np.inf) if newest is None else STAMP.unpack(newest.data)
 
 
 class TrackFeed:
@@ -86,6 +110,7 @@ class TrackFeed:
     Attributes:
         track: readings.
         control: throttle, brake, steer that the vehicle was last given by whomever, as it says itself; None if not.
+        came: when the last reading that was taken came, by the steady clock [s].
     """
 
     def __init__(self, part: Part, actuators: Collection[str]) -> None:
@@ -93,6 +118,7 @@ class TrackFeed:
         self.intake = Intake(self.track, actuators, part.settings.runtime.timeouts, part.dropped)
         self._ring = part.ring("readings")
         self._number, self.control = self._ring.written, None
+        self.came = -np.inf
 
     def update(self, now: float) -> bool:
         """Take what is new; whether the map no longer fits: the pose jumped, or the clock went back."""
@@ -103,7 +129,10 @@ class TrackFeed:
         for entry in self._ring.since(self._number):
             self._number, values = entry.number, unpacked(entry.data)
             self.control = values["control"]
-            changed |= self.intake.vehicle(reading_from(values)) == "jumped"
+            taken = self.intake.vehicle(reading_from(values))
+            if taken != "dropped":
+                self.came = values["came"]
+            changed |= taken == "jumped"
         return changed
 
 

@@ -1,5 +1,6 @@
 """A robot's messages as the run time takes them: readings, images, scans, courses, and the dead man's switch."""
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from offpiste.planning.course import Course
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
 
+COURSE = "nav_msgs/msg/Path"
+"""Type of a course that comes as a message."""
 SETTLE = 1.0
 """Time after the first reading, at which sensors that are optional and were not heard are left out [s]."""
 
@@ -73,7 +76,7 @@ class Reception:
     Attributes:
         vehicle: reads the vehicle's messages.
         sensors: reads cameras and LiDARs.
-        refusals: courses that were refused, in words.
+        refusals: the last courses that were refused, in words.
 
     Raises:
         LiveError, RigError: a setting, a file or the rig is wrong.
@@ -89,7 +92,7 @@ class Reception:
         self._first: float | None = None
         enable = rig.live.enable
         self._enable = None if enable is None else (enable.topic, field_getter(enable.field))
-        self.refusals: list[str] = []
+        self.refusals: deque[str] = deque(maxlen=3)
 
     @property
     def topics(self) -> dict[str, bool]:
@@ -103,8 +106,9 @@ class Reception:
         return found
 
     def type_of(self, topic: str) -> str:
-        """Message type of a topic, where the rig gives it; else empty."""
-        return self._rig.live.types.get(topic, "")
+        """Message type of a topic, where the rig gives it or it can be but one; else empty."""
+        known = dict.fromkeys(self._rig.frames.topics, "tf2_msgs/msg/TFMessage") | {self._request.topic: COURSE}
+        return (known | self._rig.live.types).get(topic, "")
 
     @property
     def waiting_for(self) -> str:
@@ -144,7 +148,7 @@ class Reception:
     def _new_course(self, message: Any) -> list[Taken]:
         try:
             self.course = course_from_message(message, self._request.speed, self._request.topic)
-        except (OffpisteError, AttributeError) as error:
+        except (OffpisteError, AttributeError, TypeError, ValueError) as error:
             self.refusals.append(str(error))
             return []
         return [self.course]

@@ -1,6 +1,5 @@
 """Cameras and LiDARs of a robot from its first messages, and then its images and scans."""
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel, model_from_message
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
+from offpiste.transport.tally import Tally
 
 Sensors = tuple[dict[str, Camera], dict[str, Lidar]]
 """Cameras and LiDARs by name."""
@@ -32,20 +32,20 @@ class HeardLog(Log):
 
     def __init__(self) -> None:
         self.path = Path("the robot")
-        self.first: dict[str, Any] = {}
+        self.last: dict[str, Any] = {}
         self._transforms: dict[tuple[str, str], Transform] = {}
 
     def hear(self, topic: str, message: Any, *, is_transforms: bool) -> None:
-        """Keep the first message of a topic, and all transforms."""
-        self.first.setdefault(topic, message)
+        """Keep the last message of a topic, since one before it may not serve, and the last of each transform."""
         if is_transforms:
             for transform in map(transform_of, message.transforms):
-                self._transforms.setdefault((transform.parent, transform.child), transform)
+                self._transforms[transform.parent, transform.child] = transform
+        self.last[topic] = message
 
     @property
     def topics(self) -> dict[str, Topic]:
         """Topics that were heard."""
-        return {name: Topic(name, message.__msgtype__, 1, ()) for name, message in self.first.items()}
+        return {name: Topic(name, message.__msgtype__, 1, ()) for name, message in self.last.items()}
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         raise LogError("numbers are read as they come", where=self.path)
@@ -55,12 +55,12 @@ class HeardLog(Log):
         return list(self._transforms.values())
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """Calibration by the topic's first CameraInfo."""
-        return model_from_message(self.first[topic], topic, rectified=rectified)
+        """Calibration by the topic's last CameraInfo."""
+        return model_from_message(self.last[topic], topic, rectified=rectified)
 
     def frame(self, topic: str) -> str:
-        """Frame in the first message's header."""
-        return str(self.first[topic].header.frame_id).lstrip("/")
+        """Frame in the last message's header."""
+        return str(self.last[topic].header.frame_id).lstrip("/")
 
 
 class SensorMessages:
@@ -82,7 +82,7 @@ class SensorMessages:
         self._of = {entry.topic: name for name, entry in self._entries.items()}
         infos = [camera.info for camera in self._cameras.values() if camera.info]
         self.topics = (*self._of, *infos, *rig.frames.topics)
-        self.dropped: Counter[str] = Counter()
+        self.dropped = Tally()
         self.sensors: Sensors | None = None
         self._why: dict[str, str] = {}
 
@@ -91,28 +91,31 @@ class SensorMessages:
         """What is missing before images and scans can be used, in words; empty once nothing is."""
         if self.sensors is not None:
             return ""
-        silent = [entry.topic for entry in self._entries.values() if entry.topic not in self._log.first]
+        silent = [entry.topic for entry in self._entries.values() if entry.topic not in self._log.last]
         heard = f"messages on {', '.join(silent)}" if silent else ""
         return "; ".join(text for text in (*self._why.values(), heard) if text) or "the first messages of its sensors"
 
     def take(self, topic: str, message: Any, received: float) -> Image | Cloud | None:
-        """Add a message; the image or scan that it is, once it can be used."""
+        """Add a message; the image or scan that it is, once it can be used; what does not serve is counted."""
+        try:
+            return self._take(topic, message, received)
+        except Exception as error:  # noqa: BLE001 - whatever fields of a robot's messages make NumPy and OpenCV raise
+            reason = f"{type(error).__name__}: {error}".splitlines()[0][:100]
+            self.dropped[f"{self._of.get(topic, topic)}: {reason}"] += 1
+            return None
+
+    def _take(self, topic: str, message: Any, received: float) -> Image | Cloud | None:
         name = self._of.get(topic)
-        if name is None or topic not in self._log.first:
+        if self.sensors is None:
             self._log.hear(topic, message, is_transforms=topic in self._rig.frames.topics)
-            if self.sensors is None:
-                self._set_up(complete=False)
+            self._set_up(complete=False)
         if name is None or self.sensors is None:
             return None
         cameras, lidars = self.sensors
         time = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
-        try:
-            if name in cameras:
-                return self._image(cameras[name], topic, message, time)
-            return self._cloud(lidars[name], message, time) if name in lidars else None
-        except (LogError, AttributeError, ValueError) as error:
-            self.dropped[f"{name}: {str(error).splitlines()[0][:100]}"] += 1
-            return None
+        if name in cameras:
+            return self._image(cameras[name], topic, message, time)
+        return self._cloud(lidars[name], message, time) if name in lidars else None
 
     def settle(self) -> None:
         """Take the sensors that were heard, if all are there but for optional ones (see `waiting_for`)."""
@@ -125,7 +128,7 @@ class SensorMessages:
         transforms = self._log.transforms(())
         self._why, missing = {}, False
         for name, entry in self._entries.items():
-            if entry.topic not in self._log.first:
+            if entry.topic not in self._log.last:
                 missing |= not (entry.optional and complete)
                 continue
             try:
@@ -136,6 +139,8 @@ class SensorMessages:
                     lidars[name] = lidar_of(self._log, self._rig, name, self._rig.lidars[name], transforms)
             except (LogError, PerceptionError) as error:
                 self._why[name] = str(error)
+            except Exception as error:  # noqa: BLE001 - see `take`
+                self._why[name] = f"{name}: its messages are of another kind ({type(error).__name__})"
         if not missing and not self._why and lidars:
             self.sensors = cameras, lidars
 

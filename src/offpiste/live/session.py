@@ -1,10 +1,12 @@
 """A drive on a vehicle: its settings, and the shared memory through which its processes hand on messages."""
 
+import fcntl
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -27,6 +29,7 @@ RINGS: Final = {
     "map-state": (4, 1 * _KIB),
     "plans": (8, 64 * _KIB),
     "commands": (512, 1 * _KIB),
+    "stops": (4, 64),
     "course": (2, 4 * _MIB),
     "sensors": (2, 1 * _MIB),
     "clock": (4, 64),
@@ -36,6 +39,12 @@ RINGS: Final = {
 PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record")
 """Processes of a drive; each has a ring for its status beside these."""
 _PREFIX: Final = "offpiste-live-"
+_LOCK: Final = "lock"
+"""File of a session that is locked as long as its owner lives: process numbers mean nothing across containers."""
+_BEGINS: Final = 60.0
+"""A folder without this file is left alone for so long [s]."""
+ROOM: Final = 0.25
+"""Shared memory that a drive has to find free [GB]: a process that finds none while it writes is killed."""
 
 
 @dataclass(frozen=True)
@@ -81,21 +90,31 @@ def new_session(settings: LiveSettings) -> Iterator[Session]:
     """
     base = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
     _remove_left_over(base)
+    if (free := shutil.disk_usage(base).free / 1e9) < ROOM:
+        how = "make room there; in a container, give it more: --shm-size 1g"
+        raise LiveError(f"{free:.2f} GB of shared memory are free, {ROOM:g} are needed", where=base, how=how)
     try:
         folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-", dir=base))
     except OSError as error:
         raise LiveError(f"no shared memory: {error.strerror}", where=base, how="make room there") from error
-    try:
-        sizes = RINGS | {f"status-{part}": (2, 64 * _KIB) for part in PARTS}
-        for name, (slots, size) in sizes.items():
-            Ring.create(folder / name, slots=slots, size=size).close()
-        yield Session(settings, folder)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with (folder / _LOCK).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            sizes = RINGS | {f"status-{part}": (2, 64 * _KIB) for part in PARTS}
+            for name, (slots, size) in sizes.items():
+                Ring.create(folder / name, slots=slots, size=size).close()
+            yield Session(settings, folder)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _remove_left_over(base: Path) -> None:
     for folder in base.glob(f"{_PREFIX}*"):
-        owner = folder.name.removeprefix(_PREFIX).split("-")[0]
-        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
+        with suppress(OSError):  # in use, of another user, or gone meanwhile
+            if not (folder / _LOCK).exists():  # another session that begins right now, or what an older version left
+                if time.time() - folder.stat().st_mtime < _BEGINS:
+                    continue
+            else:
+                with (folder / _LOCK).open() as lock:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,11 +1,14 @@
 """A table of how the processes of a drive are, twice a second: for plots and for reports."""
 
 import csv
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from offpiste.errors import LiveError
+
+logger = logging.getLogger(__name__)
 
 
 class StatusTable:
@@ -40,6 +43,14 @@ class StatusTable:
         """Add a row for each process."""
         if self._file is None:
             return
+        try:
+            self._add(time, parts)
+        except OSError as error:  # a full disk ends the table, not the drive
+            logger.warning(f"{self._file.name} is not written any more: {error.strerror}")
+            self._file = None
+
+    def _add(self, time: float, parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> None:
+        assert self._file is not None
         for name, (level, state, numbers) in parts.items():
             given = dict(numbers) | {"dropped": sum(dict(numbers.get("dropped", {})).values())}
             cells = [given.get(column, "") for column in self.COLUMNS]

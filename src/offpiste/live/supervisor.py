@@ -2,9 +2,12 @@
 
 import logging
 import multiprocessing
+import os
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -14,6 +17,7 @@ from offpiste.closed_loop.planner import Planner
 from offpiste.live.packing import layers_from, plan_from, unpacked
 from offpiste.live.parts.entry import run_part
 from offpiste.live.parts.setup import LOADING
+from offpiste.live.parts.watchdog import ENDS
 from offpiste.live.reports import (
     DIAGNOSTICS,
     ERROR,
@@ -37,7 +41,10 @@ PERIOD: Final = 0.1
 _STALLED: Final = 1.5
 """Time without a sign of life, after which a process that was ready counts as hung [s]."""
 _KILLED: Final = 15.0
-"""The same, after which it is started again [s]: kernels may be compiled meanwhile."""
+"""The same, after which it is started again [s]; `_SOONER` for those that only have to be quick."""
+_SOONER: Final = {"control": 5.0, "watchdog": 5.0}
+_LOADS: Final = 600.0
+"""A process that compiles its kernels, or has not begun, is started again after so long [s]."""
 _SAY: Final = 1.0
 """States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
@@ -67,6 +74,8 @@ class Supervisor:
         self._names = [name for name in names if wanted.get(name, True)]
         self._rings: dict[str, Ring] = {}
         self._processes: dict[str, BaseProcess] = {}
+        self._handles: dict[str, int] = {}
+        self._started: dict[str, float] = {}
         self.restarts = dict.fromkeys(self._names, 0)
         self._again = dict.fromkeys(self._names, 0.0)
         self._publish: dict[str, Callable[[Any], None]] = {
@@ -106,41 +115,62 @@ class Supervisor:
                 (logger.info if level == OK else logger.warning)(f"{name}: {state}")
 
     def end(self) -> None:
-        """End all processes; the vehicle is stopped before control ends."""
+        """End all processes: control and the watchdog once the vehicle is at a standstill, then the others."""
+        self._ring("end").write(b"stop the vehicle")
+        self._await(("control",), ENDS + 1.0)
+        self._await(("watchdog",), ENDS + 3.0)
         self._ring("end").write(b"end")
-        until = time.monotonic() + 3.0
+        self._await(tuple(self._processes), 3.0)
         for process in self._processes.values():
-            process.join(max(until - time.monotonic(), 0.0))
-        for process in self._processes.values():
-            process.kill()
             process.join(1.0)
 
+    def _await(self, names: Sequence[str], seconds: float) -> None:
+        """Wait for processes to end; end those that do not."""
+        until = time.monotonic() + seconds
+        for name in names:
+            if name in self._processes:
+                self._processes[name].join(max(until - time.monotonic(), 0.0))
+                self._kill(name)
+
     def _start(self, name: str) -> None:
+        self._kill(name)
         process = self._context.Process(
             target=run_part, args=(name, self._session, self._cameras), name=f"offpiste {name}", daemon=True
         )
         process.start()
-        self._processes[name] = process
+        self._processes[name], self._started[name] = process, time.monotonic()
+        with suppress(ProcessLookupError):  # it has ended already
+            self._handles[name] = os.pidfd_open(process.pid or 0)
+
+    def _kill(self, name: str) -> None:
+        """End a process for certain: where the server that forked it died, it only seems to have ended."""
+        if (handle := self._handles.pop(name, None)) is not None:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(handle, signal.SIGKILL)
+            os.close(handle)
 
     def _look_at(self, name: str) -> tuple[int, str, Mapping[str, Any]]:
         process, ring = self._processes[name], self._ring(f"status-{name}")
         newest = ring.newest()
         values = {} if newest is None else unpacked(newest.data)
         about = {key: value for key, value in values.items() if key != "state"} | {"restarts": self.restarts[name]}
+        now, begun = time.monotonic(), newest is not None and values.get("pid") == process.pid
         if not process.is_alive():
             code = process.exitcode
-            if name == "record":
-                return ERROR, f"ended: {values.get('state', 'before it began')}", about
-            if time.monotonic() >= self._again[name]:
+            if name == "record" and code == 0:  # no room, or no such file: it would end again
+                return ERROR, f"ended: {values['state'] if begun else 'before it began'}", about
+            if now >= self._again[name]:
                 self.restarts[name] += 1
-                self._again[name] = time.monotonic() + min(0.1 * self.restarts[name], 2.0)
+                self._again[name] = now + min(0.1 * self.restarts[name], 2.0)
                 self._start(name)
-            return ERROR, f"ended with {code}, and is started again", about
-        if newest is None or values.get("pid") != process.pid:
+            why = f" ({values['state']})" if begun and code == 1 else ""
+            return ERROR, f"ended with {code}{why}, and is started again", about
+        waits = now - self._started[name] if not begun else ring.age
+        if waits > (_LOADS if not begun or values["state"] == LOADING else _SOONER.get(name, _KILLED)):
+            self._kill(name)
+        if not begun:
             return WARN, "starts", about
-        if ring.age > _STALLED and values["state"] != LOADING:
-            if ring.age > _KILLED:
-                process.kill()
+        if waits > _STALLED and values["state"] != LOADING:
             return ERROR, "gives no sign of life", about
         state = str(values["state"])
         good = state in ("ready", "driving") or state.startswith("records")
@@ -160,31 +190,45 @@ class Supervisor:
 
 
 def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path]) -> None:
-    """Drive, or watch, until the time is up or Ctrl-C.
+    """Drive, or watch, until the time is up, Ctrl-C, or a signal to end.
 
     Raises:
         OffpisteError: no connection, or no shared memory.
     """
     with ExitStack() as stack:
+        asked = stack.enter_context(_asked_to_end())
         transport = ZenohTransport(settings.robot, definitions)
         stack.callback(transport.close)
         inner = _as_client(settings)
         session = stack.enter_context(new_session(inner))
         table = stack.enter_context(StatusTable(settings.status))
         supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
-        supervisor.start()
         began = looked = time.monotonic()
         try:
-            while time.monotonic() - began < settings.seconds:
+            supervisor.start()
+            while time.monotonic() - began < settings.seconds and not asked.wait(PERIOD):
                 parts = supervisor.look()
                 supervisor.say(parts)
                 if time.monotonic() - looked >= 0.5:
                     looked = time.monotonic()
                     supervisor.report(parts)
                     table.add(looked - began, parts)
-                time.sleep(PERIOD)
         finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C would cut the stop short
             supervisor.end()
+
+
+@contextmanager
+def _asked_to_end() -> Iterator[threading.Event]:
+    """Set once a service manager (SIGTERM) or a terminal that is gone (SIGHUP) ends the drive; Ctrl-C raises."""
+    asked, numbers = threading.Event(), (signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, lambda *_: asked.set()) for number in numbers]
+    interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        yield asked
+    finally:
+        for number, handler in zip((*numbers, signal.SIGINT), (*before, interrupt), strict=True):
+            signal.signal(number, handler)
 
 
 def _as_client(settings: LiveSettings) -> LiveSettings:

@@ -1,6 +1,6 @@
 """Readings of the vehicle from its messages, as its rig says what their numbers mean."""
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -18,6 +18,7 @@ from offpiste.logs.ros.bag_files import field_getter, stamp_of
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.transport.tally import Tally
 
 _KEPT: Final = 64
 """Samples of a channel that are kept, to differentiate those whose rates are not measured."""
@@ -51,7 +52,7 @@ class VehicleMessages:
     def __init__(self, rig: Rig) -> None:
         _refuse(rig)
         self._rig, self._kept = rig, dict[str, deque[tuple[float, np.ndarray]]]()
-        self.dropped: Counter[str] = Counter()
+        self.dropped = Tally()
         names = (*_USED, *(a.channel for a in ACTUATOR_TABLE), *(c.name for c in CONTROLS))
         self._sources: dict[str, list[_Source]] = {}
         for name in names:
@@ -68,8 +69,13 @@ class VehicleMessages:
         Args:
             received: when it came [s].
         """
+        try:
+            stamp = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
+        except (AttributeError, TypeError, ValueError):
+            self.dropped[f"{topic}: its header has no stamp"] += 1
+            return None
         for source in self._sources.get(topic, ()):
-            self._add(source, message, received)
+            self._add(source, message, stamp)
         return self._reading() if topic == self.position_topic and self._fresh("position", np.inf) else None
 
     def control(self, now: float) -> Float[np.ndarray, " 3"] | None:
@@ -80,12 +86,12 @@ class VehicleMessages:
             return None
         return np.array([0.0 if value is None else float(value[0]) for value in values])
 
-    def _add(self, source: _Source, message: Any, received: float) -> None:
+    def _add(self, source: _Source, message: Any, stamp: float) -> None:
         name, entry = source.name, source.entry
         try:
             raw = np.array([[float(get(message)) for get in source.getters]])
             values = convert(name, entry, raw, self._rig.vehicle.max_steer)
-        except (AttributeError, TypeError, ValueError, RigError) as error:
+        except (AttributeError, TypeError, ValueError, IndexError, OverflowError, RigError) as error:
             self.dropped[f"{name}: {str(error).splitlines()[0][:80]}"] += 1
             return
         if self._rig.motion.axes != "z up":
@@ -96,7 +102,7 @@ class VehicleMessages:
                 usable &= bool(((values >= entry.valid[0]) & (values <= entry.valid[1])).all())
         if name == "orientation":
             usable &= abs(float(np.linalg.norm(values)) - 1) < 0.05
-        time = stamp_of(round(received * 1e9), message, self._rig.clock.stamps) - entry.delay
+        time = stamp - entry.delay
         kept = self._kept.setdefault(name, deque(maxlen=_KEPT))
         if not usable:
             self.dropped[f"{name}: not finite or not valid"] += 1

@@ -67,6 +67,10 @@ class CourseTracker:
         self._next += nearest
         return float(away[nearest])
 
+    def resume(self, progress: float) -> None:
+        """Continue from a distance along the course [m] that another tracker of it had reached."""
+        self._next = min(int(np.searchsorted(self._arc, progress)), self._end)
+
     def stretch(self, *, at_most: float = np.inf) -> Course:
         """Section of the course around the vehicle, extended straight beyond the last point of the path.
 

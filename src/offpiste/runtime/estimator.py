@@ -107,6 +107,8 @@ class VehicleTrack:
 
     def commanded(self, time: float, control: Float[np.ndarray, " 3"]) -> None:
         """Record the control that is commanded from `time` [s] on."""
+        if self._commands and self._commands[-1][0] == time:  # the clock stands still
+            self._commands.pop()
         self._commands.append((time, control))
         while self._commands[0][0] < time - self._seconds:
             self._commands.popleft()

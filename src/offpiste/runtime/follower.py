@@ -12,7 +12,7 @@ from jaxtyping import Float
 from offpiste.conventions import DT
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import TrackRows, VehicleTrack
-from offpiste.runtime.modes import Ages, Controls, Event, ModeDecision, decide_mode
+from offpiste.runtime.modes import NO_AGES, Ages, Controls, Event, ModeDecision, decide_mode
 from offpiste.runtime.schedule import Launch, Schedule
 from offpiste.runtime.settings import RuntimeSettings
 
@@ -54,8 +54,12 @@ class Follower:
         self.stopping = False
         self.events: list[Event] = []
 
-    def mode(self, now: float, state: MapState) -> ModeDecision:
-        """Mode that the ages of the inputs demand."""
+    def mode(self, now: float, state: MapState, least: Ages = NO_AGES) -> ModeDecision:
+        """Mode that the ages of the inputs demand.
+
+        Args:
+            least: ages by another clock than that of the stamps; the greater ones count.
+        """
         latest, followed = self._track.latest, self.schedule.acting(now)
         ages = Ages(
             state=now - (latest.time if latest else -np.inf),
@@ -64,7 +68,7 @@ class Follower:
             plan=now - followed.start if followed else np.inf,
         )
         finished = self.tracker.progress > self.tracker.length - self._settings.arrived
-        return decide_mode(ages, self._settings.timeouts, map_empty=state.empty, finished=finished)
+        return decide_mode(ages.at_least(least), self._settings.timeouts, map_empty=state.empty, finished=finished)
 
     def follow(self, now: float, decision: ModeDecision, applied: Applied | None = None) -> Controls:
         """Controls for the next `conventions.DT`: of the plan, or of a controlled stop.

@@ -1,7 +1,7 @@
 """Mode in which the vehicle is driven, from the age of its inputs: what is done when one is late or missing."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -42,6 +42,13 @@ class Ages:
     scan: float
     image: float
     plan: float
+
+    def at_least(self, others: "Ages") -> "Ages":
+        """The greater of the ages by two clocks: one of them may stand still."""
+        return Ages(*(max(one, getattr(others, name)) for name, one in vars(self).items()))
+
+
+NO_AGES: Final = Ages(-np.inf, -np.inf, -np.inf, -np.inf)
 
 
 @dataclass(frozen=True)

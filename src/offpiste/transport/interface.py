@@ -3,10 +3,12 @@
 Zenoh is behind it (`zenoh_transport`); a node of a DDS binding or of rclpy has the same five methods.
 """
 
-from collections import Counter
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
+
+from offpiste.transport.tally import Tally
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,7 @@ class Received:
         received: by this computer's clock [s since 1970].
         sequence: number that its publisher gave it; -1 without one.
         publisher: identity of its publisher (GID); empty without one.
+        steady: when it came, by the steady clock, which nobody sets [s].
     """
 
     topic: str
@@ -26,6 +29,7 @@ class Received:
     received: float
     sequence: int = -1
     publisher: bytes = b""
+    steady: float = field(default_factory=time.monotonic)
 
 
 Deliver = Callable[[Received], None]
@@ -42,7 +46,12 @@ class Transport(Protocol):
         refused: number of messages that were not delivered, by topic and reason.
     """
 
-    refused: Counter[str]
+    refused: Tally
+
+    @property
+    def identity(self) -> bytes:
+        """What the identities of all our publishers begin with."""
+        ...
 
     def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
         """Function that publishes on a topic.
@@ -56,12 +65,16 @@ class Transport(Protocol):
         """
         ...
 
-    def subscribe(self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False) -> None:
+    def subscribe(
+        self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False, unchecked: bool = False
+    ) -> None:
         """Have the messages of a topic delivered, in their order.
 
         Args:
             msgtype: messages of other types are refused; "" takes every known type.
             history: ask publishers for the last message that they keep.
+            unchecked: deliver whatever is published there, of any type, without its data: who looks for other
+                publishers wants to hear all of them.
         """
         ...
 

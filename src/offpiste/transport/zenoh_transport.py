@@ -7,7 +7,6 @@ is asked to, and then on the loopback unless another endpoint is given.
 import os
 import threading
 import time
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from offpiste.transport.attachment import ATTACHMENT_SIZE, Attachment, unpacked
 from offpiste.transport.interface import Deliver, Publish, Received
 from offpiste.transport.keys import NO_HASH, Address, BridgeKeys, Endpoint, Keys, RmwZenohKeys
 from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.tally import Tally
 
 ROUTER: Final = "tcp/127.0.0.1:7447"
 """Where rmw_zenoh's router listens by default, on the loopback."""
@@ -75,11 +75,15 @@ class ZenohTransport:
         self.types = MessageTypes(definitions)
         given = self.settings
         self.keys: Keys = RmwZenohKeys(given.domain) if given.keys == "rmw_zenoh" else BridgeKeys(given.namespace)
-        self.refused: Counter[str] = Counter()
+        self.refused = Tally()
         self._lock, self._held, self._count = threading.Lock(), list[Any](), 0
         self._session = _opened(zenoh, given)
         self._session_id = str(self._session.info.zid())
         self._known: dict[str, str] = {}
+        if given.keys == "bridge":  # whose keys do not say the type: it is announced, when the robot's node is there
+            token: Any = zenoh.handlers.Callback(lambda sample: self._learn(str(sample.key_expr)), indirect=False)
+            tokens = self._session.liveliness().declare_subscriber(self.keys.publishers, token, history=True)
+            self._held.append(tokens)
 
     @property
     def identity(self) -> bytes:
@@ -120,17 +124,19 @@ class ZenohTransport:
 
         return publish
 
-    def subscribe(self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False) -> None:
+    def subscribe(
+        self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False, unchecked: bool = False
+    ) -> None:
         """Have the messages of a topic delivered (see `Transport`)."""
         zenoh = self._zenoh
-        if not msgtype and self.settings.keys == "bridge" and topic not in self._known:
-            self._known = self.topics()  # here: in zenoh's own thread the answer would never come
 
         def heard(sample: Any) -> None:
-            received = time.time()
-            message = self._accepted(topic, msgtype, sample, received)
-            if message is not None:
-                deliver(message)
+            try:
+                message = self._present(topic, sample) if unchecked else self._accepted(topic, msgtype, sample)
+                if message is not None:
+                    deliver(message)
+            except Exception as error:  # noqa: BLE001 - whatever comes from outside, zenoh's thread delivers the next
+                self._refuse(topic, f"cannot be taken ({type(error).__name__})")
 
         # Called in zenoh's own thread, one after the other: the order across topics is that of arrival.
         handler = zenoh.handlers.Callback(heard, indirect=False)
@@ -173,7 +179,20 @@ class ZenohTransport:
         """End the session."""
         self._session.close()
 
-    def _accepted(self, topic: str, wanted: str, sample: Any, received: float) -> Received | None:
+    def _learn(self, token: str) -> None:
+        address = self.keys.announced(token)
+        if address is not None:
+            self._known[address.topic] = address.type
+
+    def _present(self, topic: str, sample: Any) -> Received | None:
+        """That something was published, whatever it is."""
+        if sample.kind != self._zenoh.SampleKind.PUT:
+            return None
+        number, publisher = _publisher_of(sample)
+        return Received(topic, "", b"", time.time(), number, publisher)
+
+    def _accepted(self, topic: str, wanted: str, sample: Any) -> Received | None:
+        received = time.time()
         address = self.keys.parsed(str(sample.key_expr))
         if address is None or sample.kind != self._zenoh.SampleKind.PUT:
             return None
@@ -187,10 +206,7 @@ class ZenohTransport:
         if address.hash not in ("", NO_HASH, self.types.hash_of(msgtype)):
             self._refuse(topic, "another definition of its type (its hash differs)")
             return None
-        attached = sample.attachment
-        extra_bytes = bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b""
-        about = unpacked(extra_bytes)
-        number, publisher = (about.sequence, about.publisher) if about else (-1, b"")
+        number, publisher = _publisher_of(sample)
         return Received(topic, msgtype, bytes(sample.payload), received, number, publisher)
 
     def _refuse(self, topic: str, why: str) -> None:
@@ -205,6 +221,13 @@ class ZenohTransport:
         with self._lock:
             self._count += 1
             return self._count
+
+
+def _publisher_of(sample: Any) -> tuple[int, bytes]:
+    """Number and identity of the publisher that a message carries; -1 and nothing where it carries none."""
+    attached = sample.attachment
+    about = unpacked(bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b"")
+    return (about.sequence, about.publisher) if about else (-1, b"")
 
 
 def _short(text: str) -> str:

@@ -49,7 +49,7 @@ def codes(session: Session) -> None:
                     continue
                 took = time.monotonic() - began
                 keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])
-            part.ring("codes").write(packed({"camera": image.camera, "time": image.time, "codes": found}))
+            part.hand_on("codes", packed({"camera": image.camera, "time": image.time, "codes": found}))
         part.beat("ready", extract_ms=1e3 * took)
         if not newest:
             time.sleep(0.01)

@@ -1,9 +1,10 @@
 """Control at 50 Hz: follows the newest plan, or stops; what it sends has passed the gate."""
 
+import shutil
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from offpiste.live.gate import Gate, Passed
 from offpiste.live.lockstep import COMMAND
 from offpiste.live.packing import packed, plan_from, unpacked
 from offpiste.live.part import Part, TrackFeed
-from offpiste.live.parts.setup import NewestCourse
+from offpiste.live.parts.setup import NewestCourse, last_command
+from offpiste.live.parts.watchdog import ENDS, SILENCE
 from offpiste.live.session import Session
+from offpiste.live.steady_ages import SteadyAges
 from offpiste.logs.ros.bag_files import field_getter
 from offpiste.logs.ros.writer import header, make
 from offpiste.rig.rig import load_rig
@@ -28,6 +31,8 @@ from offpiste.transport.zenoh_transport import ZenohTransport
 
 MODE = "/offpiste/mode"
 """Topic of the mode and the reason for it (std_msgs/String), when either changes."""
+_AT_LEAST: Final = 1.0
+"""At the end of a drive, the stop is sent for so long at least [s]; at most for `ENDS`."""
 
 
 class Controller:
@@ -37,22 +42,26 @@ class Controller:
         self.part, settings, rig = part, part.settings, load_rig(part.settings.rig)
         self.follower: Follower | None = None
         self._feed = TrackFeed(part, load_planner(settings.run, settings.pca).dynamics.vehicle.actuators)
-        self._gate = Gate(rig.live.limits, rig.live.enable, settings.runtime.stop)
+        before, enable = last_command(part), rig.live.enable if settings.drive else None
+        self._gate = Gate(rig.live.limits, enable, settings.runtime.stop, before.get("applied"))
         self._course, self._plan_number, self._empty = NewestCourse(part), part.ring("plans").written, False
         self._predictions: deque[Prediction] = deque(maxlen=32)
+        self._steady, self._since = SteadyAges(), -np.inf
+        self._stops, self._sent_at = part.ring("stops").written, time.monotonic()
+        self._why = "control was started again" if before else ""
         self.transport = ZenohTransport(settings.robot, [Path(name) for name in rig.live.definitions])
         self._outputs = CommandMessages(rig, self.transport.types)
         self._send = {}
         if settings.drive:
             for topic, msgtype in self._outputs.topics.items():
                 self._send[topic] = self.transport.publisher(topic, msgtype)
-                self.transport.subscribe(topic, self._other)
+                self.transport.subscribe(topic, self._other, unchecked=True)
         self._preview = self.transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
         self._mode = self.transport.publisher(MODE, "std_msgs/msg/String", keep=True)
         self._said, self.late, self.ages = "", deque[float](maxlen=3000), deque[tuple[float, float]](maxlen=3000)
-        if rig.live.enable is not None:
-            get = field_getter(rig.live.enable.field)
-            self.transport.subscribe(rig.live.enable.topic, lambda received: self._enable(received, get))
+        if enable is not None:
+            get, msgtype = field_getter(enable.field), rig.live.types.get(enable.topic, "")
+            self.transport.subscribe(enable.topic, lambda received: self._enable(received, get), msgtype=msgtype)
 
     def _enable(self, received: Received, get: Any) -> None:
         message = self.transport.decode(received)
@@ -60,36 +69,54 @@ class Controller:
             pressed = message is not None and float(get(message)) > 0.5
         except (AttributeError, TypeError, ValueError):
             pressed = False
-        self._gate.enabled(pressed, time.monotonic())
+        self._gate.enabled(pressed, received.steady)
 
     def _other(self, received: Received) -> None:
         if received.publisher[:8] != self.transport.identity:
             self.part.dropped[f"{received.topic}: commands of another publisher"] += 1
             self._gate.other(time.monotonic())
 
-    def tick(self) -> str:
-        """Command once; the state in words."""
+    @property
+    def has_stopped(self) -> bool:
+        """Whether the vehicle is at a standstill, or was never commanded."""
+        if not self.part.settings.drive or self.part.ring("commands").written == 0:
+            return True
+        return self.follower is not None and self.follower.at_standstill()
+
+    def tick(self, *, ending: bool = False) -> str:
+        """Command once; the state in words.
+
+        Args:
+            ending: the vehicle is stopped, whatever there is to follow.
+        """
         now = self.part.now()
-        if self._feed.update(now) and self.follower is not None:
-            self.follower.restart()
-        if (course := self._course.changed()) is not None:
-            self._take_course(CourseTracker(course))
-        latest = self._feed.track.latest
-        if self.follower is None or latest is None:
-            return "waits for a course" if self.follower is None else "waits for readings of the vehicle"
-        self.follower.tracker.move(latest.position[:2])
-        self._take_plans(self.follower)
-        controls = self._command(self.follower, now)
+        if self._feed.update(now):
+            self._since = now
+            if self.follower is not None:
+                self.follower.restart()
+        if (tracker := self._course.changed()) is not None:
+            self._take_course(tracker)
+        latest, commanded = self._feed.track.latest, self.part.ring("commands").written > 0
+        if self.follower is None or not np.isfinite(now):
+            return "waits for a course" if self.follower is None else "waits for the clock"
+        if latest is not None:
+            self.follower.tracker.move(latest.position[:2])
+        elif not commanded:  # what was once commanded is stopped, whatever is known
+            return "waits for readings of the vehicle"
+        self._take_plans(self.follower, now)
+        controls = self._command(self.follower, now, "the drive ends" if ending else "")
         self._say(controls)
         return f"{controls.mode}: {controls.why}" if controls.why else controls.mode
 
-    def _command(self, follower: Follower, now: float) -> Controls:
+    def _command(self, follower: Follower, now: float, held: str) -> Controls:
         newest = self.part.ring("map-state").newest()
         known = {} if newest is None else unpacked(newest.data)
         state = MapState(known.get("scan_time", -np.inf), known.get("image_time", -np.inf), self._empty)
-        decision, drive = follower.mode(now, state), self.part.settings.drive
-        held = self._gate.blocked(time.monotonic()) if drive else ""
-        if held and decision.mode != "stopping":
+        drive, acting = self.part.settings.drive, follower.schedule.acting(now)
+        steady = self._steady.ages(self._feed.came, state, acting, time.monotonic())
+        decision = follower.mode(now, state, steady)
+        held = held or self._held() if drive else held
+        if held and (decision.mode != "stopping" or decision.why == "no plan"):
             decision = ModeDecision("stopping", held)
         if not drive:  # who drives need not complete our stops
             follower.stopping = False
@@ -97,17 +124,35 @@ class Controller:
 
         def applied(controls: Controls) -> np.ndarray:
             stopping = controls.mode in ("stopping", "stopped")
-            passed.append(self._gate.passed(controls.command, follower.speed, time.monotonic(), stopping=stopping))
+            command = controls.command.copy()
+            if stopping and acting is None:  # no plan says where to: straight ahead would lead out of a bend
+                command[2] = self._gate.steer
+            passed.append(self._gate.passed(command, follower.speed, time.monotonic(), stopping=stopping))
             given = self._feed.control
             return passed[-1].control if drive or given is None else np.asarray(given)
 
         controls = follower.follow(now, decision, applied)
+        del follower.events[:-1]
         self._publish(controls, passed[-1], now)
-        acting = follower.schedule.acting(now)
         self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
-        about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping}
-        self.part.ring("commands").write(packed(about | {"launch": follower.launch.more, "mode": controls.mode}))
+        about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
+        about |= {"launch": follower.launch.more, "course": self._course.number, "progress": follower.tracker.progress}
+        self.part.hand_on("commands", packed(about))
+        self._sent_at = time.monotonic()
         return controls
+
+    def _held(self) -> str:
+        """Why the vehicle is to be stopped, whatever its inputs say; empty for nothing."""
+        stops, before = self.part.ring("stops").written, self._stops
+        self._stops = stops
+        why, self._why = self._why, ""
+        if why:
+            return why
+        if self.part.clock_stands_still:
+            return "the clock stands still"
+        if stops != before or time.monotonic() - self._sent_at > SILENCE:
+            return "commands were interrupted"  # and the vehicle was stopped, or stopped by itself
+        return self._gate.blocked(time.monotonic())
 
     def _publish(self, controls: Controls, passed: Passed, now: float) -> None:
         moving = controls.mode in ("driving", "degraded") and not passed.why
@@ -123,18 +168,25 @@ class Controller:
     def _take_course(self, tracker: CourseTracker) -> None:
         if self.follower is None:
             self.follower = Follower(self.part.settings.runtime, self._feed.track, tracker)
+            self.follower.stopping = True  # whatever moves it is stopped before it is driven
         self.follower.tracker = tracker
 
-    def _take_plans(self, follower: Follower) -> None:
+    def _take_plans(self, follower: Follower, now: float) -> None:
+        """Plans that are newer than those before, and were made of what still holds."""
+        settings = self.part.settings.runtime
         for entry in self.part.ring("plans").since(self._plan_number):
             self._plan_number, values = entry.number, unpacked(entry.data)
             self._empty = bool(values["empty"])
-            if "start" in values:
-                timed, prediction = plan_from(values)
-                latest = follower.schedule.latest
-                if latest is None or timed.start > latest.start:
-                    follower.schedule.add(timed)
-                    self._predictions.append(prediction)
+            if "start" not in values:
+                continue
+            timed, prediction = plan_from(values)
+            latest = follower.schedule.latest
+            if timed.start > now + settings.latency + settings.timeouts.ahead or timed.made < self._since:
+                self.part.dropped["plans of another time, or from before the pose jumped"] += 1
+            elif latest is None or timed.start > latest.start:
+                follower.schedule.add(timed)
+                self._steady.planned(timed, now, time.monotonic())
+                self._predictions.append(prediction)
 
     def _say(self, controls: Controls) -> None:
         said = f"{controls.mode}: {controls.why}" if controls.why else controls.mode
@@ -144,17 +196,17 @@ class Controller:
 
 
 def control(session: Session) -> None:
-    """The process that commands; when its parent is gone, it stops the vehicle and ends."""
+    """The process that commands; when the drive ends, or its parent is gone, it stops the vehicle first."""
     part = Part("control", session)
     controller = Controller(part)
-    due = time.monotonic()
-    stops_until = np.inf
-    while time.monotonic() < stops_until:
-        if part.ending and stops_until == np.inf:
-            stops_until = time.monotonic() + 1.0
-        if stops_until < np.inf and controller.follower is not None:
-            controller.follower.restart()  # without a plan it stops
-        state = controller.tick()
+    due, ends = time.monotonic(), np.inf
+    while True:
+        if ends == np.inf and part.ending:
+            ends = time.monotonic()
+        since = time.monotonic() - ends
+        if since > ENDS or (since > _AT_LEAST and controller.has_stopped):
+            break
+        state = controller.tick(ending=ends < np.inf)
         controller.late.append(time.monotonic() - due)
         part.beat(state, **_numbers(controller))
         due += DT
@@ -163,6 +215,8 @@ def control(session: Session) -> None:
             due = time.monotonic()
         time.sleep(max(due - time.monotonic(), 0.0))
     controller.transport.close()
+    if part.orphaned:  # nobody else is left to do so
+        shutil.rmtree(session.folder, ignore_errors=True)
 
 
 def _numbers(controller: Controller) -> dict[str, Any]:

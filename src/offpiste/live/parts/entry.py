@@ -1,24 +1,53 @@
 """Where a process of a drive begins."""
 
 import os
+import signal
 import sys
+import threading
+import time
+from contextlib import suppress
+from multiprocessing import connection, parent_process
+from pathlib import Path
 
 from offpiste.errors import OffpisteError
-from offpiste.live.part import Part
+from offpiste.live.part import AFTER, Part
 from offpiste.live.session import Session
 
 _NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10}
 """How much other processes come first: where there are few cores, control is not held up."""
+_FIRST_KILLED = {"codes": 300, "map": 300, "plan": 300, "record": 500}
+"""Where memory runs out, the kernel kills these rather than what stops the vehicle (oom_score_adj)."""
 
 
 def run_part(name: str, session: Session, cameras: bool) -> None:
-    """Run a process to its end; an error of ours becomes its last state, and its exit code 1."""
+    """Run a process to its end; an error becomes its last state, and its exit code 1."""
+    _leave_ending_to_the_parent()
     os.nice(_NICE.get(name, 0))
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(_FIRST_KILLED.get(name, 0)))
     try:
         _run(name, session, cameras)
     except OffpisteError as error:
         Part(name, session).end_with(str(error))
         sys.exit(1)
+    except Exception as error:
+        Part(name, session).end_with(f"{type(error).__name__}: {error}"[:300])
+        raise
+
+
+def _leave_ending_to_the_parent() -> None:
+    """End only as the parent says: a signal to all at once (Ctrl-C, systemd, a lost terminal) must not end the stop."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    if (parent := parent_process()) is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_after(parent: int) -> None:
+    """End some time after the parent, wherever this process is: it may be compiling, or hang."""
+    connection.wait([parent])
+    time.sleep(AFTER + 2.0)
+    os._exit(1)
 
 
 def _run(name: str, session: Session, cameras: bool) -> None:

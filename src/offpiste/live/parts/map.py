@@ -36,7 +36,7 @@ def map_ground(session: Session) -> None:
     while not part.ending:
         if feed.update(part.now()):
             mapper.restart()
-            part.ring("map").write(pack_layers(None))
+            part.hand_on("map", pack_layers(None))
         for entry in part.ring("codes").since(code_number):
             code_number, values = entry.number, unpacked(entry.data)
             mapper.coded(values["camera"], values["time"], values["codes"])
@@ -52,10 +52,10 @@ def map_ground(session: Session) -> None:
                 mapper.scan(cloud)
         if newest and mapper.scan_time > -np.inf:
             layers = _within_reach(mapper.layers(), feed.track, part.settings.runtime.margin)
-            part.ring("map").write(pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
+            part.hand_on("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
             took = time.monotonic() - began
         state = mapper.state
-        part.ring("map-state").write(packed({"scan_time": state.scan_time, "image_time": state.image_time}))
+        part.hand_on("map-state", packed({"scan_time": state.scan_time, "image_time": state.image_time}))
         part.beat("ready" if mapper.scan_time > -np.inf else "waits for a scan", map_ms=1e3 * took)
         if not newest:
             time.sleep(0.01)

@@ -13,7 +13,6 @@ from offpiste.live.parts.setup import NewestCourse, load_kernels
 from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.plan_maker import PlanMaker
 
@@ -57,16 +56,19 @@ class Plans:
             planned = self._maker.plan(now, self._layers, self._follower, rows, latest.time, slow=slow)
         self.took = time.monotonic() - began
         if planned is None:
-            part.ring("plans").write(packed({"empty": self._maker.map_empty}))
-            return "empty map" if self._maker.map_empty else f"no plan: {self._maker.failures[-1]}"
+            part.hand_on("plans", packed({"empty": self._maker.map_empty}))
+            if self._maker.map_empty:
+                return "empty map"
+            del self._maker.failures[:-1]
+            return f"no plan: {self._maker.failures[-1]}"
         self._follower.schedule.add(planned.plan)
-        part.ring("plans").write(pack_plan(*planned, empty=False, scan_time=self._scan_time))
+        self._follower.schedule.acting(now)  # those before it are forgotten
+        part.hand_on("plans", pack_plan(*planned, empty=False, scan_time=self._scan_time))
         return "ready"
 
     def _take_over(self) -> None:
         """Take the newest map, course, and what was commanded."""
-        if (course := self._course.changed()) is not None:
-            tracker = CourseTracker(course)
+        if (tracker := self._course.changed()) is not None:
             if self._follower is None:
                 self._follower = Follower(self._part.settings.runtime, self._feed.track, tracker)
             self._follower.tracker = tracker

@@ -1,10 +1,11 @@
 """Receives and decodes: readings at once, of images and scans the newest."""
 
-import queue
 import threading
-import time
+from collections import deque
 from pathlib import Path
+from typing import Final
 
+from offpiste.live.backlog import Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
 from offpiste.live.part import STAMP, Part
 from offpiste.live.reception import Reception
@@ -17,6 +18,8 @@ from offpiste.transport.interface import Received
 from offpiste.transport.zenoh_transport import ZenohTransport
 
 CLOCK = "/clock"
+_WAITING: Final = 256
+"""Readings that may wait to be decoded; where more do, the oldest are dropped, and counted."""
 
 
 class Receiver:
@@ -27,20 +30,22 @@ class Receiver:
         self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
         definitions = [Path(name) for name in self.rig.live.definitions]
         self.transport = ZenohTransport(part.settings.robot, definitions)
-        self._small: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        self._small = Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
-        self._calibrations: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        self._calibrations: deque[Received] = deque(maxlen=_WAITING)
+        self._stamp, self._first_course = -1.0, True
         self._lock, self._any, self._handed_over = threading.Lock(), threading.Event(), False
         measured = {*(c.topic for c in self.rig.cameras.values()), *(one.topic for one in self.rig.lidars.values())}
         self._measured = measured & set(self.reception.sensors.topics)
-        types = self.rig.live.types
         for topic, history in self.reception.topics.items():
-            self.transport.subscribe(topic, self._deliver, msgtype=types.get(topic, ""), history=history)
+            msgtype = self.reception.type_of(topic)
+            self.transport.subscribe(topic, self._deliver, msgtype=msgtype, history=history)
         if part.settings.clock == "clock":
             self.transport.subscribe(CLOCK, self._small.put, msgtype="rosgraph_msgs/msg/Clock")
         if self.reception.course is not None:
-            part.ring("course").write(pack_course(self.reception.course))
-        threading.Thread(target=self._sense, daemon=True).start()
+            self._course(self.reception.course)
+        self._sensing = threading.Thread(target=self._sense, daemon=True)
+        self._sensing.start()
 
     def _deliver(self, received: Received) -> None:
         """Called in zenoh's thread."""
@@ -51,34 +56,46 @@ class Receiver:
                 self._newest[received.topic] = received
             self._any.set()
         elif received.topic in self.reception.sensors.topics:
-            self._calibrations.put(received)
+            self._calibrations.append(received)
             self._any.set()
         if received.topic not in self.reception.sensors.topics or received.topic in self.reception.vehicle.topics:
             self._small.put(received)
 
     def read(self) -> None:
         """Decode and hand on readings, courses and the clock, for as long as there are any, or a moment."""
-        try:
-            received = self._small.get(timeout=0.05)
-        except queue.Empty:
-            return
-        message = self.transport.decode(received)
-        if message is None:
+        received = self._small.get(0.05)
+        message = None if received is None else self.transport.decode(received)
+        if received is None or message is None:
             return
         if received.topic == CLOCK:
-            self._clock(message.clock.sec + message.clock.nanosec / 1e9)
+            self._clock(message.clock.sec + message.clock.nanosec / 1e9, received.steady)
             return
         for taken in self.reception.take(received.topic, message, received.received):
             if isinstance(taken, VehicleReading):
                 if self.part.settings.clock == "stamps":
-                    self._clock(taken.time)
+                    self._clock(taken.time, received.steady)
                 control = self.reception.vehicle.control(taken.time)
-                self.part.ring("readings").write(pack_measured(taken, control=control))
+                self.part.hand_on("readings", pack_measured(taken, control=control, came=received.steady))
             elif isinstance(taken, Course):
-                self.part.ring("course").write(pack_course(taken))
+                self._course(taken)
 
-    def _clock(self, stamp: float) -> None:
-        self.part.ring("clock").write(STAMP.pack(stamp, time.monotonic()))
+    def _clock(self, stamp: float, steady: float) -> None:
+        """Hand on the clock; a stamp that repeats is no sign that it runs."""
+        if stamp != self._stamp:
+            self._stamp = stamp
+            self.part.hand_on("clock", STAMP.pack(stamp, steady))
+
+    def _course(self, course: Course) -> None:
+        """Hand on a course; the first after a restart is mostly the one that is being driven."""
+        newest, data = self.part.ring("course").newest(), pack_course(course)
+        if not self._first_course or newest is None or newest.data != data:
+            self.part.hand_on("course", data)
+        self._first_course = False
+
+    @property
+    def lives(self) -> bool:
+        """Whether images and scans are still decoded."""
+        return self._sensing.is_alive() or self.part.ending
 
     def _sense(self) -> None:
         """Decode images and scans, the newest of each sensor."""
@@ -87,15 +104,15 @@ class Receiver:
             self._any.clear()
             with self._lock:
                 waiting, self._newest = list(self._newest.values()), {}
-            while not self._calibrations.empty():
-                waiting.insert(0, self._calibrations.get())
+            while self._calibrations:
+                waiting.insert(0, self._calibrations.pop())
             for received in waiting:
                 message = self.transport.decode(received)
                 taken = message and self.reception.sensors.take(received.topic, message, received.received)
                 if isinstance(taken, Image):
-                    self.part.ring("images").write(pack_measured(taken))
+                    self.part.hand_on("images", pack_measured(taken))
                 elif isinstance(taken, Cloud):
-                    self.part.ring("scans").write(pack_measured(taken))
+                    self.part.hand_on("scans", pack_measured(taken))
             if self.reception.sensors.sensors is not None and not self._handed_over:
                 self._handed_over = self.part.ring("sensors").write(pack_sensors(self.reception.sensors.sensors))
 
@@ -104,15 +121,15 @@ def receive(session: Session, *, cameras: bool) -> None:
     """The process that receives."""
     part = Part("receive", session)
     receiver = Receiver(part, cameras=cameras)
-    while not part.ending:
+    while not part.ended and receiver.lives:  # control needs readings until the vehicle is at a standstill
         receiver.read()
-        dropped = receiver.reception.vehicle.dropped + receiver.reception.sensors.dropped + part.dropped
-        waits = receiver.reception.waiting_for
+        waits, routers = receiver.reception.waiting_for, receiver.transport.routers()
+        state = f"waits for {waits}" if waits else "ready"
         part.beat(
-            f"waits for {waits}" if waits else "ready",
+            state if routers else "no router: nothing is heard or sent",
             refused=dict(receiver.transport.refused),
-            unusable=dict(dropped),
-            routers=receiver.transport.routers(),
-            courses_refused=receiver.reception.refusals[-3:],
+            unusable=dict(receiver.reception.vehicle.dropped + receiver.reception.sensors.dropped),
+            routers=routers,
+            courses_refused=list(receiver.reception.refusals),
         )
     receiver.transport.close()

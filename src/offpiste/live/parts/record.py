@@ -1,7 +1,9 @@
 """Records what is received and what is sent, as a log that `inspect`, `extract` and `live --replay` read."""
 
 import queue
+from itertools import chain, count
 from pathlib import Path
+from typing import Final
 
 from offpiste.errors import LogError
 from offpiste.live.lockstep import CLOCK, COMMAND
@@ -17,15 +19,25 @@ from offpiste.transport.zenoh_transport import ZenohTransport
 
 _WAITING = 400
 """Messages that may wait for the disk; more are dropped, and counted."""
+_OURS: Final = {
+    COMMAND: "sensor_msgs/msg/Joy",
+    MODE: "std_msgs/msg/String",
+    PLAN: "nav_msgs/msg/Path",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+    CLOCK: "rosgraph_msgs/msg/Clock",
+}
+"""Types of what offpiste publishes, and of the clock, where keys do not say them."""
 
 
 def record(session: Session, *, cameras: bool) -> None:
     """The process that records; a full disk ends it, and nothing else."""
     part = Part("record", session)
-    path, rig = session.settings.record, load_rig(session.settings.rig)
-    assert path is not None
+    given, rig = session.settings.record, load_rig(session.settings.rig)
+    assert given is not None
+    path = _free(given)
     transport = ZenohTransport(session.settings.robot, [Path(name) for name in rig.live.definitions])
-    topics = dict(Reception(rig, session.settings.course, cameras=cameras).topics)
+    reception = Reception(rig, session.settings.course, cameras=cameras)
+    topics = dict(reception.topics)
     topics |= {camera.topic: False for camera in rig.cameras.values()}
     topics |= {camera.info: False for camera in rig.cameras.values() if camera.info}
     topics |= {output.topic: False for output in rig.outputs.values()}
@@ -40,12 +52,14 @@ def record(session: Session, *, cameras: bool) -> None:
         except queue.Full:
             part.dropped[f"{received.topic}: the disk is too slow"] += 1
 
+    known = _OURS | {output.topic: output.type for output in rig.outputs.values()}
     for topic, history in topics.items():
-        transport.subscribe(topic, deliver, msgtype=rig.live.types.get(topic, ""), history=history)
+        msgtype = reception.type_of(topic) or known.get(topic, "")
+        transport.subscribe(topic, deliver, msgtype=msgtype, history=history)
     written = 0
     try:
         with McapWriter(path) as writer:
-            while not part.ending:
+            while not part.ended:  # the stop at the end is recorded, too
                 try:
                     received = waiting.get(timeout=0.1)
                 except queue.Empty:
@@ -55,7 +69,13 @@ def record(session: Session, *, cameras: bool) -> None:
                     stamp = round(received.received * 1e9)
                     writer.write_serialised(received.topic, received.type, received.data, definition, stamp)
                     written += 1
-                part.beat(f"records {path}", messages=written)
+                part.beat(f"records {path}", messages=written, refused=dict(transport.refused))
     except LogError as error:
         part.end_with(str(error))
     transport.close()
+
+
+def _free(path: Path) -> Path:
+    """A file that is not there: where a recorder was killed, what it wrote is kept, and the next one has a number."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(one for one in chain((path,), numbered) if not one.exists())

@@ -1,7 +1,7 @@
 """Sensors and course as the processes wait for them, and kernels that are compiled before they are needed."""
 
 import time
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from offpiste.live.packing import course_from, sensors_from, unpacked
 from offpiste.live.part import Part
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.perception.camera import make_pinhole_camera
-from offpiste.planning.course import Course
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import load_rig
 from offpiste.rig.sensors import OPTICAL, CameraSource
+from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.warm_up import warm_up
 
@@ -52,15 +52,29 @@ def load_kernels(part: Part, planner: Planner) -> None:
 
 
 class NewestCourse:
-    """The course, and each that replaces it."""
+    """The course, and each that replaces it.
+
+    Attributes:
+        number: of the one that is driven; 0 before the first.
+    """
 
     def __init__(self, part: Part) -> None:
-        self._ring, self._number = part.ring("course"), 0
+        self._part, self._ring, self.number = part, part.ring("course"), 0
 
-    def changed(self) -> Course | None:
-        """A course that has come since the last call."""
+    def changed(self) -> CourseTracker | None:
+        """A tracker of a course that has come since the last call; where it was being driven already, from there on."""
         newest = self._ring.newest()
-        if newest is None or newest.number == self._number:
+        if newest is None or newest.number == self.number:
             return None
-        self._number = newest.number
-        return course_from(unpacked(newest.data))
+        self.number = newest.number
+        tracker = CourseTracker(course_from(unpacked(newest.data)))
+        before = last_command(self._part)
+        if before.get("course") == self.number:
+            tracker.resume(before["progress"])
+        return tracker
+
+
+def last_command(part: Part) -> dict[str, Any]:
+    """What was commanded last, maybe by a process that is gone; empty for nothing."""
+    newest = part.ring("commands").newest()
+    return {} if newest is None else unpacked(newest.data)
