@@ -19,6 +19,7 @@ from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings
 from offpiste.live.supervisor import supervise
+from offpiste.live.viewers.viewer import VIEWERS
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -34,13 +35,20 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     Raises:
         OffpisteError: the rig, the run, the course or the connection is wrong.
     """
-    require("live", "zenoh")
+    settings.robot.require()
     rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
     if settings.drive and not rig.outputs:
         how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
         raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
+    if settings.view is not None:
+        if lockstep or replay is not None:
+            raise LiveError(
+                "only a live drive is shown", where="--view", how="leave it out, or use `offpiste view LOG`"
+            )
+        if package := VIEWERS[settings.view.name].package:
+            require("view", package, otherwise="leave out --view")
     if settings.record is not None and settings.record.exists():
         raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
@@ -70,7 +78,7 @@ def _replay(
 
 def _lockstep(settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, on_step: OnStep) -> None:
     definitions = [Path(name) for name in rig.live.definitions]
-    with closing(ZenohTransport(settings.robot, definitions)) as transport:
+    with closing(settings.robot.connect(definitions)) as transport:
         outputs = CommandMessages(rig, transport.types) if settings.drive else None
         Lockstep(transport, driver, reception, outputs).run(on_step, threading.Event())
         for what, count in sorted(transport.refused.items()):

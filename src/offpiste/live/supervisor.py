@@ -28,7 +28,7 @@ from offpiste.live.reports import (
 from offpiste.live.ring import Ring
 from offpiste.live.session import PARTS, LiveSettings, Session, new_session
 from offpiste.live.status_table import StatusTable
-from offpiste.transport.zenoh_transport import ZenohTransport
+from offpiste.transport.interface import Transport
 
 logger = logging.getLogger(__name__)
 
@@ -55,15 +55,14 @@ class Supervisor:
         restarts: how often each process was started again.
     """
 
-    def __init__(
-        self, session: Session, transport: ZenohTransport, *, cameras: bool, names: Sequence[str] = PARTS
-    ) -> None:
+    def __init__(self, session: Session, transport: Transport, *, cameras: bool, names: Sequence[str] = PARTS) -> None:
         self._session, self._transport, settings = session, transport, session.settings
         # What all need is imported once, and shared; the server has no threads, and forks one process for each part.
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["offpiste.live.parts.control", "offpiste.live.parts.plan"])
         self._cameras = cameras
         wanted = {"codes": self._cameras, "watchdog": settings.drive, "record": settings.record is not None}
+        wanted["view"] = settings.view is not None
         self._names = [name for name in names if wanted.get(name, True)]
         self._rings: dict[str, Ring] = {}
         self._processes: dict[str, BaseProcess] = {}
@@ -135,7 +134,8 @@ class Supervisor:
                 self.restarts[name] += 1
                 self._again[name] = time.monotonic() + min(0.1 * self.restarts[name], 2.0)
                 self._start(name)
-            return ERROR, f"ended with {code}, and is started again", about
+            how = values.get("state", code) if code == 1 else code
+            return ERROR, f"ended with {how}, and is started again", about
         if newest is None or values.get("pid") != process.pid:
             return WARN, "starts", about
         if ring.age > _STALLED and values["state"] != LOADING:
@@ -143,7 +143,7 @@ class Supervisor:
                 process.kill()
             return ERROR, "gives no sign of life", about
         state = str(values["state"])
-        good = state in ("ready", "driving") or state.startswith("records")
+        good = state in ("ready", "driving") or state.startswith(("records", "shows"))
         return (OK if good else WARN), state, about
 
     def _newer(self, name: str) -> dict[str, Any] | None:
@@ -166,10 +166,9 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
         OffpisteError: no connection, or no shared memory.
     """
     with ExitStack() as stack:
-        transport = ZenohTransport(settings.robot, definitions)
+        transport = settings.robot.connect(definitions)
         stack.callback(transport.close)
-        inner = _as_client(settings)
-        session = stack.enter_context(new_session(inner))
+        session = stack.enter_context(new_session(replace(settings, robot=settings.robot.for_parts())))
         table = stack.enter_context(StatusTable(settings.status))
         supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
         supervisor.start()
@@ -185,8 +184,3 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
                 time.sleep(PERIOD)
         finally:
             supervisor.end()
-
-
-def _as_client(settings: LiveSettings) -> LiveSettings:
-    """Settings of the processes: where this one is the router, they are its clients."""
-    return replace(settings, robot=replace(settings.robot, mode="client"))

@@ -24,7 +24,6 @@ from offpiste.runtime.follower import Follower, MapState
 from offpiste.runtime.modes import Controls, ModeDecision
 from offpiste.runtime.prediction import Prediction
 from offpiste.transport.interface import Received
-from offpiste.transport.zenoh_transport import ZenohTransport
 
 MODE = "/offpiste/mode"
 """Topic of the mode and the reason for it (std_msgs/String), when either changes."""
@@ -40,7 +39,7 @@ class Controller:
         self._gate = Gate(rig.live.limits, rig.live.enable, settings.runtime.stop)
         self._course, self._plan_number, self._empty = NewestCourse(part), part.ring("plans").written, False
         self._predictions: deque[Prediction] = deque(maxlen=32)
-        self.transport = ZenohTransport(settings.robot, [Path(name) for name in rig.live.definitions])
+        self.transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
         self._outputs = CommandMessages(rig, self.transport.types)
         self._send = {}
         if settings.drive:

@@ -7,7 +7,7 @@ from offpiste.errors import OffpisteError
 from offpiste.live.part import Part
 from offpiste.live.session import Session
 
-_NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10}
+_NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10, "view": 10}
 """How much other processes come first: where there are few cores, control is not held up."""
 
 
@@ -47,7 +47,11 @@ def _run(name: str, session: Session, cameras: bool) -> None:
         from offpiste.live.parts.watchdog import watchdog
 
         watchdog(session)
-    else:
+    elif name == "record":
         from offpiste.live.parts.record import record
 
         record(session, cameras=cameras)
+    else:
+        from offpiste.live.parts.view import view
+
+        view(session, cameras=cameras)

@@ -14,7 +14,6 @@ from offpiste.planning.course import Course
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.transport.interface import Received
-from offpiste.transport.zenoh_transport import ZenohTransport
 
 CLOCK = "/clock"
 
@@ -26,7 +25,7 @@ class Receiver:
         self.part, self.rig = part, load_rig(part.settings.rig)
         self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
         definitions = [Path(name) for name in self.rig.live.definitions]
-        self.transport = ZenohTransport(part.settings.robot, definitions)
+        self.transport = part.settings.robot.connect(definitions)
         self._small: queue.SimpleQueue[Received] = queue.SimpleQueue()
         self._newest: dict[str, Received] = {}
         self._calibrations: queue.SimpleQueue[Received] = queue.SimpleQueue()
