@@ -1,6 +1,7 @@
 """What is shown of a drive: the newest of each ring, whatever the viewer's pace; regions where the run has a spread."""
 
 import shutil
+import signal
 import socket
 import time
 from contextlib import contextmanager
@@ -67,20 +68,22 @@ def plan_at(now, speed=2.0):
 def showing(folder, viewer, regions=None):
     settings = LiveSettings(write_rig(folder), RUN, None, CourseRequest(write_course(folder)))
     with new_session(settings) as session:
+        interrupt = signal.getsignal(signal.SIGINT)
         part = Part("view", session)
+        signal.signal(signal.SIGINT, interrupt)  # which processes of a drive ignore
         yield part, Showing(part, viewer, regions)
 
 
-def feed(part, now, plan=None):
+def feed(session, now, plan=None):
     """What other processes hand over: a course, a slope along x, a reading, a plan, a command, an image, states."""
-    part.ring("readings").write(pack_measured(reading(now), control=None))
-    part.ring("course").write(pack_course(Course(np.stack((X, 0 * X), axis=1), np.full(60, 4.0))))
-    part.ring("map").write(pack_layers(layers(plane=(0.5, 0.0)), scan_time=now - 0.2, image_time=np.inf))
-    part.ring("plans").write(pack_plan(*(plan or plan_at(now)), empty=False))
-    part.ring("commands").write(packed({"time": now, "applied": np.array((0.4, 0.0, -0.2)), "mode": "driving"}))
-    part.ring("images").write(pack_measured(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
+    session.ring("readings").write(pack_measured(reading(now), control=None))
+    session.ring("course").write(pack_course(Course(np.stack((X, 0 * X), axis=1), np.full(60, 4.0))))
+    session.ring("map").write(pack_layers(layers(plane=(0.5, 0.0)), scan_time=now - 0.2, image_time=np.inf))
+    session.ring("plans").write(pack_plan(*(plan or plan_at(now)), empty=False))
+    session.ring("commands").write(packed({"time": now, "applied": np.array((0.4, 0.0, -0.2)), "mode": "driving"}))
+    session.ring("images").write(pack_measured(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
     status = {"state": "stopping: no plan", "tick_p99_ms": 4.0, "map_age_p99_ms": np.nan, "speed_mps": 1.5}
-    part.session.ring("status-control").write(packed(status))
+    session.ring("status-control").write(packed(status))
 
 
 def test_each_part_of_a_drive_is_shown_on_the_ground(tmp_path):
@@ -88,7 +91,7 @@ def test_each_part_of_a_drive_is_shown_on_the_ground(tmp_path):
     with showing(tmp_path, notes) as (part, shown):
         shown.update()
         assert not notes.given, "nothing before the vehicle's place is known"
-        feed(part, now)
+        feed(part.session, now)
         shown.update()
     assert notes.of("pose")[0][0].position[0] == 1.0
     _, course = notes.of("course")[-1]
@@ -129,7 +132,7 @@ def test_a_slow_viewer_is_shown_the_newest_and_leaves_out_the_rest(tmp_path):
         while time.monotonic() - began < 2.0:
             for _ in range(10):
                 written += 1
-                feed(part, float(written))
+                feed(part.session, float(written))
             shown.update()
         times = [given[0].time for given in notes.of("plan")]
     assert 2 <= len(times) <= written / 10
@@ -174,7 +177,7 @@ def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
 def test_regions_are_shown_with_the_plan(tmp_path):
     notes, planner = Notes(), with_spread(tmp_path)
     with showing(tmp_path, notes, PlanRegions(planner, WHEELS.numpy(), 1.0)) as (part, shown):
-        feed(part, time.time())
+        feed(part.session, time.time())
         shown.update()
     (plan,) = notes.of("plan")[0]
     assert [region.shape for region in plan.regions] == [(25, 3)] * 5
