@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.cli.robot_options import RobotOptions
 from offpiste.conventions import PERCEPTION_LATENCY
+
+if TYPE_CHECKING:
+    from offpiste.transport.interface import RobotSettings
 
 
 @COMMANDS.register("live")
@@ -50,13 +53,22 @@ class Live:
     """Record what is received and what is sent as a log (.mcap)."""
     status: Path | None = None
     """Write how all processes are, twice a second, to this table (.csv)."""
+    view: str = ""
+    """Show the drive: in foxglove or rerun (needs the extra `view`)."""
+    view_at: str = ""
+    """Where the viewer listens, HOST:PORT; on the loopback unless given. For rerun also a file to write (.rrd)."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
         """Load, connect, drive."""
+        return self.run_on(self.robot.settings())
+
+    def run_on(self, robot: "RobotSettings") -> int:
+        """The same over another transport, without the options of `robot`."""
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings
+        from offpiste.live.viewers.viewer import ViewSettings
         from offpiste.runtime.settings import RuntimeSettings
 
         run_live(
@@ -66,13 +78,14 @@ class Live:
                 self.pca,
                 CourseRequest(self.course, self.course_topic, self.goal, self.speed),
                 RuntimeSettings(latency=self.latency),
-                self.robot.settings(),
+                robot,
                 drive=self.drive,
                 clock=self.clock,
                 seed=self.seed,
                 seconds=self.seconds,
                 record=self.record,
                 status=self.status,
+                view=ViewSettings(self.view, self.view_at) if self.view else None,
             ),
             lockstep=self.lockstep,
             replay=self.replay,

@@ -19,6 +19,7 @@ from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings
 from offpiste.live.supervisor import supervise
+from offpiste.live.viewers.viewer import VIEWERS
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -34,12 +35,19 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     Raises:
         OffpisteError: the rig, the run, the course or the connection is wrong.
     """
-    require("live", "zenoh")
+    settings.robot.require()
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
     _refuse_driving(settings, rig)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
+    if settings.view is not None:
+        if lockstep or replay is not None:
+            raise LiveError(
+                "only a live drive is shown", where="--view", how="leave it out, or use `offpiste view LOG`"
+            )
+        if package := VIEWERS[settings.view.name].package:
+            require("view", package, otherwise="leave out --view")
     if settings.record is not None and settings.record.exists():
         raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
@@ -109,7 +117,7 @@ def _replay(
 
 def _lockstep(settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, on_step: OnStep) -> None:
     definitions = [Path(name) for name in rig.live.definitions]
-    with closing(ZenohTransport(settings.robot, definitions)) as transport:
+    with closing(settings.robot.connect(definitions)) as transport:
         outputs = CommandMessages(rig, transport.types) if settings.drive else None
         Lockstep(transport, driver, reception, outputs).run(on_step, threading.Event(), settings.seconds)
         for what, count in sorted(transport.refused.items()):

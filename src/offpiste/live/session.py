@@ -14,7 +14,9 @@ from typing import Final, Literal
 from offpiste.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
+from offpiste.live.viewers.viewer import ViewSettings
 from offpiste.runtime.settings import RuntimeSettings
+from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 
 Source = Literal["system", "clock", "stamps"]
@@ -36,7 +38,7 @@ RINGS: Final = {
     "end": (2, 64),
 }
 """Slots, and the largest message [bytes], of each ring; memory is taken only where it is written."""
-PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record")
+PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record", "view")
 """Processes of a drive; each has a ring for its status beside these."""
 _PREFIX: Final = "offpiste-live-"
 _LOCK: Final = "lock"
@@ -56,13 +58,14 @@ class LiveSettings:
     pca: Path | None
     course: CourseRequest
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
-    robot: ZenohSettings = field(default_factory=ZenohSettings)
+    robot: RobotSettings = field(default_factory=ZenohSettings)
     drive: bool = False
     clock: Source = "system"
     seed: int = 0
     seconds: float = float("inf")
     record: Path | None = None
     status: Path | None = None
+    view: ViewSettings | None = None
 
 
 @dataclass(frozen=True)

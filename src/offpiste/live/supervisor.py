@@ -32,7 +32,7 @@ from offpiste.live.reports import (
 from offpiste.live.ring import Ring
 from offpiste.live.session import PARTS, LiveSettings, Session, new_session
 from offpiste.live.status_table import StatusTable
-from offpiste.transport.zenoh_transport import ZenohTransport
+from offpiste.transport.interface import Transport
 
 logger = logging.getLogger(__name__)
 
@@ -62,15 +62,14 @@ class Supervisor:
         restarts: how often each process was started again.
     """
 
-    def __init__(
-        self, session: Session, transport: ZenohTransport, *, cameras: bool, names: Sequence[str] = PARTS
-    ) -> None:
+    def __init__(self, session: Session, transport: Transport, *, cameras: bool, names: Sequence[str] = PARTS) -> None:
         self._session, self._transport, settings = session, transport, session.settings
         # What all need is imported once, and shared; the server has no threads, and forks one process for each part.
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["offpiste.live.parts.control", "offpiste.live.parts.plan"])
         self._cameras = cameras
         wanted = {"codes": self._cameras, "watchdog": settings.drive, "record": settings.record is not None}
+        wanted["view"] = settings.view is not None
         self._names = [name for name in names if wanted.get(name, True)]
         self._rings: dict[str, Ring] = {}
         self._processes: dict[str, BaseProcess] = {}
@@ -173,7 +172,7 @@ class Supervisor:
         if waits > _STALLED and values["state"] != LOADING:
             return ERROR, "gives no sign of life", about
         state = str(values["state"])
-        good = state in ("ready", "driving") or state.startswith("records")
+        good = state in ("ready", "driving") or state.startswith(("records", "shows"))
         return (OK if good else WARN), state, about
 
     def _newer(self, name: str) -> dict[str, Any] | None:
@@ -197,10 +196,9 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
     """
     with ExitStack() as stack:
         asked = stack.enter_context(_asked_to_end())
-        transport = ZenohTransport(settings.robot, definitions)
+        transport = settings.robot.connect(definitions)
         stack.callback(transport.close)
-        inner = _as_client(settings)
-        session = stack.enter_context(new_session(inner))
+        session = stack.enter_context(new_session(replace(settings, robot=settings.robot.for_parts())))
         table = stack.enter_context(StatusTable(settings.status))
         supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
         began = looked = time.monotonic()
@@ -229,8 +227,3 @@ def _asked_to_end() -> Iterator[threading.Event]:
     finally:
         for number, handler in zip((*numbers, signal.SIGINT), (*before, interrupt), strict=True):
             signal.signal(number, handler)
-
-
-def _as_client(settings: LiveSettings) -> LiveSettings:
-    """Settings of the processes: where this one is the router, they are its clients."""
-    return replace(settings, robot=replace(settings.robot, mode="client"))

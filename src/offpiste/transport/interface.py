@@ -1,13 +1,15 @@
 """What the rest needs of a transport: publish, subscribe, which topics there are, and what was refused.
 
-Zenoh is behind it (`zenoh_transport`); a node of a DDS binding or of rclpy has the same five methods.
+Zenoh is behind it (`zenoh_transport`); `ros2/offpiste_ros` has a node of rclpy with the same methods.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.tally import Tally
 
 
@@ -44,13 +46,15 @@ class Transport(Protocol):
 
     Attributes:
         refused: number of messages that were not delivered, by topic and reason.
+        types: message types that are known.
     """
 
     refused: Tally
+    types: MessageTypes
 
     @property
     def identity(self) -> bytes:
-        """What the identities of all our publishers begin with."""
+        """What `Received.publisher` begins with where a process of this drive has published the message."""
         ...
 
     def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
@@ -82,10 +86,42 @@ class Transport(Protocol):
         """Topics that others publish, with their types."""
         ...
 
+    def routers(self) -> int:
+        """Number of routers it is connected to, 0 while the connection is lost; 1 where there is none to lose."""
+        ...
+
     def decode(self, message: Received) -> Any:
         """The message of what was received; None, and counted as refused, where it cannot be decoded."""
         ...
 
     def close(self) -> None:
         """End the connection."""
+        ...
+
+
+@runtime_checkable
+class RobotSettings(Protocol):
+    """How a robot is reached. Each process of a drive is sent them, and connects by itself: they can be pickled."""
+
+    def require(self) -> None:
+        """Check that what it needs is installed.
+
+        Raises:
+            MissingExtra: it is not.
+        """
+        ...
+
+    def connect(self, definitions: Sequence[Path] = ()) -> Transport:
+        """A new connection.
+
+        Args:
+            definitions: files of message types that rosbags does not know.
+
+        Raises:
+            TransportError: nobody answers, or a setting is wrong.
+        """
+        ...
+
+    def for_parts(self) -> "RobotSettings":
+        """Settings of the processes that the first one starts: where it is the router, they are its clients."""
         ...

@@ -8,11 +8,11 @@ import os
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from offpiste.errors import TransportError, extra
+from offpiste.errors import TransportError, extra, require
 from offpiste.transport.attachment import ATTACHMENT_SIZE, Attachment, unpacked
 from offpiste.transport.interface import Deliver, Publish, Received
 from offpiste.transport.keys import NO_HASH, Address, BridgeKeys, Endpoint, Keys, RmwZenohKeys
@@ -54,6 +54,18 @@ class ZenohSettings:
     patient: bool = False
     node: str = "offpiste"
     identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))
+
+    def require(self) -> None:
+        """Check that the extra `live` is installed (see `RobotSettings`)."""
+        require("live", "zenoh")
+
+    def connect(self, definitions: Sequence[Path] = ()) -> "ZenohTransport":
+        """A new session (see `RobotSettings`)."""
+        return ZenohTransport(self, definitions)
+
+    def for_parts(self) -> "ZenohSettings":
+        """The same as a client (see `RobotSettings`)."""
+        return replace(self, mode="client")
 
 
 class ZenohTransport:

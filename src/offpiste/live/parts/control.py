@@ -27,7 +27,6 @@ from offpiste.runtime.follower import Follower, MapState
 from offpiste.runtime.modes import Controls, ModeDecision
 from offpiste.runtime.prediction import Prediction
 from offpiste.transport.interface import Received
-from offpiste.transport.zenoh_transport import ZenohTransport
 
 MODE = "/offpiste/mode"
 """Topic of the mode and the reason for it (std_msgs/String), when either changes."""
@@ -49,7 +48,7 @@ class Controller:
         self._steady, self._since = SteadyAges(), -np.inf
         self._stops, self._sent_at = part.ring("stops").written, time.monotonic()
         self._why = "control was started again" if before else ""
-        self.transport = ZenohTransport(settings.robot, [Path(name) for name in rig.live.definitions])
+        self.transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
         self._outputs = CommandMessages(rig, self.transport.types)
         self._send = {}
         if settings.drive:

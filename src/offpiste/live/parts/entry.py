@@ -13,7 +13,7 @@ from offpiste.errors import OffpisteError
 from offpiste.live.part import AFTER, Part
 from offpiste.live.session import Session
 
-_NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10}
+_NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10, "view": 10}
 """How much other processes come first: where there are few cores, control is not held up."""
 _FIRST_KILLED = {"codes": 300, "map": 300, "plan": 300, "record": 500}
 """Where memory runs out, the kernel kills these rather than what stops the vehicle (oom_score_adj)."""
@@ -76,7 +76,11 @@ def _run(name: str, session: Session, cameras: bool) -> None:
         from offpiste.live.parts.watchdog import watchdog
 
         watchdog(session)
-    else:
+    elif name == "record":
         from offpiste.live.parts.record import record
 
         record(session, cameras=cameras)
+    else:
+        from offpiste.live.parts.view import view
+
+        view(session, cameras=cameras)

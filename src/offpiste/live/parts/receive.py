@@ -15,7 +15,6 @@ from offpiste.planning.course import Course
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.transport.interface import Received
-from offpiste.transport.zenoh_transport import ZenohTransport
 
 CLOCK = "/clock"
 _WAITING: Final = 256
@@ -29,7 +28,7 @@ class Receiver:
         self.part, self.rig = part, load_rig(part.settings.rig)
         self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
         definitions = [Path(name) for name in self.rig.live.definitions]
-        self.transport = ZenohTransport(part.settings.robot, definitions)
+        self.transport = part.settings.robot.connect(definitions)
         self._small = Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
         self._calibrations: deque[Received] = deque(maxlen=_WAITING)

@@ -15,7 +15,6 @@ from offpiste.live.session import Session
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.rig.rig import load_rig
 from offpiste.transport.interface import Received
-from offpiste.transport.zenoh_transport import ZenohTransport
 
 _WAITING = 400
 """Messages that may wait for the disk; more are dropped, and counted."""
@@ -35,7 +34,7 @@ def record(session: Session, *, cameras: bool) -> None:
     given, rig = session.settings.record, load_rig(session.settings.rig)
     assert given is not None
     path = _free(given)
-    transport = ZenohTransport(session.settings.robot, [Path(name) for name in rig.live.definitions])
+    transport = session.settings.robot.connect([Path(name) for name in rig.live.definitions])
     reception = Reception(rig, session.settings.course, cameras=cameras)
     topics = dict(reception.topics)
     topics |= {camera.topic: False for camera in rig.cameras.values()}

@@ -12,7 +12,6 @@ from offpiste.live.part import Part
 from offpiste.live.parts.setup import last_command
 from offpiste.live.session import Session
 from offpiste.rig.rig import load_rig
-from offpiste.transport.zenoh_transport import ZenohTransport
 
 SILENCE: Final = 0.1
 """Time without a command, after which the stop is sent [s]."""
@@ -26,7 +25,7 @@ def watchdog(session: Session) -> None:
     """The process that watches over the commands, until the vehicle was stopped."""
     part = Part("watchdog", session)
     rig, settings = load_rig(session.settings.rig), session.settings
-    transport = ZenohTransport(settings.robot, [Path(name) for name in rig.live.definitions])
+    transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
     outputs = CommandMessages(rig, transport.types)
     send = {topic: transport.publisher(topic, msgtype) for topic, msgtype in outputs.topics.items()}
     commands, stops, ends = part.ring("commands"), 0, np.inf

@@ -1,0 +1,1 @@
+"""Example: offpiste drives a vehicle by rclpy instead of zenoh."""

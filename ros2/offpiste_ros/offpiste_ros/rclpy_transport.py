@@ -1,0 +1,186 @@
+"""ROS 2 by rclpy: a `Transport` of offpiste (`offpiste.transport.interface`).
+
+Messages stay CDR on both sides: rclpy hands them over as bytes (`raw=True`) and publishes bytes as they are, so nothing
+is converted, and offpiste decodes what it needs. Every process of a drive has a node of its own.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from offpiste.errors import MissingExtra, TransportError, is_installed
+from offpiste.transport.interface import Deliver, Publish, Received
+from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.tally import Tally
+
+LARGEST: Final = 64 << 20
+"""Messages above are refused [bytes]."""
+LOOK: Final = 0.5
+"""Time between two looks for the types of topics [s]."""
+
+
+@dataclass(frozen=True)
+class RclpySettings:
+    """How a robot is reached by rclpy (`RobotSettings`).
+
+    Attributes:
+        run: what the names of all nodes of a drive begin with, so that its processes know each other's publishers.
+    """
+
+    run: str = field(default_factory=lambda: f"offpiste_{os.urandom(4).hex()}")
+
+    def require(self) -> None:
+        """Check that the workspace is sourced."""
+        if not is_installed("rclpy"):
+            how = "source ROS's setup.bash, and run it with ROS's Python"
+            raise MissingExtra("rclpy cannot be imported", how=how)
+
+    def connect(self, definitions: Sequence[Path] = ()) -> "RclpyTransport":
+        """A new node."""
+        return RclpyTransport(self, definitions)
+
+    def for_parts(self) -> "RclpySettings":
+        """The same."""
+        return self
+
+
+class RclpyTransport:
+    """A node (a `Transport`).
+
+    Args:
+        definitions: files of message types that rosbags does not know; ROS has to know them, too.
+    """
+
+    def __init__(self, settings: RclpySettings, definitions: Sequence[Path] = ()) -> None:
+        settings.require()
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        self.refused = Tally()
+        self.types, self._settings = MessageTypes(definitions), settings
+        self._context = rclpy.Context()
+        # Signals are offpiste's own business: Ctrl-C stops the vehicle before anything ends.
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(f"{settings.run}_{os.getpid()}", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._waiting: list[tuple[str, Deliver, str, bool]] = []
+        self._node.create_timer(LOOK, self._look)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+
+    @property
+    def identity(self) -> bytes:
+        """What `Received.publisher` begins with for messages of this drive."""
+        return self._settings.run.encode()[-8:]
+
+    def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
+        """Function that publishes on a topic (see `Transport`)."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        if msgtype not in self.types:
+            how = "give the file of its definition in the rig: live.definitions"
+            raise TransportError(f"message type {msgtype} is not known", where=topic, how=how)
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
+        quality = QoSProfile(depth=1 if keep else 10, durability=durability)
+        publisher, store = self._node.create_publisher(_class_of(msgtype), topic, quality), self.types.store
+
+        def publish(message: Any) -> None:
+            publisher.publish(bytes(store.serialize_cdr(message, msgtype, little_endian=True)))
+
+        return publish
+
+    def subscribe(
+        self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False, unchecked: bool = False
+    ) -> None:
+        """Have the messages of a topic delivered (see `Transport`).
+
+        Where the type is not given, or messages before ours are asked for, this waits until a publisher is there: the
+        type and the quality of service are its.
+        """
+        if unchecked:
+            self._waiting.append((topic, lambda one: deliver(replace(one, type="", data=b"")), "", False))
+        elif not msgtype or history:
+            self._waiting.append((topic, deliver, msgtype, history))
+        else:
+            self._subscribe(topic, deliver, msgtype, history=False)
+
+    def topics(self) -> dict[str, str]:
+        """Topics that others publish, with their types."""
+        found = {topic: kinds[0] for topic, kinds in self._node.get_topic_names_and_types() if kinds}
+        return {topic: kind for topic, kind in found.items() if not self._ours(topic)}
+
+    def routers(self) -> int:
+        """1: DDS has no router that could be lost."""
+        return 1
+
+    def decode(self, message: Received) -> Any:
+        """The decoded message; None, and counted, where it cannot be decoded."""
+        try:
+            return self.types.store.deserialize_cdr(message.data, message.type)
+        except Exception:  # noqa: BLE001 - whatever bytes from outside make rosbags raise: they are refused
+            self.refused[f"{message.topic}: cannot be decoded"] += 1
+            return None
+
+    def close(self) -> None:
+        """End the node."""
+        self._executor.shutdown()
+        self._thread.join(1.0)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _look(self) -> None:
+        """Subscribe to the topics whose publishers have come."""
+        known, waiting = dict(self._node.get_topic_names_and_types()), self._waiting
+        self._waiting = [wanted for wanted in waiting if wanted[0] not in known or not self._publishers(wanted[0])]
+        for topic, deliver, msgtype, history in waiting:
+            if topic in known and self._publishers(topic):
+                self._subscribe(topic, deliver, msgtype or known[topic][0], history=history)
+
+    def _subscribe(self, topic: str, deliver: Deliver, msgtype: str, *, history: bool) -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        if msgtype not in self.types:
+            self.refused[f"{topic}: unknown type {msgtype}"] += 1
+            return
+        # Best effort hears every publisher, also one that comes later; what was kept only reliable ones are given.
+        quality = QoSProfile(depth=10, durability=DurabilityPolicy.VOLATILE, reliability=ReliabilityPolicy.BEST_EFFORT)
+        if history:
+            durability, reliability = DurabilityPolicy.BEST_AVAILABLE, ReliabilityPolicy.BEST_AVAILABLE
+            quality = QoSProfile(depth=10, durability=durability, reliability=reliability)
+
+        def heard(data: bytes) -> None:
+            if len(data) > LARGEST:
+                self.refused[f"{topic}: too large"] += 1
+                return
+            publisher = self.identity if self._ours(topic) else b""
+            deliver(Received(topic, msgtype, bytes(data), time.time(), publisher=publisher))
+
+        self._node.create_subscription(_class_of(msgtype), topic, heard, quality, raw=True)
+
+    def _ours(self, topic: str) -> bool:
+        """Whether all publishers of a topic are of this drive.
+
+        rclpy does not say who published a message; so with another publisher on the topic, all its messages count as
+        another's.
+        """
+        return all(name.startswith(self._settings.run) for name in self._publishers(topic))
+
+    def _publishers(self, topic: str) -> list[str]:
+        """Names of the nodes that publish a topic."""
+        return [publisher.node_name for publisher in self._node.get_publishers_info_by_topic(topic)]
+
+
+def _class_of(msgtype: str) -> Any:
+    from rosidl_runtime_py.utilities import get_message
+
+    try:
+        return get_message(msgtype)
+    except (AttributeError, ModuleNotFoundError, ValueError) as error:
+        how = f"install its package: apt install ros-$ROS_DISTRO-{msgtype.split('/')[0].replace('_', '-')}"
+        raise TransportError(f"ROS does not know message type {msgtype}", where="rclpy", how=how) from error

@@ -1,0 +1,77 @@
+"""Where the vehicle will be with a probability while it follows a plan, for runs that have a spread."""
+
+from typing import Final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from offpiste.closed_loop.planner import Planner
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning.gear import complete
+from offpiste.runtime.prediction import Prediction, coded_area
+from offpiste.runtime.schedule import TimedPlan
+from offpiste.state import Terrain
+from offpiste.training.run import load_run
+from offpiste.uncertainty.prediction import FILE, load_spread
+from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, spread_inputs
+from offpiste.uncertainty.student import radius
+
+WITHIN: Final = 0.8
+"""Probability with which the vehicle is within a region."""
+_POINTS: Final = 24
+"""Of a region's outline."""
+
+
+class PlanRegions:
+    """Regions of plans: ellipses in the predicted heading, one for each second.
+
+    Args:
+        planner: of a run whose folder has a spread (`offpiste calibrate`).
+        wheels: positions in the body frame [m].
+        gear: as the planner drives: 1 forward.
+
+    Raises:
+        RunError: the spread is damaged, or belongs to other weights.
+    """
+
+    def __init__(self, planner: Planner, wheels: Float[np.ndarray, "4 2"], gear: float) -> None:
+        self._dynamics = planner.dynamics.eval().requires_grad_(False)
+        self._spread = load_spread(load_run(planner.folder))
+        self._wheels, self._gear = torch.as_tensor(wheels, dtype=torch.float32), gear
+
+    @torch.no_grad()
+    def outlines(
+        self, layers: TerrainLayers, plan: TimedPlan, prediction: Prediction
+    ) -> tuple[Float[np.ndarray, "_ 2"], ...]:
+        """Closed lines x, y [m].
+
+        Args:
+            layers: of the map, with the model's codes as features.
+        """
+        offset = prediction.state[0, :2].copy()
+        # The state before the first step is not handed over: the one after it stands for it.
+        states = np.concatenate((prediction.state[:1], prediction.state[EVERY - 1 : -1 : EVERY]))
+        moments = torch.as_tensor(states - np.concatenate((offset, np.zeros(4))), dtype=torch.float32)
+        area = coded_area(layers, self._dynamics.encoder)
+        under = area.terrain(torch.from_numpy(offset), self._wheels, len(moments)).at(0, moments)
+        terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
+        control = complete(self._dynamics.vehicle, plan.controls[: len(prediction.state) : EVERY], self._gear)
+        inputs = spread_inputs(self._dynamics.vehicle, Moments(moments[None], control[None], terrain))
+        axes = radius(WITHIN, float(self._spread.freedom)) * self._spread(inputs)[0].double().numpy()
+        each = round(1 / INTERVAL)
+        ends = prediction.state[EVERY - 1 :: EVERY][each - 1 :: each]
+        return tuple(_ellipse(state, half) for state, half in zip(ends, axes[each - 1 :: each], strict=True))
+
+
+def has_spread(planner: Planner) -> bool:
+    """Whether a run has one."""
+    return (planner.folder / FILE).exists()
+
+
+def _ellipse(state: Float[np.ndarray, " 6"], half: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "P 2"]:
+    """Outline around a state; half axes along and across its heading [m]."""
+    angle = np.linspace(0, 2 * np.pi, _POINTS + 1)
+    along, across = half[0] * np.cos(angle), half[1] * np.sin(angle)
+    cos, sin = np.cos(state[2]), np.sin(state[2])
+    return state[:2] + np.stack((cos * along - sin * across, sin * along + cos * across), axis=1)

@@ -1,0 +1,123 @@
+"""What is installed on a robot's computer: the unit and the container's file say what the command line understands."""
+
+import configparser
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import tyro
+from packaging.requirements import Requirement
+
+from installation import wheels
+from offpiste.cli.entry import commands_in_order
+from offpiste.live.parts.watchdog import _AFTER
+from offpiste.live.session import PARTS, RINGS
+
+ROOT = wheels.PYPROJECT.parent
+UNIT, DOCKERFILE = ROOT / "deploy" / "offpiste.service", ROOT / "deploy" / "Dockerfile"
+PAGE = (ROOT / "docs" / "install-on-a-robot.md").read_text("utf-8")
+EXTRAS = tomllib.loads(wheels.PYPROJECT.read_text())["project"]["optional-dependencies"]
+INSTALLED = "/opt/offpiste/bin/offpiste"
+
+
+def parsed(words):
+    """The command that a command line asks for, by offpiste's own parser."""
+    name, *rest = words
+    return tyro.cli(commands_in_order()[name], args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+@pytest.fixture(scope="module")
+def unit():
+    file = configparser.ConfigParser(interpolation=None, strict=True)
+    file.optionxform = str
+    file.read_string(UNIT.read_text())
+    return file
+
+
+def test_the_unit_runs_a_command_in_shadow_mode(unit):
+    program, *words = shlex.split(unit["Service"]["ExecStart"])
+    assert program == INSTALLED
+    live = parsed(words)
+    assert live.rig == "/etc/offpiste/rig.toml"
+    assert not live.drive, "what starts with the computer moves nothing"
+    program, *words = shlex.split(unit["Service"]["ExecStartPre"])
+    assert (program, words) == (INSTALLED, ["warm-up"])
+
+
+def test_ending_the_unit_lets_the_vehicle_be_stopped(unit):
+    service = unit["Service"]
+    assert (service["KillSignal"], service["KillMode"]) == ("SIGINT", "process")
+    assert float(service["RestartSec"]) > _AFTER + 1, "the watchdog of the last run has ended"
+    assert float(service["TimeoutStopSec"]) > 5
+    assert (service["Restart"], service["OOMPolicy"]) == ("on-failure", "continue")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
+def test_systemd_understands_the_unit(tmp_path):
+    file = tmp_path / UNIT.name
+    file.write_text(UNIT.read_text().replace(INSTALLED, str(Path("/bin/true").resolve())))
+    done = subprocess.run(["systemd-analyze", "verify", file], capture_output=True, text=True, check=False)
+    about = [line for line in done.stderr.splitlines() if UNIT.name in line]
+    assert not about, about
+
+
+def test_each_line_of_the_unit_that_the_page_explains_is_there(unit):
+    table = PAGE[PAGE.index("| line | why |") : PAGE.index("`systemctl stop`")]
+    named = re.findall(r"`([A-Za-z]+=[^`]+)`", table)
+    assert len(named) >= 7
+    present = {f"{key}={value}" for section in unit.values() for key, value in section.items()}
+    assert set(named) <= present
+
+
+def instructions():
+    lines = DOCKERFILE.read_text().replace("\\\n", " ").splitlines()
+    return [tuple(line.split(maxsplit=1)) for line in lines if line and not line.startswith("#")]
+
+
+def test_the_container_installs_what_there_is_and_ends_by_ctrl_c():
+    steps = instructions()
+    assert steps[0] == ("FROM", "python:3.12-slim-bookworm")
+    known = {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "VOLUME", "STOPSIGNAL", "ENTRYPOINT", "CMD"}
+    assert {name for name, _ in steps} <= known
+    for copied in (rest.split()[:-1] for name, rest in steps if name == "COPY"):
+        assert all((ROOT / source).exists() for source in copied)
+    project = tomllib.loads(wheels.PYPROJECT.read_text())["project"]
+    copied = {source for name, rest in steps if name == "COPY" for source in rest.split()[:-1]}
+    assert {"pyproject.toml", "src", project["readme"], *project["license-files"]} <= copied, "what the build reads"
+    installed = next(rest for name, rest in steps if name == "RUN")
+    extras = re.findall(r"\.\[([a-z,]+)\]", installed)[0].split(",")
+    assert set(extras) <= set(EXTRAS)
+    assert ("STOPSIGNAL", "SIGINT") in steps
+    assert json.loads(dict(steps)["ENTRYPOINT"]) == [
+        next(iter(project["scripts"])),
+    ]
+    with pytest.raises(SystemExit) as ended:
+        parsed(["live", *json.loads(dict(steps)["CMD"])])
+    assert ended.value.code == 0
+
+
+def test_commands_of_the_page_are_understood(monkeypatch):
+    lines = [
+        line.split("#")[0] for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.split("\n")
+    ]
+    runs = [shlex.split(line) for line in lines if line.startswith(("docker run", "offpiste "))]
+    assert len(runs) >= 4
+    for words in runs:
+        start = words.index("offpiste", 0 if words[0] == "offpiste" else 1)
+        parsed(words[start + 1 :])
+    memory = next(words[words.index("--shm-size") + 1] for words in runs if "--shm-size" in words)
+    assert int(memory.removesuffix("m")) << 20 > sum(slots * size for slots, size in RINGS.values()) + len(PARTS) * (
+        2 << 16
+    )
+
+
+def test_the_page_names_every_core_dependency_and_the_extras_of_a_robot():
+    wanted = {requirement.name for requirement in wheels.core_dependencies()}
+    wanted |= {Requirement(text).name for name in ("live", "view", "onnx") for text in EXTRAS[name]}
+    table = PAGE[PAGE.index("pure Python") : PAGE.index("| none |")]
+    assert wanted <= set(re.findall(r"[a-z][a-z0-9.-]+[a-z0-9]", table)), wanted

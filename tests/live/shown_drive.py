@@ -1,0 +1,35 @@
+"""A moment of a drive, as viewers are given it, far from the world's origin; and who listens where."""
+
+from pathlib import Path
+
+import numpy as np
+
+from offpiste.live.viewers.viewer import ShownGround, ShownPlan
+from offpiste.logs.measurements import Image
+from offpiste.runtime.estimator import VehicleReading
+
+WHEELS = np.array([[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]])
+CAMERAS = ("front",)
+ORIGIN = np.array((400_000.0, 5_000_000.0, 30.0))
+LOOPBACK = "0100007F"
+
+
+def show(viewer):
+    """A pose, a course, a plan with a region, a map, an image, a change of mode, numbers."""
+    turned = np.array((0, 0, np.sin(0.5), np.cos(0.5)))
+    viewer.pose(VehicleReading(1000.5, ORIGIN, turned, np.zeros(3), 0.0, np.zeros(4)))
+    places = ORIGIN + np.column_stack((np.arange(50.0), np.zeros((50, 2))))
+    viewer.course(1000.5, places)
+    viewer.plan(ShownPlan(1000.6, places, np.linspace(2, 8, 50), (places[:5],)))
+    shade = np.tile(np.array((1, 2, 3), np.uint8), (50, 1))
+    viewer.ground(ShownGround(1000.4, places, {"slope": np.arange(50, dtype=np.float32)}, shade))
+    viewer.image(Image(1000.3, "front", np.full((480, 960, 3), (200, 100, 50), np.uint8)))
+    viewer.mode(1000.5, "stopping", "no plan")
+    viewer.numbers(1000.5, "latencies", {"plan_ms": 80.0})
+    viewer.numbers(1000.5, "speed", {"speed": 1.5})
+
+
+def addresses_of(port):
+    """Addresses on which somebody listens at a port, in hexadecimal."""
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    return {row[1].split(":")[0] for row in rows if row[3] == "0A" and int(row[1].split(":")[1], 16) == port}
