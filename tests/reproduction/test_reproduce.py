@@ -74,7 +74,9 @@ def reproduced(folder: Path, dataset: Path) -> Path:
     lines = [str(message) for message in messages]
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     assert "[1/20] train b, seed 0: there" in lines
-    assert sum(bool(re.fullmatch(r"\[\d+/20\] train dc, seed [01]: done, .*; about .* left", line)) for line in lines) == 2
+    assert (
+        sum(bool(re.fullmatch(r"\[\d+/20\] train dc, seed [01]: done, .*; about .* left", line)) for line in lines) == 2
+    )
     assert {path.parent.name for path in folder.glob("runs/*/model.json")} - {p.parent.name for p in kept} == {
         "dc-0",
         "dc-1",

@@ -20,7 +20,8 @@ class Export:
     to: Path
     """Folder to write; not there yet, or empty."""
     format: str = "c"
-    """What to write: c or cuda, one header with the weights; onnx, a graph from images to codes (extra `onnx`)."""
+    """What to write: c or cuda, one header with the weights; mppi-generic, dynamics for that library; onnx, graphs from
+    images to codes and from the last 0.2 s to the start (extra `onnx`)."""
 
     def run(self) -> int:
         """Read the run, write the folder."""

@@ -1,4 +1,4 @@
-"""Exports as C and CUDA: one header with the model's weights, an example, a parity file, a README."""
+"""Exports as C and CUDA, and for MPPI-Generic: one header with the weights, examples, a parity file, a README."""
 
 import shutil
 from importlib.resources import as_file, files
@@ -46,14 +46,21 @@ def write_cuda(run: Run, folder: Path) -> None:
     _write(run, folder, ("example.cu",), command=command, language="CUDA (nvcc, NVRTC), C99 and C++")
 
 
-def _write(run: Run, folder: Path, examples: tuple[str, ...], **text: str) -> None:
+@FORMATS.register("mppi-generic")
+def write_mppi_generic(run: Run, folder: Path) -> None:
+    """C++ for ACDSLab's MPPI-Generic: `OffpisteDynamics` over the same header, an example of a cost, a planner."""
+    names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "planner.cu")
+    _write(run, folder, names, readme="README-mppi-generic.md")
+
+
+def _write(run: Run, folder: Path, names: tuple[str, ...], *, readme: str = "README-c.md", **text: str) -> None:
     refuse_without_kernels(run)
     about = write_about(run, folder)
     first = f"Vehicle model {run.model} of offpiste {about['offpiste']}, weights {about['weights_sha256']}."
     write_text(folder / HEADER, model_header(run.dynamics, first))
     write_bytes(folder / "parity.bin", parity_bytes(parity_case(run.dynamics)))
-    copy_files(folder, *examples, "parity.h")
-    write_readme(folder, "README-c.md", about, **text)
+    copy_files(folder, *names, "parity.h")
+    write_readme(folder, readme, about, **text)
 
 
 def copy_files(folder: Path, *names: str) -> None:
