@@ -1,7 +1,7 @@
 """The export for MPPI-Generic, compiled against that library's sources and driven on its host path; no GPU needed.
 
-`python benchmarks/mppi_generic.py SOURCES --eigen FOLDER [--include FOLDER ...] [--planner]`, where SOURCES is a checkout
-of ACDSLab/MPPI-Generic and the folder of Eigen has `Eigen/Dense`. nvcc compiles; cuRAND's and cuFFT's headers may lie in
+`python benchmarks/mppi_generic.py SOURCES --eigen FOLDER [--include FOLDER ...] [--planner]`: SOURCES is a checkout of
+ACDSLab/MPPI-Generic, and the folder of Eigen has `Eigen/Dense`. nvcc compiles; cuRAND's and cuFFT's headers may lie in
 further folders. `--planner` also compiles the planner, which takes minutes, and prints what its kernels need.
 """
 

@@ -10,7 +10,7 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.start_text import encoder_text, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.dynamics.header.weights_text import weights_text
-from offpiste.export.formats import FORMATS, refuse_without_kernels, write_about
+from offpiste.export.formats import FORMATS, refuse_images, refuse_without_kernels, write_about
 from offpiste.export.parity import parity_bytes, parity_case
 from offpiste.files import write_bytes, write_text
 from offpiste.training.run import Run
@@ -33,22 +33,25 @@ def model_header(dynamics: Dynamics, about: str) -> str:
 
 
 @FORMATS.register("c")
-def write_c(run: Run, folder: Path) -> None:
+def write_c(run: Run, folder: Path, images: Path | None) -> None:
     """C99: `offpiste.h`, and `example.c`, which drives over the map of the parity file."""
+    refuse_images(images)
     _write(run, folder, ("example.c",), command="cc -std=c99 -O2 example.c -o example -lm", language="C99 and C++")
 
 
 @FORMATS.register("cuda")
-def write_cuda(run: Run, folder: Path) -> None:
+def write_cuda(run: Run, folder: Path, images: Path | None) -> None:
     """CUDA: the same header, and `example.cu`, a drive a thread."""
+    refuse_images(images)
     write_text(folder / "kernels.h", shipped_text("kernels.h"))
     command = "nvcc -std=c++17 -O3 -arch=native example.cu -o example"
     _write(run, folder, ("example.cu",), command=command, language="CUDA (nvcc, NVRTC), C99 and C++")
 
 
 @FORMATS.register("mppi-generic")
-def write_mppi_generic(run: Run, folder: Path) -> None:
+def write_mppi_generic(run: Run, folder: Path, images: Path | None) -> None:
     """C++ for ACDSLab's MPPI-Generic: `OffpisteDynamics` over the same header, an example of a cost, a planner."""
+    refuse_images(images)
     names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "planner.cu")
     _write(run, folder, names, readme="README-mppi-generic.md")
 

@@ -55,6 +55,7 @@ public:
 class OffpisteDynamics : public MPPI_internal::Dynamics<OffpisteDynamics, OffpisteParams> {
 public:
     using PARENT_CLASS = MPPI_internal::Dynamics<OffpisteDynamics, OffpisteParams>;
+    using PARENT_CLASS::initializeDynamics;
     static const int NUMBERS = 10; /* of a state, without what the networks remember */
     static const int PAST = 10;    /* rows of 0.02 s before now that these begin with */
 
@@ -195,12 +196,6 @@ public:
         if (threadIdx.y == 0) one_pedal(control);
         __syncthreads();
         PARENT_CLASS::enforceConstraints(state, control);
-    }
-
-    void initializeDynamics(
-        const Eigen::Ref<const state_array>& state, const Eigen::Ref<const control_array>& control,
-        Eigen::Ref<output_array> output, float t_0, float dt) {
-        PARENT_CLASS::initializeDynamics(state, control, output, t_0, dt);
     }
 
     __device__ void initializeDynamics(
