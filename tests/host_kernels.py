@@ -11,7 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
-needs_gcc = pytest.mark.skipif(shutil.which("g++") is None, reason="no g++ here to compile the printed C with")
+LACKING = [name for name in ("gcc", "g++") if shutil.which(name) is None]
+needs_gcc = pytest.mark.skipif(
+    bool(LACKING), reason=f"no {' and no '.join(LACKING)} here to compile the printed C with"
+)
 needs_nvcc = pytest.mark.skipif(shutil.which("nvcc") is None, reason="no nvcc here to compile the printed C with")
 
 FOLDER = Path(tempfile.gettempdir()) / "offpiste-host-kernels"

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
+from offpiste.dataset.ground_tables import ResidentCells, ResidentNormals
 from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2
@@ -41,8 +42,9 @@ def plainly(
     return features, valid
 
 
+@pytest.mark.parametrize("table", [CellTable, ResidentCells])
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(["one", "each", "steps", "flags"]))
-def test_windows_find_what_plain_indexing_finds(seed, kind):
+def test_windows_find_what_plain_indexing_finds(table, seed, kind):
     rng = np.random.default_rng(seed)
     cells = [drive(rng, 40, 30), drive(rng, 25, 1), drive(rng, 30, 50)]
     start = np.array([n for n in (0, 3, 3, 34, 41, 58, 65, 80, 89) if rng.random() < 0.8] or [0])
@@ -53,7 +55,7 @@ def test_windows_find_what_plain_indexing_finds(seed, kind):
         if kind == "one"
         else FeatureSetChoice(rng.integers(0, SETS, shape), np.zeros(len(rows), int), kind == "flags")
     )
-    under = CellTable(cells, torch.device("cpu")).under(rows, feature_set_choice, history=2)
+    under = table(cells, torch.device("cpu")).under(rows, feature_set_choice, history=2)
     wanted, valid = plainly(cells, rows, feature_set_choice)
     number = torch.cat((under.past, under.ahead), dim=1)
     assert under.past.shape[1] == 2
@@ -85,12 +87,13 @@ def test_a_file_that_is_cut_short_is_refused(tmp_path):
         slabs.read(1, 0, np.empty(4, np.float32))
 
 
+@pytest.mark.parametrize("table", [NormalsUnderWheels, ResidentNormals])
 @pytest.mark.parametrize("disk", [False, True])
-def test_normals_of_a_window_are_of_its_set(tmp_path, disk):
+def test_normals_of_a_window_are_of_its_set(tmp_path, disk, table):
     rng = np.random.default_rng(1)
     arrays = [rng.normal(size=(SETS, rows, 4, 3)).astype(np.float32) for rows in (30, 20)]
     given_ = [on_disk(a, tmp_path / str(n)) for n, a in enumerate(arrays)] if disk else arrays
-    normals, start = NormalsUnderWheels(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
+    normals, start = table(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
     whole = np.concatenate(arrays, axis=1)
     for sets in (rng.integers(0, SETS, 4), np.zeros(4, int)):
         found = normals.at(start, 6, sets).numpy()

@@ -1,31 +1,76 @@
 """The exported graph from images to codes, by onnxruntime against torch."""
 
+import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
-from offpiste.errors import RunError
+from dynamics.kernels.test_rollout import CHANNELS, example
+from offpiste.dynamics import Hybrid
+from offpiste.errors import OffpisteError, RunError
 from offpiste.export.formats import export_run
-from offpiste.export.onnx_files import encoder_of, extractor_of, run_onnx, sample_images
+from offpiste.export.onnx_files import checked_graph, encoder_of, extractor_of, past_inputs
+from offpiste.export.onnx_graphs import PastToMemory, run_graph, sample_images
+from offpiste.export.onnx_precision import read_images
 from offpiste.training.run import pretrained
 
 pytest.importorskip("onnxscript", reason="the extra onnx is not installed")
 
 
 def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
-    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx")
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for number, image in enumerate(sample_images().numpy()):
+        cv2.imwrite(str(pictures / f"{number}.png"), image[..., ::-1])
+    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx", pictures)
     run = pretrained("proving-ground/dc")
     images = sample_images()[[1, 0, 1]]
-    found = run_onnx(tmp_path / "out" / "codes.onnx", images)
+    found = run_graph(tmp_path / "out" / "codes.onnx", {"images": images})[0]
     features = np.stack([extractor_of(run).extract(image) for image in images.numpy()])
     rows = torch.from_numpy(features).flatten(0, 2)
     with torch.no_grad():
         wanted = encoder_of(run)(rows, torch.ones(len(rows), dtype=torch.bool)).unflatten(0, features.shape[:3])
     torch.testing.assert_close(found, wanted, atol=1e-4, rtol=0)
-    kept = np.load(tmp_path / "out" / "parity.npz")
+    kept = np.load(tmp_path / "out" / "codes-parity.npz")
     torch.testing.assert_close(found[1], torch.from_numpy(kept["codes"][0]), atol=1e-4, rtol=0)
+
+    losses = json.loads((tmp_path / "out" / "model.json").read_text())["precisions"]
+    assert losses.keys() == {"codes-float16.onnx", "codes-int8.onnx"}
+    for name, loss in losses.items():
+        again = run_graph(tmp_path / "out" / name, {"images": sample_images()})[0]
+        assert 0 < loss["rms"] < 0.5 * loss["spread"], name
+        assert float((again - torch.from_numpy(kept["codes"])).abs().max()) == pytest.approx(loss["largest"], abs=1e-3)
+    started = np.load(tmp_path / "out" / "start-parity.npz")
+    assert (started["hidden"].shape, started["known"].shape) == ((16, run.dynamics.recurrent_size), (16, 10, 4))
+
+
+@pytest.mark.parametrize("channels", ["gear without throttle", "no actuators"])
+def test_what_networks_remember_of_the_past_is_a_graph_for_every_kind_of_vehicle(channels, tmp_path):
+    dynamics = example(*CHANNELS[channels], codes=0, kind=Hybrid).float().requires_grad_(False)
+    run, inputs = replace(pretrained("proving-ground/dc"), dynamics=dynamics), past_inputs(dynamics)
+    assert checked_graph(run, tmp_path / "start", PastToMemory(dynamics), inputs, ("hidden", "cell")) < 1e-5
+    few = {name: value[:3] for name, value in inputs.items()}
+    hidden, cell = run_graph(tmp_path / "start.onnx", few)
+    wanted = PastToMemory(dynamics)(*few.values())
+    torch.testing.assert_close((hidden, cell), wanted, atol=1e-5, rtol=0)
+    assert hidden.std() > 0.01
+
+
+def test_a_graph_that_computes_something_else_and_pictures_of_another_size_are_refused(tmp_path):
+    class Drawn(torch.nn.Module):
+        def forward(self, x):
+            return x + (0 if torch.compiler.is_compiling() else 1)
+
+    with pytest.raises(RunError, match=r"onnxruntime differs from torch by 1\.0e\+00"):
+        checked_graph(pretrained("proving-ground/dc"), tmp_path / "x", Drawn(), {"x": torch.ones(2, 3)}, ("y",))
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 5, 3), np.uint8))
+    with pytest.raises(OffpisteError, match="a picture of 5 x 4"):
+        read_images(tmp_path)
+    with pytest.raises(OffpisteError, match="--images is for --format onnx"):
+        export_run("pretrained:proving-ground/dc", tmp_path / "new", "c", tmp_path)
 
 
 def test_runs_without_features_or_with_those_of_another_pca_are_refused():

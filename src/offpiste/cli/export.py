@@ -20,12 +20,15 @@ class Export:
     to: Path
     """Folder to write; not there yet, or empty."""
     format: str = "c"
-    """What to write: c or cuda, one header with the weights; onnx, a graph from images to codes (extra `onnx`)."""
+    """What to write: c or cuda, one header with the weights; mppi-generic, dynamics for that library; onnx, graphs from
+    images to codes and from the last 0.2 s to the start (extra `onnx`)."""
+    images: Path | None = None
+    """Of onnx: a folder of rectified pictures, by which int8 is calibrated; without one there is no int8."""
 
     def run(self) -> int:
         """Read the run, write the folder."""
         from offpiste.export.formats import export_run
 
-        export_run(self.model, self.to, self.format)
+        export_run(self.model, self.to, self.format, self.images)
         show(f"{self.to}: see README.md there")
         return 0

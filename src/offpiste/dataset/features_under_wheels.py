@@ -17,6 +17,12 @@ MOSTLY: Final = 0.95
 """Share of the cells read that windows touch, above which the others stay: to leave them out takes longer."""
 
 
+def to_device(array: np.ndarray, device: torch.device) -> Tensor:
+    """An array on a device; to a GPU it goes from pinned memory, without waiting for it."""
+    tensor = torch.from_numpy(array)
+    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
+
+
 class ArrayReader:
     """Reads pieces [d, first:end] of an array [D, M, ...].
 
@@ -145,10 +151,10 @@ class CellTable:
             )
         if touched.mean() < MOSTLY:
             number, features, valid = (np.cumsum(touched) - 1)[number], features[touched], valid[touched]
-        under = torch.from_numpy(number).to(self._device)
+        under = to_device(number, self._device)
         return FeaturesUnderWheels(
-            torch.from_numpy(features).to(self._device).float(),
-            torch.from_numpy(valid).to(self._device),
+            to_device(features, self._device).float(),
+            to_device(valid, self._device),
             under[:, :history],
             under[:, history:],
         )
@@ -225,7 +231,7 @@ class NormalsUnderWheels:
         first = (start - self._first[drive]).tolist()
         for window, number in enumerate(drive.tolist()):
             self._readers[number].read(int(sets[window]), first[window], result[window])
-        return torch.from_numpy(result).to(self._device)
+        return to_device(result, self._device)
 
 
 class LevelNormals:

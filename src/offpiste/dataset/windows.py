@@ -14,7 +14,8 @@ from torch import Tensor
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.columns import COLUMNS, Column, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.features_under_wheels import CellTable, FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
+from offpiste.dataset.features_under_wheels import FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
+from offpiste.dataset.ground_tables import GroundTables, ResidentNormals, ground_tables
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
@@ -89,6 +90,7 @@ class Windows:
         horizon: predicted steps.
         feature_set: of `conventions.FEATURE_SETS`; features and normals are read from it where a batch names no other.
         device: where batches are made.
+        ground: of this dataset on this device, where others share it; otherwise it is read from disk.
 
     Raises:
         DatasetError: the part has no such window, or the dataset no such feature set.
@@ -104,6 +106,7 @@ class Windows:
         horizon: int = HORIZON_STEPS,
         feature_set: str = "hindsight",
         device: torch.device | str = "cpu",
+        ground: GroundTables | None = None,
     ) -> None:
         self.dataset, self.part, self.horizon, self.start = dataset, part, horizon, start
         min_speed = dataset.min_speed if min_speed is None else min_speed
@@ -120,10 +123,10 @@ class Windows:
             for name in ("state", "actuators", "control"):
                 self._columns[f"{name}_causal"] = self._columns[name]
         self._state, self._start = self._columns["state"], self._columns["state_causal"]
-        self._normals: NormalsUnderWheels | LevelNormals = NormalsUnderWheels([r.normal for r in rows], self.device)
         self._valid = self._joined([r.valid for r in rows])
-        cells = [r.cells for r in rows if r.cells is not None]
-        self._cells = CellTable(cells, self.device) if dataset.features else None
+        ground = ground or ground_tables(dataset, self.device)
+        self._cells, self.read_ahead = ground.cells, self.device.type == "cuda" and not ground.resident
+        self._normals: NormalsUnderWheels | ResidentNormals | LevelNormals = ground.normals
         self.sets = self._cells.sets if self._cells is not None else 1
         self._set, self._level = set_number(feature_set, self.sets), False
         self.control, self.actuators = dataset.rig.present_controls, dataset.rig.present_actuators

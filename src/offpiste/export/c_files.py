@@ -1,4 +1,4 @@
-"""Exports as C and CUDA: one header with the model's weights, an example, a parity file, a README."""
+"""Exports as C and CUDA, and for MPPI-Generic: one header with the weights, examples, a parity file, a README."""
 
 import shutil
 from importlib.resources import as_file, files
@@ -10,7 +10,7 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.start_text import encoder_text, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.dynamics.header.weights_text import weights_text
-from offpiste.export.formats import FORMATS, refuse_without_kernels, write_about
+from offpiste.export.formats import FORMATS, refuse_images, refuse_without_kernels, write_about
 from offpiste.export.parity import parity_bytes, parity_case
 from offpiste.files import write_bytes, write_text
 from offpiste.training.run import Run
@@ -33,27 +33,37 @@ def model_header(dynamics: Dynamics, about: str) -> str:
 
 
 @FORMATS.register("c")
-def write_c(run: Run, folder: Path) -> None:
+def write_c(run: Run, folder: Path, images: Path | None) -> None:
     """C99: `offpiste.h`, and `example.c`, which drives over the map of the parity file."""
+    refuse_images(images)
     _write(run, folder, ("example.c",), command="cc -std=c99 -O2 example.c -o example -lm", language="C99 and C++")
 
 
 @FORMATS.register("cuda")
-def write_cuda(run: Run, folder: Path) -> None:
+def write_cuda(run: Run, folder: Path, images: Path | None) -> None:
     """CUDA: the same header, and `example.cu`, a drive a thread."""
+    refuse_images(images)
     write_text(folder / "kernels.h", shipped_text("kernels.h"))
     command = "nvcc -std=c++17 -O3 -arch=native example.cu -o example"
     _write(run, folder, ("example.cu",), command=command, language="CUDA (nvcc, NVRTC), C99 and C++")
 
 
-def _write(run: Run, folder: Path, examples: tuple[str, ...], **text: str) -> None:
+@FORMATS.register("mppi-generic")
+def write_mppi_generic(run: Run, folder: Path, images: Path | None) -> None:
+    """C++ for ACDSLab's MPPI-Generic: `OffpisteDynamics` over the same header, an example of a cost, a planner."""
+    refuse_images(images)
+    names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "planner.cu")
+    _write(run, folder, names, readme="README-mppi-generic.md")
+
+
+def _write(run: Run, folder: Path, names: tuple[str, ...], *, readme: str = "README-c.md", **text: str) -> None:
     refuse_without_kernels(run)
     about = write_about(run, folder)
     first = f"Vehicle model {run.model} of offpiste {about['offpiste']}, weights {about['weights_sha256']}."
     write_text(folder / HEADER, model_header(run.dynamics, first))
     write_bytes(folder / "parity.bin", parity_bytes(parity_case(run.dynamics)))
-    copy_files(folder, *examples, "parity.h")
-    write_readme(folder, "README-c.md", about, **text)
+    copy_files(folder, *names, "parity.h")
+    write_readme(folder, readme, about, **text)
 
 
 def copy_files(folder: Path, *names: str) -> None:

@@ -16,19 +16,20 @@ from offpiste.registry import Registry
 from offpiste.training.checkpoint import save_json
 from offpiste.training.run import WEIGHTS, Run, load_run
 
-Format = Callable[[Run, Path], None]
-"""Writes an export of a run into a folder that is there."""
+Format = Callable[[Run, Path, Path | None], None]
+"""Writes an export of a run into a folder that is there; also given a folder of images, if the user named one."""
 
 FORMATS: Final[Registry[Format]] = Registry("export format", package=__package__)
 
 
-def export_run(run: str | Path, to: Path, kind: str) -> None:
+def export_run(run: str | Path, to: Path, kind: str, images: Path | None = None) -> None:
     """Export a run; the folder is written whole or not at all.
 
     Args:
         run: folder that `offpiste train` wrote, or `pretrained:NAME`.
         to: folder to write, which is not there yet, or empty.
         kind: name of a format.
+        images: folder of rectified pictures, which formats with less precision are calibrated with.
 
     Raises:
         OffpisteError: no such format, no such run, a folder with files, or a model that the format cannot hold.
@@ -40,7 +41,17 @@ def export_run(run: str | Path, to: Path, kind: str) -> None:
     loaded = load_run(run)
     loaded.dynamics.requires_grad_(False)
     to.parent.mkdir(parents=True, exist_ok=True)
-    write_folder(to, lambda folder: write(loaded, folder))
+    write_folder(to, lambda folder: write(loaded, folder, images))
+
+
+def refuse_images(images: Path | None) -> None:
+    """Raise where images are given to a format that has no use for them.
+
+    Raises:
+        OffpisteError: there are images.
+    """
+    if images is not None:
+        raise OffpisteError("--images is for --format onnx", where=images, how="leave it out")
 
 
 def refuse_without_kernels(run: Run) -> None:

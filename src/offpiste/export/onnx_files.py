@@ -1,93 +1,103 @@
-"""Exports as ONNX (extra `onnx`): a graph from rectified images to codes of their patches, checked by onnxruntime."""
+"""Exports as ONNX (extra `onnx`): from images to codes, from the last 0.2 s to the start; checked by onnxruntime."""
 
-import logging
-import warnings
+from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from torch import Tensor, nn
 
+from offpiste.dynamics.base import Dynamics
 from offpiste.errors import RunError, extra
 from offpiste.export.c_files import write_readme
 from offpiste.export.formats import FORMATS, write_about
+from offpiste.export.onnx_graphs import SIZE, ImageToCodes, PastToMemory, run_graph, sample_images, write_graph
+from offpiste.export.onnx_precision import codes_of, loss_of, read_images, write_float16, write_int8
+from offpiste.export.parity import parity_case, past_of
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
-from offpiste.perception.pca import PrincipalComponents
 from offpiste.shipped import PREFIX, pca_file
 from offpiste.training.run import Run
 
-SIZE: Final = (360, 640)
-"""Height and width of the images that the graph is traced and checked with [px]."""
-
 TOLERANCE: Final = 1e-4
-"""Largest difference of a code between onnxruntime and torch, both float32."""
-
-OPSET: Final = 18
-
-
-class ImageToCodes(nn.Module):
-    """Backbone, PCA and encoder of a model as one module.
-
-    Args:
-        extractor: the backbone and PCA that the model's features come from.
-        encoder: of the model.
-    """
-
-    def __init__(self, extractor: FeatureExtractor, encoder: nn.Module) -> None:
-        super().__init__()
-        self._backbone, self.encoder = extractor.backbone, encoder
-        self.mean: Tensor
-        self.basis: Tensor
-        mean, basis = projection(extractor.pca)
-        self.register_buffer("mean", mean)
-        self.register_buffer("basis", basis)
-        height, width = SIZE
-        self._crop = extractor.backbone.grid(width, height).crop
-
-    def forward(self, images: UInt8[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns E"]:
-        """Codes of the patches of rectified images, of the whole patches in their middle."""
-        rows, columns = self._crop
-        planes = images[:, rows, columns].permute(0, 3, 1, 2).float() / 255
-        features = (self._backbone._features(planes) - self.mean) @ self.basis
-        patches = features.flatten(0, 2)
-        codes: Tensor = self.encoder(patches, torch.ones_like(patches[:, 0], dtype=torch.bool))
-        return codes.unflatten(0, features.shape[:3])
-
-
-def projection(pca: PrincipalComponents) -> tuple[Float[Tensor, " C"], Float[Tensor, "C F"]]:
-    """Mean and basis of a PCA, as float32."""
-    return torch.as_tensor(pca.mean, dtype=torch.float32), torch.as_tensor(pca.basis, dtype=torch.float32)
+"""Largest difference of a code, or of what networks remember, between onnxruntime and torch, both float32."""
 
 
 @FORMATS.register("onnx")
-def write_onnx(run: Run, folder: Path) -> None:
-    """ONNX: `codes.onnx`, from rectified images to codes, with backbone and PCA that the run's features come from."""
+def write_onnx(run: Run, folder: Path, images: Path | None) -> None:
+    """ONNX: `codes.onnx` from rectified images to codes, in float32, float16 and int8, `start.onnx` from the past."""
     with extra("onnx"):
         import onnx  # noqa: F401
         import onnxruntime  # noqa: F401
         import onnxscript  # noqa: F401
-    model = ImageToCodes(extractor_of(run), encoder_of(run)).eval()
-    path = folder / "codes.onnx"
-    images = sample_images()
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that this graph does not need
-    with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            model, (images,), str(path), input_names=["images"], output_names=["codes"], opset_version=OPSET,
-            dynamic_shapes={"images": {0: torch.export.Dim("cameras", max=64)}}, dynamo=True, external_data=False,
-            verbose=False,
-        )  # fmt: skip
-        wanted = model(images)
-    found = run_onnx(path, images)
-    apart = float((found - wanted).abs().max())
-    if not apart < TOLERANCE:
-        raise RunError(f"onnxruntime's codes differ from torch's by {apart:.1e}", where=run.folder, how="report this")
-    np.savez(folder / "parity.npz", images=images.numpy(), codes=wanted.numpy())
+    given = None if images is None else read_images(images)
+    model, pictures = ImageToCodes(extractor_of(run), encoder_of(run)), sample_images()
+    codes = checked_graph(run, folder / "codes", model, {"images": pictures}, ("codes",))
+    start = _write_start(run, folder)
+    losses = _write_precisions(folder, pictures if given is None else given, calibrated=given is not None)
     height, width = SIZE
-    about = write_about(run, folder, image=[height, width, 3], difference=apart)
-    write_readme(folder, "README-onnx.md", about, difference=f"{apart:.0e}", height=str(height), width=str(width))
+    about = write_about(
+        run, folder, image=[height, width, 3], difference=codes, start_difference=start, precisions=losses
+    )
+    shown = {"difference": f"{codes:.0e}", "start_difference": f"{start:.0e}", "losses": _losses_text(losses)}
+    write_readme(folder, "README-onnx.md", about, **shown, height=str(height), width=str(width))
+
+
+def checked_graph(
+    run: Run, stem: Path, module: nn.Module, inputs: dict[str, Tensor], outputs: tuple[str, ...]
+) -> float:
+    """Write a graph and its parity file (`.onnx`, `-parity.npz`); its largest difference from torch.
+
+    Raises:
+        RunError: onnxruntime computes something else.
+    """
+    path = stem.with_suffix(".onnx")
+    write_graph(module, inputs, outputs, path)
+    with torch.no_grad():
+        wanted = module(*inputs.values())
+    wanted = (wanted,) if isinstance(wanted, Tensor) else wanted
+    found = run_graph(path, inputs)
+    apart = max(float((a - b).abs().max()) for a, b in zip(found, wanted, strict=True))
+    if not apart < TOLERANCE:
+        raise RunError(f"onnxruntime differs from torch by {apart:.1e}", where=run.folder, how="report this")
+    arrays = inputs | dict(zip(outputs, wanted, strict=True))
+    np.savez(stem.with_name(f"{stem.name}-parity.npz"), **{name: value.numpy() for name, value in arrays.items()})
+    return apart
+
+
+def past_inputs(dynamics: Dynamics) -> dict[str, Tensor]:
+    """Inputs of the graph of the start, by name: the past of the drives of the parity file."""
+    past = past_of(dynamics, parity_case(dynamics, steps=1))
+    states = torch.cat((past.state, past.actuators), dim=-1)
+    ground = past.terrain
+    return {
+        "states": states, "controls": past.control, "normals": ground.normal, "known": ground.known,
+        "codes": ground.latent,
+    }  # fmt: skip
+
+
+def _write_start(run: Run, folder: Path) -> float:
+    module, inputs = PastToMemory(run.dynamics), past_inputs(run.dynamics)
+    return checked_graph(run, folder / "start", module, inputs, ("hidden", "cell"))
+
+
+def _write_precisions(folder: Path, images: UInt8[Tensor, "N h w 3"], *, calibrated: bool) -> dict[str, Any]:
+    """Write the graphs of less precision; what each loses on these images."""
+    graph = folder / "codes.onnx"
+    write_float16(graph, folder / "codes-float16.onnx")
+    names = ["codes-float16.onnx"]
+    if calibrated:
+        write_int8(graph, folder / "codes-int8.onnx", images)
+        names.append("codes-int8.onnx")
+    wanted = codes_of(graph, images)
+    return {name: asdict(loss_of(codes_of(folder / name, images), wanted)) for name in names}
+
+
+def _losses_text(losses: dict[str, Any]) -> str:
+    rows = [f"| `{name}` | {of['rms']:.2g} | {of['largest']:.2g} | {of['spread']:.2g} |" for name, of in losses.items()]
+    head = "| graph | root mean square | largest | spread of the codes themselves |"
+    return "\n".join((head, "|---|---|---|---|", *rows))
 
 
 def extractor_of(run: Run) -> FeatureExtractor:
@@ -99,10 +109,10 @@ def extractor_of(run: Run) -> FeatureExtractor:
     if run.pca is None:
         raise RunError("has no visual features", where=run.folder, how="export a run whose dataset has them, as dc")
     beside = run.folder.parent / "pca.safetensors"
-    candidates = [beside] if beside.is_file() else [pca_file(f"{PREFIX}proving-ground")]
-    extractor = load_feature_extractor(candidates[0])
+    path = beside if beside.is_file() else pca_file(f"{PREFIX}proving-ground")
+    extractor = load_feature_extractor(path)
     if extractor.identity != run.pca:
-        what = f"its features come from another PCA than {candidates[0]}"
+        what = f"its features come from another PCA than {path}"
         raise RunError(what, where=run.folder, how=f"put that PCA beside the run as {beside}")
     return extractor
 
@@ -116,21 +126,3 @@ def encoder_of(run: Run) -> nn.Module:
     if run.dynamics.encoder is None:
         raise RunError(f"'{run.model}' reads no features", where=run.folder, how="export a model that does, as dc")
     return run.dynamics.encoder
-
-
-def sample_images() -> UInt8[Tensor, "2 h w 3"]:
-    """Two images of blurred noise, always the same."""
-    draw = torch.Generator().manual_seed(0)
-    height, width = SIZE
-    coarse = torch.rand(2, 3, height // 8, width // 8, generator=draw)
-    fine = torch.nn.functional.interpolate(coarse, SIZE, mode="bilinear")
-    grain = 0.1 * torch.rand(2, 3, height, width, generator=draw)
-    return (255 * (0.9 * fine + grain)).to(torch.uint8).permute(0, 2, 3, 1).contiguous()
-
-
-def run_onnx(path: Path, images: UInt8[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns E"]:
-    """What onnxruntime computes on the CPU."""
-    with extra("onnx"):
-        import onnxruntime
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    return torch.from_numpy(session.run(["codes"], {"images": images.numpy()})[0])

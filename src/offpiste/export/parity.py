@@ -57,17 +57,25 @@ def parity_case(dynamics: Dynamics, *, drives: int = 16, steps: int = HORIZON_ST
     past, start = _drives(vehicle, drives, draw)
     commands = _commands(vehicle, drives, HISTORY_STEPS + steps, draw)
     past_controls, controls = commands[:, :HISTORY_STEPS], commands[:, HISTORY_STEPS:]
-    source = _source(dynamics, ground, wheels, drives * HISTORY_STEPS)
-    under = source.at(0, past[..., :6].flatten(0, 1))
-    shape = (drives, HISTORY_STEPS)
-    terrain = Terrain(*(part.unflatten(0, shape) for part in (under.normal, under.known, under.latent)))
-    history = History(past[..., :6], past[..., 6:], past_controls, terrain)
+    history = _history(dynamics, ground, wheels, past, past_controls)
     model_state = dynamics.start(history, start[:, :6], start[:, 6:])
     ahead = _source(dynamics, ground, wheels, drives)
     held = HeldCodes.of(ahead, start[:, :6]) if dynamics.holds_codes else ahead
     trajectory = rollout(dynamics, model_state, controls, held)
     expected = torch.cat((trajectory.state, trajectory.actuators), dim=-1)
     return ParityCase(ground, wheels, past, past_controls, start, controls, expected)
+
+
+def past_of(dynamics: Dynamics, case: ParityCase) -> History:
+    """What the drives of a model's case had before their start."""
+    return _history(dynamics, case.ground, case.wheels, case.past_states, case.past_controls)
+
+
+def _history(dynamics: Dynamics, ground: MapStack, wheels: Tensor, past: Tensor, controls: Tensor) -> History:
+    source = _source(dynamics, ground, wheels, past.shape[0] * past.shape[1])
+    under = source.at(0, past[..., :6].flatten(0, 1))
+    terrain = Terrain(*(part.unflatten(0, past.shape[:2]) for part in (under.normal, under.known, under.latent)))
+    return History(past[..., :6], past[..., 6:], controls, terrain)
 
 
 def parity_bytes(case: ParityCase) -> bytes:

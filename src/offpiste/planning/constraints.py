@@ -46,11 +46,11 @@ def keep_within(
     """
     if limits.rate is None or controls.device.type != "cpu" or controls.dtype not in (torch.float32, torch.float64):
         return keep_within_stepwise(limits, dt, controls, previous)
-    low, high, change = _bounds(limits, dt, controls)
+    low, high, change = bounds(limits, dt, controls)
     first = torch.full_like(low, torch.nan) if previous is None else previous.to(low.dtype).clamp(low, high)
     kept = torch.empty(controls.shape, dtype=controls.dtype)
-    bounds = (part.numpy() for part in (first, low, high, change))
-    spread_kernel(len(controls), _walk, controls.detach().numpy(), *bounds, previous is None, kept.numpy())
+    arrays = (part.numpy() for part in (first, low, high, change))
+    spread_kernel(len(controls), _walk, controls.detach().numpy(), *arrays, previous is None, kept.numpy())
     return kept
 
 
@@ -58,7 +58,7 @@ def keep_within_stepwise(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
     """Reference of `keep_within` in torch, step after step, on any device."""
-    low, high, change = _bounds(limits, dt, controls)
+    low, high, change = bounds(limits, dt, controls)
     controls = controls.clamp(low, high)
     if limits.rate is None:
         return controls
@@ -69,8 +69,8 @@ def keep_within_stepwise(
     return torch.stack(steps, dim=1)
 
 
-def _bounds(limits: Limits, dt: float, controls: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Low and high bounds, and the largest change in a step [U]."""
+def bounds(limits: Limits, dt: float, controls: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Low and high bounds, and the largest change in a step [U], in the type and on the device of controls."""
     low, high = controls.new_tensor(limits.low), controls.new_tensor(limits.high)
     change = torch.full_like(low, torch.inf) if limits.rate is None else controls.new_tensor(limits.rate) * dt
     return low, high, change

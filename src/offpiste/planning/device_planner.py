@@ -18,12 +18,13 @@ from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.errors import PlanningError
+from offpiste.planning.constraints import bounds
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.costs import packed_maps, packed_situation
 from offpiste.planning.kernel import Codes
-from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, sample_groups, smoothed
-from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients
+from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, rest_of, sample_groups, smoothed
+from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients, function_and_options
 from offpiste.planning.pedal import controls_of
 from offpiste.state import ModelState
 
@@ -117,8 +118,9 @@ class DevicePlanner:
         if held is not None and fits and held.plan.shape == controls.shape:
             return held
         new = partial(torch.zeros, device=self.device)
-        samples = self.settings.samples
-        slope, code, layers = (new(part.numel()) for part in maps)
+        samples, held_sizes = self.settings.samples, [room.numel() for room in rooms] or [0] * len(maps)
+        # As large as any map so far, so that maps that are large in different ways do not take turns.
+        slope, code, layers = (new(max(part.numel(), size)) for part, size in zip(maps, held_sizes, strict=True))
         costs, shares = (new(samples, dtype=torch.float64) for _ in range(2))
         plan, bounds = new(controls.shape), new(4, controls.shape[1])
         self._buffers = _Buffers(plan, bounds, new(len(packed)), slope, code, layers, costs, shares)
@@ -155,7 +157,7 @@ def model_controls(sampled: Float[Tensor, "K T U"]) -> Float[Tensor, "K T 3"]:
 
 def prepared(noise: Noise, steps: int, device: torch.device) -> Noise | None:
     """`coloured` noise without copies from the CPU, which a graph cannot hold; None for other noise."""
-    function, options = (noise.func, noise.keywords) if isinstance(noise, partial) else (noise, {})
+    function, options = function_and_options(noise)
     if function is not coloured:
         return None
     size = coefficient_sizes(steps, **options).to(device, torch.float32)
@@ -180,21 +182,16 @@ def captured(run: Callable[[], None], generator: Generator) -> Callable[[], None
 
 def _groups(settings: Settings) -> tuple[Float[Tensor, "K 1 U"], Float[Tensor, "K 1 1"], Float[Tensor, " U"]]:
     """Factors of the noise of each sample, which samples are fresh, and what those lie around (`mppi.sample`)."""
-    fresh, wide = sample_groups(settings)
-    factor = torch.ones(settings.samples)
-    is_fresh = torch.zeros(settings.samples)
-    factor[fresh], factor[wide], is_fresh[fresh] = settings.fresh_width, settings.width, 1
-    factor[fresh][:1] = 0
-    factor[0] = 0
+    factor, is_fresh = torch.ones(settings.samples), torch.zeros(settings.samples)
+    for group in sample_groups(settings):
+        factor[group.samples], is_fresh[group.samples] = group.factor, float(group.fresh)
     deviation = torch.tensor(settings.deviation)
-    rest = torch.zeros_like(deviation) if settings.rest is None else torch.tensor(settings.rest)
+    rest = rest_of(settings, deviation)
     return factor[:, None, None] * deviation, is_fresh[:, None, None], rest
 
 
 def bounds_of(settings: Settings, previous: Tensor | None) -> Float[Tensor, "4 U"]:
     """Low and high bounds, largest change of a step, control before the first; NaN leaves that one free."""
-    limits = settings.limits
-    low, high = torch.tensor(limits.low), torch.tensor(limits.high)
-    change = torch.full_like(low, torch.inf) if limits.rate is None else torch.tensor(limits.rate) * settings.dt
+    low, high, change = bounds(settings.limits, settings.dt, torch.empty(0))
     before = torch.full_like(low, torch.nan) if previous is None else previous.float()
     return torch.stack((low, high, change, before))

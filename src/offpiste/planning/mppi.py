@@ -8,6 +8,7 @@ algorithm 2), with the low-frequency noise of Vlahov et al. (RA-L 2024). Costs o
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -126,21 +127,49 @@ def improve(
 
 def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Generator) -> Float[Tensor, "K T U"]:
     """Sampled sequences: the plan itself, then around rest, widely around the plan, and narrowly around it."""
-    fresh, wide = sample_groups(settings)
     deviation = controls.new_tensor(settings.deviation)
-    rest = torch.zeros_like(deviation) if settings.rest is None else controls.new_tensor(settings.rest)
+    rest = rest_of(settings, deviation)
     samples = settings.noise((settings.samples, *controls.shape), generator, controls.dtype) * deviation
-    samples[0] = 0
-    samples[fresh][:1] = 0
-    samples[fresh][1:] *= settings.fresh_width
-    samples[wide] *= settings.width
-    samples[fresh] += rest
-    samples[0] += controls
-    samples[fresh.stop :] += controls
+    for group in sample_groups(settings):
+        part = samples[group.samples]
+        if group.factor != 1:
+            part *= group.factor
+        part += rest if group.fresh else controls
     return samples
 
 
-def sample_groups(settings: Settings) -> tuple[slice, slice]:
+def rest_of(settings: Settings, deviation: Float[Tensor, " U"]) -> Float[Tensor, " U"]:
+    """Controls at rest, in the type and on the device of the deviations."""
+    return torch.zeros_like(deviation) if settings.rest is None else deviation.new_tensor(settings.rest)
+
+
+class SampleGroup(NamedTuple):
+    """Samples that are drawn alike.
+
+    Attributes:
+        samples: which ones.
+        factor: of the noise.
+        fresh: whether they lie around rest, not around the plan.
+    """
+
+    samples: slice
+    factor: float
+    fresh: bool
+
+
+def sample_groups(settings: Settings) -> tuple[SampleGroup, ...]:
+    """All samples: the plan, rest, around rest, widely around the plan, and narrowly around it."""
+    fresh, wide = _fresh_and_wide(settings)
+    return (
+        SampleGroup(slice(0, 1), 0.0, fresh=False),
+        SampleGroup(slice(1, min(2, fresh.stop)), 0.0, fresh=True),
+        SampleGroup(slice(2, fresh.stop), settings.fresh_width, fresh=True),
+        SampleGroup(wide, settings.width, fresh=False),
+        SampleGroup(slice(wide.stop, None), 1.0, fresh=False),
+    )
+
+
+def _fresh_and_wide(settings: Settings) -> tuple[slice, slice]:
     """Which samples are fresh, and which are wide; the first one and those behind them are neither."""
     fresh, wide = (1 + round(share * settings.samples) for share in (settings.fresh, settings.wide))
     return slice(1, fresh), slice(fresh, fresh + wide - 1)
@@ -176,7 +205,7 @@ def control_costs(
     sigma = covariance(settings.noise, len(plan)).to(plan.device)
     scaled = torch.cholesky_solve(plan / deviation.square(), torch.linalg.cholesky(sigma))
     costs = settings.control_cost * torch.einsum("ktu,tu->k", draws.double() - plan, scaled)
-    fresh, wide = sample_groups(settings)
+    fresh, wide = _fresh_and_wide(settings)
     costs[fresh] = 0
     costs[wide] /= settings.width**2
     for group in ([0, *range(wide.stop, len(costs))], wide):

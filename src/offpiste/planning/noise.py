@@ -7,7 +7,7 @@ are independent; how steps are correlated depends on the function.
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import torch
 from jaxtyping import Float
@@ -118,13 +118,18 @@ def lifted(
     return noise(shape, generator, dtype).cumsum(dim=1) / math.sqrt(shape[1])
 
 
+def function_and_options(noise: Noise) -> tuple[Callable[..., Tensor], dict[str, Any]]:
+    """A noise's function, and the options that `functools.partial` bound."""
+    return (noise.func, noise.keywords) if isinstance(noise, partial) else (noise, {})
+
+
 def covariance(noise: Noise, steps: int) -> Float[Tensor, "T T"]:
     """Covariance of the steps of one control of Gaussian noise (float64), as it is drawn.
 
     Raises:
         ValueError: it is not known, or has no inverse.
     """
-    function, options = (noise.func, noise.keywords) if isinstance(noise, partial) else (noise, {})
+    function, options = function_and_options(noise)
     if function not in _COVARIANCES:
         name = getattr(function, "__name__", repr(function))
         known = ", ".join(of.__name__ for of in _COVARIANCES)

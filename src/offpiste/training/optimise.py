@@ -12,14 +12,15 @@ from typing import Final
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
-from offpiste.dataset.feature_sets import Draw, FeatureSetChoice, drawn
+from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError, extra
 from offpiste.files import write_text
 from offpiste.progress import track
+from offpiste.training.batches import batches_of, draw_sets, strided
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
@@ -184,9 +185,9 @@ def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group)
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
     """Mean loss over the evaluation windows of a part, without gradients."""
-    index, rng = _strided(windows, config.stride), np.random.default_rng(config.seed)
+    index, rng = strided(windows, config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / 512))
-    feature_set_choice = [_feature_set_choice(stage, windows, part, rng) for part in parts]
+    feature_set_choice = [draw_sets(stage.draw, windows, part, rng) for part in parts]
     total = torch.zeros((), dtype=torch.float64, device=windows.device)
     with torch.no_grad():
         for number, part in group.mine(parts):
@@ -227,29 +228,17 @@ class _State:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
 
-def _feature_set_choice(
-    stage: Stage, windows: Windows, index: Int[np.ndarray, " B"], rng: np.random.Generator
-) -> FeatureSetChoice | None:
-    return drawn(stage.draw, rng, windows.ahead(index), windows.sets) if stage.draw is not None else None
-
-
-def _strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
-    """Windows a stride apart, or all of them where they are so few that none is left."""
-    index = windows.every(stride, phase=phase)
-    return index if len(index) else np.arange(len(windows))
-
-
 def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int, group: Group) -> float:
     # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
     rng = np.random.default_rng((config.seed, epoch))
-    order = rng.permutation(_strided(train, config.stride, phase=int(rng.integers(config.stride))))
-    batches = np.array_split(order, math.ceil(len(order) / config.batch))
-    total = 0.0
-    for number, index in enumerate(track(batches, f"{stage.name} {epoch + 1}/{stage.epochs}")):
-        _set_learning_rate(state.optimiser, (epoch + number / len(batches)) / stage.epochs)
+    order = rng.permutation(strided(train, config.stride, phase=int(rng.integers(config.stride))))
+    parts = np.array_split(order, math.ceil(len(order) / config.batch))
+    batches, total = batches_of(train, parts, stage.draw, rng, group), 0.0
+    for number, index in enumerate(track(parts, f"{stage.name} {epoch + 1}/{stage.epochs}")):
+        _set_learning_rate(state.optimiser, (epoch + number / len(parts)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
         try:
-            loss = _share_of_loss(stage, train, index, _feature_set_choice(stage, train, index, rng), group)
+            loss = _share_of_loss(stage, next(batches), len(index), train.device)
         except TrainingError as error:
             raise TrainingError(error.what, where=where, how=error.how) from error
         mean = group.sum(loss.detach())
@@ -266,20 +255,9 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
     return total / len(order)
 
 
-def _share_of_loss(
-    stage: Stage,
-    train: Windows,
-    index: Int[np.ndarray, " B"],
-    feature_set_choice: FeatureSetChoice | None,
-    group: Group,
-) -> Float[Tensor, ""]:
-    """What this process's windows add to the mean loss of a batch."""
-    share = group.share(len(index))
-    mine = index[share]
-    if not len(mine):
-        return torch.zeros((), device=train.device)
-    read = None if feature_set_choice is None else feature_set_choice[share]
-    return stage.loss(train.gather(mine, read)).sum() / len(index)
+def _share_of_loss(stage: Stage, batch: Batch | None, count: int, device: torch.device) -> Float[Tensor, ""]:
+    """What this process's windows add to the mean loss of a batch of `count`."""
+    return torch.zeros((), device=device) if batch is None else stage.loss(batch).sum() / count
 
 
 def _check_gradients(state: _State, where: str) -> None:

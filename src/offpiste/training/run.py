@@ -258,14 +258,14 @@ def seen_stretches(dataset: Dataset) -> list[tuple[str, float, float]]:
     return stretches
 
 
-def check_device(name: str) -> None:
-    """Raise unless torch can compute there.
+def check_device(name: str) -> torch.device:
+    """The device of a name, with the number that "cuda" stands for in this thread: other threads may have another.
 
     Raises:
         RunError: no such device, or torch was built without it.
     """
     try:
-        torch.zeros(1, device=name)
+        return torch.zeros(1, device=name).device
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error

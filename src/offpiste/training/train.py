@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
 from offpiste.dataset.feature_sets import Draw, hindsight
+from offpiste.dataset.ground_tables import free_budget, ground_tables
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
@@ -69,14 +70,15 @@ def train(
     """
     refuse_impossible(config)
     check_folder(folder)
-    check_device(config.device)
+    device = check_device(config.device)
     dataset = dataset.starting_above(config.min_speed)
     vehicle = vehicle_of(dataset, config)
-    dynamics = build(config.model, vehicle, seed=config.seed).to(config.device)
-    windows = Windows(dataset, "train", start=config.start, device=config.device)
+    dynamics = build(config.model, vehicle, seed=config.seed).to(device)
+    ground = ground_tables(dataset, device, free_budget(device))
+    windows = Windows(dataset, "train", start=config.start, device=device, ground=ground)
     draw = _draw(config.model, windows)
     _refuse_poor(dynamics, windows, config, dataset)
-    validation = Windows(dataset, "validation", start=config.start, device=config.device)
+    validation = Windows(dataset, "validation", start=config.start, device=device, ground=ground)
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
     record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
     if group.writes:
@@ -90,14 +92,14 @@ def train(
     def fit(stage: Stage) -> None:
         keep(stage.name, run_stage(stage, windows, validation, config, folder, record, group))
 
-    reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(config.device)
+    reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(device)
     if vehicle.actuators:
-        lags = initial_actuators(vehicle, config.seed).to(config.device)
+        lags = initial_actuators(vehicle, config.seed).to(device)
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
         _freeze(reference, lags)
         _freeze(dynamics, lags)
     scale = loss_scale(reference, windows, config)
-    weights = torch.tensor(config.weights.in_order(), device=config.device)
+    weights = torch.tensor(config.weights.in_order(), device=device)
     weigh = speed_weights(windows, config.relative)
 
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:

@@ -6,10 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynamics.kernels.test_rollout import CHANNELS, TOLERANCE, difference, example, run, windows
+from dynamics.kernels.test_rollout import CHANNELS, TOLERANCE, difference, example, randomised, run, windows
 from host_kernels import HostKernels, needs_gcc
-from offpiste.dynamics import Hybrid, Parametric
-from offpiste.dynamics.header.gpu import check_kernels, gpu_kernels
+from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.dynamics import MODELS, Hybrid, Parametric, Vehicle
+from offpiste.dynamics.header.gpu import check_kernels, gpu_kernels, prepared
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
 from offpiste.errors import OffpisteError
 
@@ -36,6 +37,24 @@ def errors(model, batch, steps, *, double=False):
 def test_the_printed_step_and_its_adjoint_agree_with_autograd(channels, kind):
     model = example(*CHANNELS[channels], codes=0, kind=kind)
     assert max(errors(model, 33, 8, double=True).values()) < 1e-6
+
+
+VEHICLE = Vehicle(1200.0, 2.1, 0.5, CONTROL, ACTUATORS, features=5)
+PRINTED = sorted(name for name in MODELS if MODELS[name](VEHICLE, seed=0).kernel_parts() is not None)
+"""All models that kernels step."""
+
+STARTS = ("init_cell", "init_output", "encoder")
+"""Parts of a model outside of the rollout: their gradients come by those of its start and of codes."""
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_gradients_of_all_weights_of_every_model(name):
+    model = MODELS[name](VEHICLE, seed=0)
+    model = randomised(model, model.codes)
+    learns = {n for n, p in model.named_parameters() if p.requires_grad and not any(part in n for part in STARTS)}
+    found = errors(model, 9, 6, double=True)
+    assert learns <= found.keys()
+    assert max(found.values()) < 1e-6  # over each tensor's largest value
 
 
 @pytest.mark.parametrize(("channels", "batch"), [("all", 1), ("no actuators", 70), ("no throttle", 64)])
@@ -82,6 +101,21 @@ def test_kernels_are_checked_before_their_first_use_and_the_cpu_has_others():
         with pytest.raises(OffpisteError, match="rollouts on cpu differ from the eager model's"):
             check_kernels(HostKernels(text.replace(right, wrong)), model, cpu)
     assert gpu_kernels(model, cpu, torch.float32) is None
+
+
+def test_kernels_are_prepared_once_for_each_model_and_device():
+    model, cpu = example(*CHANNELS["all"], codes=0, kind=Parametric).float(), torch.device("cpu")
+    compiled = []
+
+    def compile_here(text, device):
+        compiled.append((text, device))
+        return HostKernels(text)
+
+    kernels = prepared(model, cpu, compile_here)
+    assert prepared(model, cpu, compile_here) is kernels
+    assert compiled == [(recorded_text(model), cpu)]
+    prepared(copy.deepcopy(model), cpu, compile_here)
+    assert len(compiled) == 2
 
 
 @pytest.mark.parametrize("wrong", ["controls", "type", "steps"])

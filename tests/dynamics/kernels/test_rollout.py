@@ -28,6 +28,8 @@ CHANNELS = {
     "all": (CONTROL, ACTUATORS),
     "no actuators": (CONTROL, ()),
     "only engine": (CONTROL, ("engine_rpm",)),
+    "only measured steering": (CONTROL, ("steer", "steer_rate")),
+    "brake and engine": (CONTROL, ("brake", "engine_rpm")),
     "brake and steer": (CONTROL, ("brake", "steer", "steer_rate")),
     "no throttle": (("brake", "steer"), ACTUATORS),
     "no brake": (("throttle", "steer"), ("steer", "steer_rate", "engine_rpm")),
@@ -43,9 +45,13 @@ def example(
     control: tuple[str, ...], actuators: tuple[str, ...], *, codes: int, kind: type[Hybrid | Parametric], seed: int = 0
 ) -> Hybrid | Parametric:
     """A model with random weights, in float64, its actuators frozen."""
-    torch.manual_seed(seed)
     vehicle = Vehicle(mass=1200.0, wheelbase=2.1, max_steer=0.5, control=control, actuators=actuators)
-    model = coded(vehicle, codes) if kind is Hybrid else Parametric(vehicle)
+    return randomised(coded(vehicle, codes) if kind is Hybrid else Parametric(vehicle), codes, seed=seed)
+
+
+def randomised(model: Hybrid | Parametric, codes: int, *, seed: int = 0) -> Hybrid | Parametric:
+    """The model with random weights and ranges of inputs, in float64, its actuators frozen."""
+    torch.manual_seed(seed)
     for parameter in model.parameters():
         parameter.data += 0.3 * torch.randn_like(parameter)
     for name, buffer in model.named_buffers():

@@ -1,4 +1,6 @@
-/* Code of the terrain features of a cell; valid: whether there are any. See dynamics/feature_encoder.py. */
+/* Code of the terrain features of a cell; valid: whether there are any. See dynamics/feature_encoder.py: a network, or,
+   where COMPRESSED is 0, the features as they are, the mean where there are none, then +1 or, with features, -1. */
+#if COMPRESSED
 typedef struct {
     float mean[FEATURES], inverse_scale[FEATURES];
     float first[FEATURES + 2][FIRST], second[FIRST + 1][SECOND], last[SECOND + 1][CODE];
@@ -22,3 +24,13 @@ OFFPISTE_FN void offpiste_encode(const offpiste_encoder* e, const float* feature
         for (int i = 0; i < CODE; i++) code[i] += e->last[k][i] * h;
     }
 }
+#else
+typedef struct {
+    float mean[FEATURES];
+} offpiste_encoder;
+
+OFFPISTE_FN void offpiste_encode(const offpiste_encoder* e, const float* features, int valid, float* code) {
+    for (int k = 0; k < FEATURES; k++) code[k] = valid ? features[k] : e->mean[k];
+    code[FEATURES] = valid ? -1.0f : 1.0f;
+}
+#endif

@@ -1,7 +1,9 @@
 """Rollouts over recorded terrain on an NVIDIA GPU (extra `cuda`): which models, and a check before the first one."""
 
 import logging
+from collections.abc import Callable
 from functools import cache
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -10,7 +12,8 @@ from offpiste.conventions import ACTUATORS
 from offpiste.cuda_kernels import Kernels, cuda_kernels
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
-from offpiste.dynamics.kernels.model_arrays import kernel_parts, knows_channels
+from offpiste.dynamics.kernels.autograd import has_kernels
+from offpiste.dynamics.kernels.model_arrays import kernel_parts
 from offpiste.errors import OffpisteError, is_installed
 from offpiste.state import ModelState, RecordedTerrain, Terrain
 
@@ -19,7 +22,8 @@ logger = logging.getLogger(__name__)
 APART = 1e-3
 """Largest difference of states and of gradients from the eager model's, over their largest values."""
 
-_checked: set[str] = set()
+_prepared: WeakKeyDictionary[Dynamics, dict[torch.device, Kernels]] = WeakKeyDictionary()
+"""Kernels that were compiled for a model and checked with it: a training asks for them at each batch."""
 
 
 def gpu_kernels(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> Kernels | None:
@@ -28,26 +32,29 @@ def gpu_kernels(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) ->
     Raises:
         OffpisteError: the GPU computes something else than the eager model.
     """
-    if device.type != "cuda" or dtype != torch.float32 or not _steppable(dynamics):
+    if device.type != "cuda" or dtype != torch.float32 or not has_kernels(dynamics):
         return None
     if not (is_installed("cuda") and is_installed("cuda.core")):
         _say_that_kernels_are_missing()
         return None
-    text = recorded_text(dynamics)
-    kernels = cuda_kernels(text, device)
-    if text not in _checked:
+    return prepared(dynamics, device, cuda_kernels)
+
+
+def prepared(dynamics: Dynamics, device: torch.device, compiled: Callable[[str, torch.device], Kernels]) -> Kernels:
+    """Kernels of a model on a device; text, code and check are made once for each.
+
+    Args:
+        compiled: makes kernels of a text.
+
+    Raises:
+        OffpisteError: they compute something else than the eager model.
+    """
+    by_device = _prepared.setdefault(dynamics, {})
+    if device not in by_device:
+        kernels = compiled(recorded_text(dynamics), device)
         check_kernels(kernels, dynamics, device)
-        _checked.add(text)
-    return kernels
-
-
-def _steppable(dynamics: Dynamics) -> bool:
-    """Whether there are kernels for a model, as it is: of its actuators' models they have no gradients."""
-    actuators = dynamics.actuators
-    if dynamics.kernel_parts() is None or actuators is None or not knows_channels(dynamics.vehicle):
-        return False
-    learning = torch.is_grad_enabled() and any(p.requires_grad for p in actuators.parameters())
-    return not (dynamics.vehicle.actuators and learning)
+        by_device[device] = kernels
+    return by_device[device]
 
 
 @cache

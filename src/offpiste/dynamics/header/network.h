@@ -1,11 +1,12 @@
 /* One network: NAME, INPUTS, WIDTH, OUTPUTS, TERMS stand for its name and its sizes. HIDDEN units of an LSTM and a
    hidden layer; see dynamics/lstm.py. Matrices lie input by input: gates on (hidden before, inputs, 1), inner on
-   (inputs, 1, hidden after), outer on (hidden layer, 1). Rows are multiples of 16 bytes long. */
+   (inputs, 1, hidden after), outer on (hidden layer, 1). Rows are multiples of 16 bytes long: INPUT_PLACES and
+   OUTPUT_PLACES are sizes with that room. */
 typedef struct {
-    offpiste_scalar mean[PADDED_INPUTS], inverse_scale[PADDED_INPUTS], low[PADDED_INPUTS], high[PADDED_INPUTS];
+    offpiste_scalar mean[INPUT_PLACES], inverse_scale[INPUT_PLACES], low[INPUT_PLACES], high[INPUT_PLACES];
     offpiste_scalar gates[HIDDEN + INPUTS + 1][4 * HIDDEN];
-    offpiste_scalar inner[INPUTS + 1 + HIDDEN][PADDED_WIDTH];
-    offpiste_scalar outer[WIDTH + 1][PADDED_OUTPUTS];
+    offpiste_scalar inner[INPUTS + 1 + HIDDEN][WIDTH];
+    offpiste_scalar outer[WIDTH + 1][OUTPUT_PLACES];
 } offpiste_NAME_network;
 
 /* What one step leaves for the adjoint: standardised inputs within their ranges and their square distance from these,
@@ -27,7 +28,7 @@ OFFPISTE_FN void offpiste_NAME_step(
         a->beyond[k] = z - a->seen[k];
         distance += a->beyond[k] * a->beyond[k];
     }
-    a->trust = 1.0f / (1.0f + FADEf * distance);
+    a->trust = 1.0f / (1.0f + FADE * distance);
 
     OFFPISTE_UNROLL
     for (int i = 0; i < 4 * HIDDEN; i++) gates[i] = n->gates[HIDDEN + INPUTS][i] + n->gates[0][i] * hidden[0];

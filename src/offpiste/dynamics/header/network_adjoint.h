@@ -49,6 +49,6 @@ OFFPISTE_FN void offpiste_NAME_adjoint(
         OFFPISTE_UNROLL
         for (int i = 0; i < WIDTH; i++) sum += n->inner[k][i] * layer[i];
         sum = a->beyond[k] == 0.0f ? sum : 0.0f;
-        bar->inputs[k] = (sum - 2.0f * FADEf * a->beyond[k] * a->trust * trust_bar) * n->inverse_scale[k];
+        bar->inputs[k] = (sum - 2.0f * FADE * a->beyond[k] * a->trust * trust_bar) * n->inverse_scale[k];
     }
 }

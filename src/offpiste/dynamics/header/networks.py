@@ -67,16 +67,16 @@ class PrintedNetwork(NamedTuple):
     def text(self, template: str) -> str:
         """C code of a template that was written for any network (`network.h`)."""
         sizes = {
-            "INPUTS": len(self.inputs), "PADDED_INPUTS": len(self.inputs) + -len(self.inputs) % LANE,
-            "HIDDEN": layout.HIDDEN, "WIDTH": self.width, "PADDED_WIDTH": self.width, "OUTPUTS": self.outputs,
-            "PADDED_OUTPUTS": len(self.weights.outer), "TERMS": int(self.terms), "FADEf": f"{FADE}f",
+            "INPUTS": len(self.inputs), "INPUT_PLACES": len(self.inputs) + -len(self.inputs) % LANE,
+            "HIDDEN": layout.HIDDEN, "WIDTH": self.width, "OUTPUTS": self.outputs,
+            "OUTPUT_PLACES": len(self.weights.outer), "TERMS": int(self.terms), "FADE": f"{FADE}f",
         }  # fmt: skip
         return sized(template, sizes).replace("NAME", self.name)
 
 
 def sized(template: str, sizes: Mapping[str, object]) -> str:
     """C code of a template whose sizes are words in capitals."""
-    return re.sub(r"\b[A-Z_]+f?\b", lambda word: str(sizes.get(word[0], word[0])), template)
+    return re.sub(r"\b[A-Z_]+\b", lambda word: str(sizes.get(word[0], word[0])), template)
 
 
 def printed_networks(dynamics: Dynamics, *, apart: bool = False) -> tuple[PrintedNetwork, ...]:

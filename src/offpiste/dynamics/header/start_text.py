@@ -29,11 +29,10 @@ def start_members(dynamics: Dynamics) -> dict[str, dict[str, Tensor]]:
 
 def encoder_text(encoder: FeatureEncoder) -> str:
     """C code of `offpiste_encode`."""
-    sizes = {"FEATURES": len(encoder.mean)}
-    if not isinstance(encoder, Compressor):
-        return sized(shipped_text("features.h"), sizes)
-    first, second, last = _linear(encoder.layers)
-    sizes |= {"FIRST": first.out_features, "SECOND": second.out_features, "CODE": last.out_features}
+    sizes = {"FEATURES": len(encoder.mean), "COMPRESSED": int(isinstance(encoder, Compressor))}
+    if isinstance(encoder, Compressor):
+        first, second, last = _linear(encoder.layers)
+        sizes |= {"FIRST": first.out_features, "SECOND": second.out_features, "CODE": last.out_features}
     return sized(shipped_text("encoder.h"), sizes)
 
 

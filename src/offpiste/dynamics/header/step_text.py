@@ -56,12 +56,14 @@ def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart:
         "CONSTANTS": len(layout.LEARNED),
         "ROWS": len(layout.ROWS),
         "HOLDS_CODES": int(dynamics.holds_codes),
+        "ABSENT": sum(1 << row for row in absent_actuators(dynamics)),
     }
     for network in networks[:1]:
         if network.name == "force":
             sizes |= {"FORCE_INPUTS": len(network.inputs), "FORCE_WIDTH": network.width}
     constants = len(layout.CONSTANTS) + -len(layout.CONSTANTS) % LANE
     lines = [f"#define OFFPISTE_{name} {value}" for name, value in sizes.items()]
+    lines += ["", "/* Bit k of OFFPISTE_ABSENT: number k of a state was never measured. */"]
     lines += ["", "/* Everything that is learned. */", "typedef struct {"]
     lines += [f"    offpiste_scalar constants[{constants}];"]
     lines += [f"    offpiste_{network.name}_network {network.name};" for network in networks]

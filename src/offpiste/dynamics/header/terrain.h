@@ -28,7 +28,18 @@ OFFPISTE_FN int offpiste_nearest(const offpiste_grid* grid, offpiste_cell_place 
 }
 
 /* Adds a quarter of a wheel's unit normal to normal, or straight up and a quarter to unknown.
-   slope: rise towards +x and +y of each cell, NaN where unknown. */
+   rise: towards +x and +y, NaN where unknown. */
+OFFPISTE_FN void offpiste_add_tilt(const float* rise, int inside, float* normal, float* unknown) {
+    const int known = inside && rise[0] - rise[0] == 0.0f && rise[1] - rise[1] == 0.0f;
+    const float x = known ? rise[0] : 0.0f, y = known ? rise[1] : 0.0f;
+    const float quarter = 0.25f / sqrtf(1.0f + x * x + y * y);
+    normal[0] -= x * quarter;
+    normal[1] -= y * quarter;
+    normal[2] += quarter;
+    *unknown += known ? 0.0f : 0.25f;
+}
+
+/* The same of a place on a grid. slope: rise towards +x and +y of each cell, NaN where unknown. */
 OFFPISTE_FN void offpiste_add_normal(
     const offpiste_grid* grid, const float* slope, offpiste_cell_place cell, float* normal, float* unknown) {
     const float columns = grid->columns, rows = grid->rows;
@@ -59,15 +70,7 @@ OFFPISTE_FN void offpiste_add_normal(
         for (int k = 0; k < 2; k++)
             rise[k] = (s[0][k] * (1.0f - u) + s[1][k] * u) * (1.0f - v) + (s[2][k] * (1.0f - u) + s[3][k] * u) * v;
     }
-    {
-        const int known = cell.inside && rise[0] - rise[0] == 0.0f && rise[1] - rise[1] == 0.0f;
-        const float x = known ? rise[0] : 0.0f, y = known ? rise[1] : 0.0f;
-        const float quarter = 0.25f / sqrtf(1.0f + x * x + y * y);
-        normal[0] -= x * quarter;
-        normal[1] -= y * quarter;
-        normal[2] += quarter;
-        *unknown += known ? 0.0f : 0.25f;
-    }
+    offpiste_add_tilt(rise, cell.inside, normal, unknown);
 }
 
 #if OFFPISTE_CODES

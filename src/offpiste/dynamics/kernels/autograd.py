@@ -38,13 +38,17 @@ def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bo
     It can step models with `kernel_parts` on the CPU in float32, of vehicles with no other channels than
     `offpiste.channels` lists; where gradients are wanted, only while the actuators' models are frozen.
     """
-    if dynamics.kernel_parts() is None or dynamics.actuators is None:
+    if device.type != "cpu" or dtype != torch.float32 or not has_kernels(dynamics):
         return False
-    if not knows_channels(dynamics.vehicle) or device.type != "cpu" or dtype != torch.float32:
+    return all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters())
+
+
+def has_kernels(dynamics: Dynamics) -> bool:
+    """Whether there are kernels for a model, as it is: of its actuators' models they have no gradients."""
+    actuators = dynamics.actuators
+    if dynamics.kernel_parts() is None or actuators is None or not knows_channels(dynamics.vehicle):
         return False
-    if not all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters()):
-        return False
-    learning = torch.is_grad_enabled() and any(p.requires_grad for p in dynamics.actuators.parameters())
+    learning = torch.is_grad_enabled() and any(p.requires_grad for p in actuators.parameters())
     return not (dynamics.vehicle.actuators and learning)
 
 

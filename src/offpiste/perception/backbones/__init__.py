@@ -47,6 +47,10 @@ class Backbone(ABC):
     def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
         """Features of images in [0, 1] on the backbone's device, whose sides are multiples of the patch."""
 
+    def features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
+        """Features by torch's operations alone, as graphs are traced from, of images in [0, 1] cropped to `grid`."""
+        return self._features(images)
+
     def _features_of_pixels(self, pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns C"]:
         """Features of images as `__call__` is given them, cropped; a backbone may have a way that is faster."""
         return self._features(_unit_range(pixels.to(self.device)))

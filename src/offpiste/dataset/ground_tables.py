@@ -1,0 +1,120 @@
+"""What windows read of the ground, features and normals: on the device where they fit, from disk where not."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from offpiste.dataset.feature_sets import FeatureSetChoice
+from offpiste.dataset.features_under_wheels import Cells, CellTable, FeaturesUnderWheels, NormalsUnderWheels
+from offpiste.dataset.store import Dataset
+
+
+class ResidentCells:
+    """`CellTable` whose cells all lie on the device, where batches are chosen from them.
+
+    Args:
+        cells: of the drives, in the order of their rows.
+        device: where they go.
+    """
+
+    def __init__(self, cells: Sequence[Cells], device: torch.device) -> None:
+        first = np.cumsum([0, *(c.features.shape[1] for c in cells)])
+        numbers = [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, first[:-1], strict=True)]
+        self._index = torch.from_numpy(np.concatenate(numbers).astype(np.int64)).to(device)
+        self._valid = torch.from_numpy(np.concatenate([c.valid for c in cells], axis=1)).to(device)
+        sets, _, channels = cells[0].features.shape
+        self._features = torch.empty(sets, int(first[-1]), channels, dtype=torch.float16, device=device)
+        for c, begin, end in zip(cells, first[:-1], first[1:], strict=True):
+            self._features[:, begin:end] = torch.from_numpy(np.array(c.features))
+
+    @property
+    def sets(self) -> int:
+        """How many feature sets there are."""
+        return len(self._valid)
+
+    def under(
+        self, rows: Int[np.ndarray, "B R"], feature_set_choice: FeatureSetChoice, history: int = 0
+    ) -> FeaturesUnderWheels:
+        """Features of the cells under the wheels at rows (`CellTable.under`)."""
+        device, (sets, cells, channels) = self._features.device, self._features.shape
+        cell = self._index[torch.from_numpy(rows).to(device)]
+        chosen = torch.from_numpy(np.ascontiguousarray(feature_set_choice.features)).to(device)[..., None]
+        nowhere = sets * cells
+        key = torch.where(cell >= 0, chosen * cells + cell, nowhere)
+        distinct, number = torch.unique(torch.cat((key.flatten(), key.new_tensor([nowhere]))), return_inverse=True)
+        touched = distinct[:-1]  # the last one is nowhere
+        from_set = torch.div(touched, cells, rounding_mode="floor")
+        read = torch.zeros_like(from_set) if feature_set_choice.flags_only else from_set
+        place = touched % cells
+        valid = self._valid[read, place] & self._valid[from_set, place]
+        features = self._features[read, place].float()
+        under = number[:-1].view(cell.shape)
+        return FeaturesUnderWheels(
+            torch.cat((features, features.new_full((1, channels), torch.nan))),
+            torch.cat((valid, valid.new_zeros(1))),
+            under[:, :history],
+            under[:, history:],
+        )
+
+
+class ResidentNormals:
+    """`NormalsUnderWheels` that all lie on the device.
+
+    Args:
+        normals: [D, N, 4, 3] of the drives, in the order of their rows; NaN where unknown.
+        device: where they go.
+    """
+
+    def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
+        self._values = torch.cat([torch.from_numpy(np.array(n)).to(device) for n in normals], dim=1)
+
+    def whole(self) -> Float[Tensor, "N 4 3"]:
+        """Normals of the first feature set at every row."""
+        return self._values[0]
+
+    def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
+        """Normals at R = `count` rows from `start`, of a feature set for each window."""
+        device = self._values.device
+        rows = torch.from_numpy(start[:, None] + np.arange(count)).to(device)
+        chosen = torch.from_numpy(np.ascontiguousarray(sets)).to(device)
+        return self._values[chosen[:, None], rows]
+
+
+@dataclass(frozen=True)
+class GroundTables:
+    """The ground of a dataset, which several `Windows` may share.
+
+    Attributes:
+        cells: features under the wheels; None where there are none.
+        normals: surface normals under the wheels.
+        resident: whether both lie on the device.
+    """
+
+    cells: CellTable | ResidentCells | None
+    normals: NormalsUnderWheels | ResidentNormals
+    resident: bool
+
+
+def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> GroundTables:
+    """The ground of a dataset for batches on a device.
+
+    Args:
+        budget: bytes that it may take there; where it takes more, batches are read from disk.
+    """
+    rows = [drive.rows for drive in dataset.drives]
+    normals = [r.normal for r in rows]
+    cells = [r.cells for r in rows if r.cells is not None] if dataset.features else []
+    arrays = [*normals, *(array for c in cells for array in (c.features, c.valid, c.index, c.index))]  # 64-bit numbers
+    resident = sum(array.nbytes for array in arrays) <= budget
+    if resident:
+        return GroundTables(ResidentCells(cells, device) if cells else None, ResidentNormals(normals, device), True)
+    return GroundTables(CellTable(cells, device) if cells else None, NormalsUnderWheels(normals, device), False)
+
+
+def free_budget(device: torch.device) -> int:
+    """Bytes for `ground_tables`: half of what is free on a GPU, since training keeps more; none on the CPU."""
+    return torch.cuda.mem_get_info(device)[0] // 2 if device.type == "cuda" else 0

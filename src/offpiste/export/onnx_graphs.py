@@ -1,0 +1,106 @@
+"""Parts of a model as modules that ONNX graphs are traced from, and how a graph is written and run (extra `onnx`)."""
+
+import logging
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor, nn
+
+from offpiste.dynamics.base import Dynamics
+from offpiste.errors import extra
+from offpiste.perception.feature_extractor import FeatureExtractor
+from offpiste.state import History, Terrain
+
+SIZE: Final = (360, 640)
+"""Height and width of the images that the graph of codes is traced and checked with [px]."""
+
+OPSET: Final = 18
+
+LARGEST_BATCH: Final = 64
+
+
+class ImageToCodes(nn.Module):
+    """Backbone, PCA and encoder of a model as one module.
+
+    Args:
+        extractor: the backbone and PCA that the model's features come from.
+        encoder: of the model.
+    """
+
+    def __init__(self, extractor: FeatureExtractor, encoder: nn.Module) -> None:
+        super().__init__()
+        self._backbone, self.encoder = extractor.backbone, encoder
+        self.mean: Tensor
+        self.basis: Tensor
+        pca = extractor.pca
+        self.register_buffer("mean", torch.as_tensor(pca.mean, dtype=torch.float32))
+        self.register_buffer("basis", torch.as_tensor(pca.basis, dtype=torch.float32))
+        height, width = SIZE
+        self._crop = extractor.backbone.grid(width, height).crop
+
+    def forward(self, images: UInt8[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns E"]:
+        """Codes of the patches of rectified images, of the whole patches in their middle."""
+        rows, columns = self._crop
+        planes = images[:, rows, columns].permute(0, 3, 1, 2).float() / 255
+        features = (self._backbone.features(planes) - self.mean) @ self.basis
+        patches = features.flatten(0, 2)
+        codes: Tensor = self.encoder(patches, torch.ones_like(patches[:, 0], dtype=torch.bool))
+        return codes.unflatten(0, features.shape[:3])
+
+
+class PastToMemory(nn.Module):
+    """What the networks of a model remember of the last 0.2 s (`Dynamics.start`), as one module."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        super().__init__()
+        self.dynamics = dynamics
+
+    def forward(
+        self,
+        states: Float[Tensor, "B H 10"],
+        controls: Float[Tensor, "B H U"],
+        normals: Float[Tensor, "B H 4 3"],
+        known: Bool[Tensor, "B H 4"],
+        codes: Float[Tensor, "B H 4 E"],
+    ) -> tuple[Float[Tensor, "B S"], Float[Tensor, "B S"]]:
+        """Hidden units and cells, from states and actuators, and what was given, of rows before the start."""
+        past = History(states[..., :6], states[..., 6:], controls, Terrain(normals, known, codes))
+        started = self.dynamics.start(past, states[:, -1, :6], states[:, -1, 6:])
+        return started.hidden, started.cell
+
+
+def write_graph(module: nn.Module, inputs: Mapping[str, Tensor], outputs: tuple[str, ...], path: Path) -> None:
+    """Trace a module into an ONNX file; the first axis of all inputs is the batch, and stays free."""
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that these graphs do not need
+    batch = torch.export.Dim("batch", max=LARGEST_BATCH)
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            module.eval(), tuple(inputs.values()), str(path), input_names=list(inputs), output_names=list(outputs),
+            opset_version=OPSET, dynamic_shapes=tuple({0: batch} for _ in inputs), dynamo=True, external_data=False,
+            verbose=False,
+        )  # fmt: skip
+
+
+def run_graph(path: Path, inputs: Mapping[str, Tensor]) -> list[Tensor]:
+    """The outputs of a graph by onnxruntime on the CPU; inputs that it does not read are left out."""
+    with extra("onnx"):
+        import onnxruntime
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    read = {each.name for each in session.get_inputs()}
+    given = {name: value.numpy() for name, value in inputs.items() if name in read}
+    return [torch.from_numpy(output) for output in session.run(None, given)]
+
+
+def sample_images() -> UInt8[Tensor, "2 h w 3"]:
+    """Two images of blurred noise, always the same."""
+    draw = torch.Generator().manual_seed(0)
+    height, width = SIZE
+    coarse = torch.rand(2, 3, height // 8, width // 8, generator=draw)
+    fine = torch.nn.functional.interpolate(coarse, SIZE, mode="bilinear")
+    grain = 0.1 * torch.rand(2, 3, height, width, generator=draw)
+    return (255 * (0.9 * fine + grain)).to(torch.uint8).permute(0, 2, 3, 1).contiguous()

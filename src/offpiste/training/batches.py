@@ -1,0 +1,60 @@
+"""Batches of an epoch, gathered one ahead where that saves a device from waiting for the disk."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Int
+
+from offpiste.dataset.feature_sets import Draw, FeatureSetChoice, drawn
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.training.distributed import Group
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+
+def strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
+    """Windows a stride apart, or all of them where they are so few that none is left."""
+    index = windows.every(stride, phase=phase)
+    return index if len(index) else np.arange(len(windows))
+
+
+def draw_sets(
+    draw: Draw | None, windows: Windows, index: Int[np.ndarray, " B"], rng: np.random.Generator
+) -> FeatureSetChoice | None:
+    """Feature sets that windows read; None for their own."""
+    return drawn(draw, rng, windows.ahead(index), windows.sets) if draw is not None else None
+
+
+def batches_of(
+    windows: Windows, parts: Sequence[np.ndarray], draw: Draw | None, rng: np.random.Generator, group: Group
+) -> Iterator[Batch | None]:
+    """Batches in order, of each the share of this process; None where it has none of one.
+
+    Feature sets are drawn in that order, too, however far ahead batches are gathered.
+
+    Args:
+        parts: indices of the windows of each batch.
+    """
+
+    def gathered(index: Int[np.ndarray, " B"]) -> Batch | None:
+        chosen, share = draw_sets(draw, windows, index, rng), group.share(len(index))
+        if not len(mine := index[share]):
+            return None
+        return windows.gather(mine, None if chosen is None else chosen[share])
+
+    return one_ahead(gathered, parts) if windows.read_ahead else map(gathered, parts)
+
+
+def one_ahead(make: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
+    """What is made of items, in order, each while the one before is in use."""
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        coming = [thread.submit(make, item) for item in items[:1]]
+        for item in items[1:]:
+            made = coming.pop().result()
+            coming.append(thread.submit(make, item))
+            yield made
+        for last in coming:
+            yield last.result()

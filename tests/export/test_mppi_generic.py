@@ -1,0 +1,61 @@
+"""Exports for MPPI-Generic, compiled by g++ with a stand-in for that library, Eigen and CUDA (`stand_in/`)."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from export.test_c_files import made_up
+from host_kernels import needs_gcc
+from offpiste.export.c_files import model_header
+from offpiste.export.formats import export_run
+from offpiste.export.parity import parity_bytes, parity_case
+
+STAND_IN = Path(__file__).parent / "stand_in"
+
+pytestmark = needs_gcc
+
+
+def compiled_and_run(folder, source="drive.cu"):
+    flags = ["-std=c++17", "-O0", "-Wall", "-Wno-unused-function", "-Werror", "-I", str(STAND_IN), "-I", str(folder)]
+    command = ["g++", *flags, "-x", "c++", str(source), "-o", "program", "-lm"]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr[:3000]
+    return subprocess.run(["./program", "parity.bin"], cwd=folder, capture_output=True, text=True)
+
+
+def made_up_export(kind, folder):
+    """What an export of a made-up model has that a drive needs."""
+    dynamics = made_up(kind)
+    (folder / "offpiste.h").write_text(model_header(dynamics, "Made up."))
+    case = parity_case(dynamics, drives=4, steps=60)
+    (folder / "parity.bin").write_bytes(parity_bytes(case))
+    for name in ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "parity.h"):
+        shutil.copy(str(files("offpiste.export") / "files" / name), folder)
+    return case
+
+
+def test_the_exported_dynamics_drives_5_s_and_agrees_with_predictions(tmp_path):
+    export_run("pretrained:proving-ground/dc", tmp_path / "out", "mppi-generic")
+    ran = compiled_and_run(tmp_path / "out")
+    assert ran.returncode == 0, ran.stdout
+    assert float(ran.stdout.split("at most ")[1].split()[0]) < 2e-4
+    readme = (tmp_path / "out" / "README.md").read_text()
+    for name in ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "planner.cu", "parity.bin"):
+        assert (tmp_path / "out" / name).is_file()
+        assert name in readme
+
+
+@pytest.mark.parametrize("kind", ["gear without throttle", "held"])
+def test_every_kind_of_model_drives_on_the_host_and_as_a_gpu_would(kind, tmp_path):
+    case = made_up_export(kind, tmp_path)
+    ran = compiled_and_run(tmp_path)
+    assert ran.returncode == 0, ran.stdout
+    (tmp_path / "parity.bin").write_bytes(parity_bytes(replace(case, expected=case.expected + 0.01)))
+    assert subprocess.run(["./program"], cwd=tmp_path, capture_output=True).returncode == 1
+    device = compiled_and_run(tmp_path, STAND_IN / "device.cu").stdout.split()
+    assert device[:6] == ["refused", "1", "taken", "1", "within", "1"]
+    assert float(device[7]) < 1e-5
