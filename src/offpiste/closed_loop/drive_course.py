@@ -131,6 +131,7 @@ def drive_course(
         replace(settings.runtime, remember=remember),
         ground=_truth(world) if planner.knows_ground else None,
         seed=settings.world.seed,
+        spread=planner.spread,
     )
     out.mkdir(parents=True, exist_ok=True)
     remove_partials(out)
