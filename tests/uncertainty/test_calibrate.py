@@ -20,6 +20,7 @@ from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
+from offpiste.uncertainty.novelty import load_familiar, looks_of
 from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
 
 QUICK = SpreadSettings(windows=64, steps=20, batch=32)
@@ -101,6 +102,7 @@ def test_the_command_writes_table_numbers_and_picture(
     of_bands = [row["n"] for row in rows if row["windows"] != "all" and row["horizon"] == 5]
     assert sum(of_bands) == next(row["n"] for row in rows)
     assert (out / "calibration.png").stat().st_size > 5000
+    assert load_familiar(run).novel(looks_of(dataset, "validation", 100)).float().mean() < 0.1
 
 
 def test_what_cannot_be_calibrated_is_refused_in_a_line(

@@ -14,6 +14,7 @@ from offpiste.errors import require
 from offpiste.planning.caution import risk_of
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
+from offpiste.uncertainty.novelty import Novelty
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +30,7 @@ def run_drive(
     speed: float,
     latency: float,
     risk: str,
+    novelty: Novelty,
     fault: Kind,
     fault_start: float,
     recording: bool,
@@ -40,7 +42,7 @@ def run_drive(
     """
     if recording:
         require("view", "rerun", otherwise="leave out --recording")
-    planner, caution = load_planner(run, pca), risk_of(risk)
+    planner, caution = load_planner(run, pca, novelty=novelty), risk_of(risk)
     settings = CourseDriveSettings(
         WorldSettings(world, seed),
         seconds,

@@ -254,6 +254,7 @@ def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, An
         "fault_start": settings.fault_start,
         "sensors": settings.sensors,
         "weights_sha256": planner.weights,
+        "novelty": planner.novelty,
         "runtime": runtime,
         "course": asdict(settings.course),
     }

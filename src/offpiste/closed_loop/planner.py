@@ -13,6 +13,7 @@ from offpiste.perception.feature_extractor import FeatureExtractor, load_feature
 from offpiste.shipped import PCA, PREFIX
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import WEIGHTS, Run, load_run
+from offpiste.uncertainty.novelty import Novelty, load_familiar, make_wary
 from offpiste.uncertainty.prediction import FILE, load_spread
 from offpiste.uncertainty.spread import Spread
 
@@ -27,6 +28,7 @@ class Planner:
         extractor: backbone and PCA; None where the model reads no visual features.
         weights: hash of the file of weights, since a run may be trained again in its folder.
         seed: of the training.
+        novelty: what ground is to it that looks like none in training.
         spread: of its predictions; None where `offpiste calibrate` has made none.
     """
 
@@ -36,6 +38,7 @@ class Planner:
     extractor: FeatureExtractor | None = None
     weights: str = ""
     seed: int = 0
+    novelty: Novelty = "ignored"
     spread: Spread | None = None
 
     @property
@@ -44,16 +47,17 @@ class Planner:
         return self.extractor is None and self.dynamics.encoder is not None
 
 
-def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
+def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelty = "ignored") -> Planner:
     """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:
         folder: of the run, or `pretrained:NAME`.
         pca: the file that the run's dataset was extracted with; models that ship have theirs beside them.
+        novelty: "missing" treats ground that looks like none in training as ground without features.
 
     Raises:
         RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
-            or its spread belongs to other weights.
+            its spread belongs to other weights; or it does not know which ground is familiar.
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
@@ -68,6 +72,9 @@ def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
     planner = _without_features(run)
     if run.dynamics.encoder is None:
         return planner
+    if novelty == "missing":
+        make_wary(run.dynamics, load_familiar(run))
+        planner = replace(planner, novelty=novelty)
     identity, features = (run.pca, run.features) if run.features else _of_dataset(folder)
     if identity is None:
         _refuse_unknown(features, folder)

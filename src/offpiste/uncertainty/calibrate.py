@@ -1,4 +1,4 @@
-"""`offpiste calibrate`: spreads of runs are fitted, kept with them, and evaluated where nothing was fitted."""
+"""`offpiste calibrate`: spreads of runs and what is familiar to them, kept with them; spreads are evaluated."""
 
 import logging
 from collections.abc import Sequence
@@ -23,9 +23,10 @@ from offpiste.uncertainty.calibration import (
     calibration_rows,
     calibration_table,
     draw_calibration,
-    within_regions,
+    foretold_by,
 )
 from offpiste.uncertainty.fit import SpreadSettings, fit_spread, strayed_on_maps
+from offpiste.uncertainty.novelty import keep_familiar
 from offpiste.uncertainty.prediction import FILE, load_spread
 from offpiste.uncertainty.spread import Spread
 
@@ -37,6 +38,8 @@ PART: Final = "test"
 
 def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
     """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
+
+    What ground is familiar to a run that reads features is kept as well (`novelty`).
 
     Returns:
         Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
@@ -55,10 +58,13 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
         windows = Windows(mine, PART)
         index = windows.evaluation_indices(5)
         spread = kept_or_fitted(run, mine, settings)
+        if run.dynamics.encoder is not None:
+            keep_familiar(run, mine)
         strayed = strayed_on_maps(run, windows, index)
         located = EvaluatedWindows(mine, windows.drive[index], windows.row_in_drive(index))
-        rows += calibration_rows(folder.name, spread, strayed, members(located), Sampling().on(located))
-        within[folder.name] = within_regions(spread, strayed)
+        foretold = foretold_by(spread, strayed)
+        rows += calibration_rows(folder.name, foretold, members(located), Sampling().on(located))
+        within[folder.name] = foretold.within
     table = calibration_table(rows)
     write_png(out / "calibration.png", draw_calibration(within), dpi=110)
     write_text(out / "calibration.json", msgspec.json.encode({"schema": 1, "part": PART, "rows": rows}).decode())
