@@ -1,48 +1,42 @@
 """Is ground recognised that no training drive had? Each kind of ground is held out in turn.
 
-Cells under the wheels of simulated drives (`experiments.probe`), as they looked from each distance, with their true
-kind. Drives of some seeds say what is familiar, without the cells of one kind; on drives of other seeds the distance
-from the familiar is to tell that kind from all others. The PCA may have seen the kind; the looks have not.
+A dataset of simulated drives with visual features, and another of the same drives with the true ground properties
+(`reproduce` makes both). Cells under the wheels of its training part say what is familiar, without those of one kind,
+and validation's, without them too, set the limit; in the test part the distance from the familiar is to tell that kind
+from all others. The PCA may have seen the kind; the looks have not.
 """
 
 import json
-import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from experiments.command import run
-from experiments.probe.cells import SeenCells, see_cells_once
 from offpiste.conventions import FEATURE_SETS
-from offpiste.errors import PerceptionError
+from offpiste.dataset.features_under_wheels import Cells
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
+from offpiste.errors import DatasetError
 from offpiste.files import write_text
-from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.progress import track
 from offpiste.report.text_table import TextTable, number
-from offpiste.rig.rig import load_rig
+from offpiste.simulation.world.ground import property_table
 from offpiste.uncertainty.novelty import NoveltySettings, fit_familiar
 from offpiste.uncertainty.student import area_under_curve
 
-logger = logging.getLogger("experiments")
+PURE: Final = 0.05
+"""Largest distance of a cell's properties from those of its kind, in standard deviations between kinds; cells further
+away are mixtures, and belong to none."""
 
-PURE: Final = 0.7
-"""Share of a cell that its kind covers at least; others belong to none."""
-
-FEWEST: Final = 30
-"""Cells of a kind in the test drives, for a row of the table."""
-
-VALIDATED: Final = 5
-"""Every fifth stretch of `STRETCH` rows of the training drives sets the limit."""
-
-STRETCH: Final = 250
-"""Rows of a stretch: 5 s."""
+FEWEST: Final = 100
+"""Cells of a kind in the test part, for a row of the table."""
 
 ABOUT: Final = (
     "Area: probability that a cell of the kind that was held out is further from the familiar looks than a cell of a "
@@ -52,118 +46,135 @@ ABOUT: Final = (
 
 @dataclass(frozen=True)
 class Looks:
-    """Valid cells as they looked from one distance: features, number of the kind (-1 for none), row of the drive."""
+    """Cells as they looked: features, number of the kind (-1 for a mixture), number of the feature set."""
 
     features: torch.Tensor
     kind: Int[np.ndarray, " N"]
-    row: Int[np.ndarray, " N"]
+    seen_from: Int[np.ndarray, " N"]
 
-    def where(self, mine: Bool[np.ndarray, " N"]) -> "Looks":
-        """Some of them."""
-        return Looks(self.features[torch.from_numpy(mine)], self.kind[mine], self.row[mine])
+    def where(self, mine: Bool[np.ndarray, " N"]) -> torch.Tensor:
+        """Features of some of them."""
+        return self.features[torch.from_numpy(mine)]
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Is ground of a kind that no training drive had recognised? Resumes where it stopped."""
+    """Recognise ground of a kind that no training drive had."""
 
-    train_logs: tuple[Path, ...]
-    """Simulated drives that say what is familiar."""
-    test_logs: tuple[Path, ...]
-    """Drives in other worlds."""
-    pca: Path
-    """Of the features."""
+    dataset: Path
+    """Of simulated drives, with visual features."""
+    truth: Path
+    """Of the same drives, with `--features ground-truth`."""
     out: Path = Path("novelty")
     """Folder of all outputs."""
-    seconds: float | None = None
-    """Of each drive, from its start; all by default."""
+    sets: tuple[str, ...] = ("hindsight", "10", "20")
+    """Feature sets that are read: by the distance cells were seen from [m]."""
+    cells: int = 400
+    """Of each drive and feature set, drawn at random."""
     powers: tuple[float, ...] = (0.0, 0.5, 1.0)
     """Of the features' standard deviation that they are divided by."""
+    seed: int = 0
+    """Of the cells."""
 
     def run(self) -> str:
-        """See the cells, hold out each kind, write and show the table.
+        """Read the cells, hold out each kind, write and show the table.
 
         Raises:
-            PerceptionError: a drive is in training and test.
+            DatasetError: the second is no truth of the first.
         """
-        if both := {path.resolve() for path in self.train_logs} & {path.resolve() for path in self.test_logs}:
-            raise PerceptionError("is in training and test", where=min(both), how="give other --test-logs")
-        rows = [
-            row
-            for name in FEATURE_SETS
-            for power in self.powers
-            for row in held_out_rows(
-                self.looks(self.train_logs, name), self.looks(self.test_logs, name), name, NoveltySettings(power=power)
-            )
-        ]
+        dataset, truth = open_dataset(self.dataset), open_dataset(self.truth)
+        refuse_unlike(dataset, truth)
+        looks = {part: self.looks(dataset, truth, part) for part in PARTS}
+        rows = [row for power in self.powers for row in held_out_rows(looks, NoveltySettings(power=power))]
         write_text(self.out / "novelty.json", json.dumps({"schema": 1, "rows": rows}, indent=1))
         table = novelty_table(rows)
         write_text(self.out / "novelty.md", table.markdown())
         return f"{table.text(width=120)}\nwritten: {self.out / 'novelty.md'}"
 
-    def looks(self, logs: Sequence[Path], name: str) -> Looks:
-        """Cells of drives in one feature set; rows of drives lie far apart."""
-        each = [looks_in(self.cells[log], FEATURE_SETS.index(name)) for log in logs]
-        far = [replace(looks, row=looks.row + (1 << 24) * place) for place, looks in enumerate(each)]
+    def looks(self, dataset: Dataset, truth: Dataset, part: str) -> Looks:
+        """Cells of the drives of a part."""
+        rng, found = np.random.default_rng(self.seed), list[Looks]()
+        for drive, true in track(list(zip(dataset.drives, truth.drives, strict=True)), f"reading {part}"):
+            if (drive.part == PARTS.index(part)).any():
+                found += [looks_in(drive, true, FEATURE_SETS.index(name), self.cells, rng) for name in self.sets]
         return Looks(
-            torch.cat([looks.features for looks in far]),
-            np.concatenate([looks.kind for looks in far]),
-            np.concatenate([looks.row for looks in far]),
+            torch.cat([each.features for each in found]),
+            np.concatenate([each.kind for each in found]),
+            np.concatenate([each.seen_from for each in found]),
         )
 
-    @cached_property
-    def cells(self) -> dict[Path, SeenCells]:
-        """Of all drives."""
-        rig, found = load_rig("proving_ground"), {}
-        for log in track((*self.train_logs, *self.test_logs), "extract"):
-            length = "" if self.seconds is None else f"-{self.seconds:g}s"
-            piece = self.out / "cells" / self.extractor.identity / f"{log.stem}{length}.npz"
-            found[log] = see_cells_once(piece, log, rig, self.extractor, seconds=self.seconds)
-        return found
 
-    @cached_property
-    def extractor(self) -> FeatureExtractor:
-        """Backbone and PCA."""
-        return load_feature_extractor(self.pca)
+def refuse_unlike(dataset: Dataset, truth: Dataset) -> None:
+    """Raise unless one dataset has the true ground of another's drives."""
+    if truth.features != GROUND_PROPERTIES:
+        raise DatasetError("has no true ground", where=truth.path, how="extract it with `--features ground-truth`")
+    pairs = zip(dataset.drives, truth.drives, strict=False)
+    alike = len(dataset.drives) == len(truth.drives)
+    if not alike or any(a.name != b.name or not np.array_equal(a.rows.time, b.rows.time) for a, b in pairs):
+        raise DatasetError(f"has other drives than {dataset.path}", where=truth.path, how="extract both of one folder")
 
 
-def looks_in(cells: SeenCells, feature_set: int) -> Looks:
-    """Valid cells of one feature set, with the kind that covers most of them."""
-    shares = cells.ground[:, : len(GROUND_KINDS)]
-    kind = np.where(shares.max(axis=1) >= PURE, shares.argmax(axis=1), -1)
-    valid = cells.valid[feature_set]
-    features = torch.from_numpy(cells.features[feature_set][valid].astype(np.float32))
-    return Looks(features, kind[valid], cells.row[valid])
+def looks_in(drive: StoredDrive, true: StoredDrive, seen_from: int, most: int, rng: np.random.Generator) -> Looks:
+    """Some valid cells of a drive in one feature set, with the kind of ground that its wheels then were on."""
+    cells, ground = _cells(drive), _cells(true)
+    touched, first = np.unique(cells.index, return_index=True)
+    there = ground.index.reshape(-1)[first]
+    usable = (touched >= 0) & (there >= 0)
+    touched, there = touched[usable], there[usable]
+    keep = cells.valid[seen_from, touched]
+    touched, there = touched[keep], there[keep]
+    chosen = np.sort(rng.permutation(len(touched))[:most])
+    features = np.asarray(cells.features[seen_from, touched[chosen]], np.float32)
+    kind = kinds_of(np.asarray(ground.features[0, there[chosen]], np.float64))
+    return Looks(torch.from_numpy(features), kind, np.full(len(chosen), seen_from))
 
 
-def held_out_rows(train: Looks, test: Looks, name: str, settings: NoveltySettings) -> list[dict[str, Any]]:
-    """A row for each kind of ground that both parts have enough of, held out of training.
+def _cells(drive: StoredDrive) -> Cells:
+    if drive.rows.cells is None:
+        raise DatasetError(f"drive '{drive.name}' has no features", how="extract it with --pca")
+    return drive.rows.cells
 
-    Args:
-        name: of the feature set.
-    """
-    rows = []
-    validates = train.row // STRETCH % VALIDATED == 0
-    for place, kind in enumerate(GROUND_KINDS):
-        seen, there = train.kind != place, test.kind == place
-        if there.sum() < FEWEST or (train.kind == place).sum() < FEWEST:
-            continue
-        known = train.where(seen & ~validates).features, train.where(seen & validates).features
+
+@cache
+def _of_kinds() -> Float[np.ndarray, "W K 4"]:
+    """Properties of the kinds from dry to wet."""
+    dry, wet = property_table()
+    wetness = np.linspace(0, 1, 41)[:, None, None]
+    return np.asarray((1 - wetness) * dry + wetness * wet)
+
+
+def kinds_of(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
+    """Number of the kind with these properties, however wet; -1 where none has them."""
+    kinds = _of_kinds()
+    apart = (properties[:, None, None] - kinds) / kinds.std(axis=(0, 1))
+    nearest = np.linalg.norm(apart, axis=-1).min(axis=1)
+    return np.where(nearest.min(axis=1) < PURE, nearest.argmin(axis=1), -1)
+
+
+def held_out_rows(looks: dict[str, Looks], settings: NoveltySettings) -> list[dict[str, Any]]:
+    """A row for each kind of ground that the test part has enough of and each feature set, the kind held out."""
+    rows, test = list[dict[str, Any]](), looks["test"]
+    for held, kind in enumerate(GROUND_KINDS):
+        known = [looks[part].where((looks[part].kind != held) & (looks[part].kind >= 0)) for part in PARTS[:2]]
         familiar = fit_familiar(*known, settings)
-        compared = test.where(test.kind >= 0)
-        positive, distance = compared.kind == place, familiar.distance(compared.features).numpy()
-        novel = distance > float(familiar.limit)
-        rows.append(
-            {
-                "kind": kind,
-                "set": name,
-                "power": settings.power,
-                "n": int(positive.sum()),
-                "area": area_under_curve(distance, positive),
-                "novel": float(novel[positive].mean()),
-                "false": float(novel[~positive].mean()),
-            }
-        )
+        for seen_from in np.unique(test.seen_from):
+            compared = (test.kind >= 0) & (test.seen_from == seen_from)
+            positive = test.kind[compared] == held
+            if positive.sum() < FEWEST:
+                continue
+            distance = familiar.distance(test.where(compared)).numpy()
+            novel = distance > float(familiar.limit)
+            rows.append(
+                {
+                    "kind": kind,
+                    "set": FEATURE_SETS[seen_from],
+                    "power": settings.power,
+                    "n": int(positive.sum()),
+                    "area": area_under_curve(distance, positive),
+                    "novel": float(novel[positive].mean()),
+                    "false": float(novel[~positive].mean()),
+                }
+            )
     return rows
 
 
