@@ -1,5 +1,6 @@
 """How far a plan may stray from its prediction, and how much that counts in its cost: a declared setting."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -82,7 +83,7 @@ def risk_of(text: str) -> Risk:
         PlanningError: it is none.
     """
     kind, _, number = text.partition(":")
-    made = {"spread": AddSpread, "cvar": WorstShare}
+    made: dict[str, Callable[..., Risk]] = {"spread": AddSpread, "cvar": WorstShare}
     try:
         if text == "none":
             return AsPredicted()

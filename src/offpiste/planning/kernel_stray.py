@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import torch
+from torch import nn
 
 from offpiste.compilation import PLANNING
 from offpiste.conventions import DT
@@ -66,13 +67,13 @@ def stray_weights(caution: Caution | None, vehicle: Vehicle, codes: int) -> Stra
         nothing = np.zeros(0, f4)
         return StrayWeights(np.zeros((0, count), f4), nothing, np.zeros((0, 0), f4), nothing, nothing, f4(0))
     spread = caution.spread
-    first, last = spread.layers[0], spread.layers[2]
+    first, last = (layer for layer in spread.layers.children() if isinstance(layer, nn.Linear))
     scaled = first.weight / spread.deviation
     rows = [*range(MOVING), *(MOVING + COMMANDS.index(name) for name in vehicle.control)]
     inner = torch.zeros(len(scaled), count)
     inner[:, [*rows, *range(GIVEN, GIVEN + codes)]] = scaled
-    outer = torch.nn.functional.pad(last.weight, (0, 0, 0, 2))
-    start = torch.nn.functional.softplus(spread.start).square()
+    outer = nn.functional.pad(last.weight, (0, 0, 0, 2))
+    start = nn.functional.softplus(spread.start).square()
     parts = inner, first.bias - scaled @ spread.mean, outer, last.bias, start
     reach = f4(caution.reach * float(spread.factor))
     return StrayWeights(*(part.float().contiguous().numpy() for part in parts), reach)
