@@ -1,7 +1,7 @@
 """What a plan costs: rollouts with map and cost by four planners, side by side in one run, and everything around them.
 
-`python benchmarks/plan.py [--threads 2] [--samples 256 1024 4096] [--seconds 20] [--skip compiled]`. All read the same
-map (600 x 600 cells of 0.2 m, waves), with the same dynamics and the same cost. pytorch_mppi calls dynamics and cost
+`python benchmarks/plan.py [--threads 2] [--samples 256 1024 4096] [--seconds 20] [--skip compiled] [--plan-alone]`.
+All read the same map (600 x 600 cells of 0.2 m, waves), with the same dynamics and the same cost. pytorch_mppi calls dynamics and cost
 step by step, so its cost is `driving_cost.terms_after` of one step. Planners take turns, so that what else the machine
 does meets all alike; a line has the median and the best time, the processor's time [ms], how many times as long as the
 fused one (median over turns; in brackets by the processor's time), and the share of costs within 1 % of eager.
@@ -29,6 +29,7 @@ from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes, stack_maps
+from offpiste.planning.caution import Caution
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
@@ -38,6 +39,7 @@ from offpiste.planning.kernel import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
 from offpiste.planning.rollouts import driving_costs
 from offpiste.state import ModelState
+from offpiste.uncertainty.spread import Spread, inputs_of
 
 FEATURES = 40
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
@@ -182,6 +184,9 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
         codes = encode_map(at.ground, model.encoder)
         cost_of = fused_costs(model, start(model, at), at, CostWeights(), codes)
         runs[f"rollouts, {name}"] = lambda cost_of=cost_of: cost_of(controls)
+        unsure = replace(at, caution=Caution(Spread(inputs_of(model.vehicle, model.codes)), 1.0))
+        cautious = fused_costs(model, start(model, at), unsure, CostWeights(), codes)
+        runs[f"rollouts, {name}, with spread"] = lambda cost_of=cautious: cost_of(controls)
         runs[f"whole, {name}"] = lambda model=model, codes=codes: (
             improve(
                 plan,
@@ -193,7 +198,10 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
         )
     taken = in_turns(runs, seconds)
     for name, one in taken.items():
-        print(f"  {name:16} {one}", flush=True)
+        print(f"  {name:24} {one}", flush=True)
+    for name in models:
+        with_spread = times(taken[f"rollouts, {name}, with spread"], taken[f"rollouts, {name}"])
+        print(f"  {name}, with spread to without: rollouts {with_spread}")
     if "dc" in models:
         print(f"  dc to b: rollouts {times(taken['rollouts, dc'], taken['rollouts, b'])}")
 
@@ -230,6 +238,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, nargs="*", default=[50, 100, 500], help="beside 250, fused and eager")
     parser.add_argument("--seconds", type=float, default=20.0, help="of turns, for each table")
     parser.add_argument("--skip", nargs="*", default=[], help="planners")
+    parser.add_argument("--plan-alone", action="store_true", help="the parts of a whole plan, and nothing else")
     parser.add_argument("--cycle", type=Path, metavar="RUN")
     parser.add_argument("--pca", type=Path)
     options = parser.parse_args()
@@ -253,6 +262,8 @@ def main() -> None:
     print(f"{options.threads} threads")
     print(f"a whole plan, K 1024, T {HORIZON_STEPS}")
     whole_plan(models, at, torch.tensor([0.3, 0.0, 0.0]).repeat(HORIZON_STEPS, 1), settings, options.seconds)
+    if options.plan_alone:
+        return None
     print("codes of a map of 600 x 600 cells, once a map (dc)")
     encoding(models["dc"], at)
     for name, model in models.items():

@@ -207,7 +207,7 @@ KERNELS: Final = Compiler(
     seconds=20,
 )
 PLANNING: Final = Compiler(
-    ("dynamics/kernels", "planning", "mapping/terrain_map.py"),
+    ("dynamics/kernels", "planning", "mapping/terrain_map.py", "uncertainty/spread.py"),
     FUSED,
     loops_make_arrays=False,
     part="the planner's kernels",

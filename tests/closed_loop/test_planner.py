@@ -5,7 +5,9 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+import torch
 
+from offpiste.checksums import sha256_of
 from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import CONTROL
 from offpiste.dynamics import Vehicle
@@ -15,10 +17,12 @@ from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.rig.rig import load_rig
 from offpiste.training.build import build
-from offpiste.training.checkpoint import save_json, save_tensors
+from offpiste.training.checkpoint import load_json, save_json, save_tensors
 from offpiste.training.config import Weights
 from offpiste.training.fitness import differing_vehicle
 from offpiste.training.losses import COMPONENTS
+from offpiste.uncertainty.prediction import FILE
+from offpiste.uncertainty.spread import Spread, inputs_of
 
 BACKBONE = open_backbone("filterbank")
 
@@ -101,6 +105,20 @@ def test_a_run_that_names_its_features_needs_no_dataset(tmp_path):
 def test_models_without_features_need_nothing(tmp_path):
     planner = load_planner(run_folder(tmp_path / "b", "b", [f"pca_{i}" for i in range(4)], "abc"))
     assert (planner.name, planner.knows_ground, planner.extractor) == ("b", False, None)
+
+
+def test_a_spread_is_loaded_with_its_model(tmp_path):
+    folder = run_folder(tmp_path / "b", "b", [], None, weights_sha256=None)
+    sha256 = sha256_of(folder / "model.safetensors")
+    save_json(folder / "model.json", load_json(folder / "model.json") | {"weights_sha256": sha256})
+    assert load_planner(folder).spread is None
+    spread = Spread(inputs_of(load_planner(folder).dynamics.vehicle, 0))
+    save_tensors(folder / FILE, spread.state_dict(), weights_sha256=sha256)
+    loaded = load_planner(folder).spread
+    assert all(torch.equal(loaded.state_dict()[name], value) for name, value in spread.state_dict().items())
+    save_tensors(folder / FILE, spread.state_dict(), weights_sha256="0" * 64)
+    with pytest.raises(RunError, match="belongs to other weights"):
+        load_planner(folder)
 
 
 def test_planners_identify_their_weights(tmp_path):

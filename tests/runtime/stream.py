@@ -149,11 +149,12 @@ def straight_drive(
     length=60.0,
     wanted=5.0,
     seed=0,
+    spread=None,
     stream=None,
     **changed,
 ):
     """A stream for a run time on a straight course."""
     model = dynamics or (feature_model() if with_camera else parametric())
     seen, there = sensor_setup(with_camera=with_camera, extractor=extractor), course(length, wanted)
-    runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed)
+    runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed, spread=spread)
     return Stream(runtime, **(stream or {}))

@@ -18,9 +18,11 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
-from offpiste.uncertainty.calibrate import kept_or_fitted
+from offpiste.uncertainty.calibrate import coverage_of_kept, kept_or_fitted
 from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
+from offpiste.uncertainty.novelty import load_familiar, looks_of
 from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
+from offpiste.visualization.predicted_regions import view_regions
 
 QUICK = SpreadSettings(windows=64, steps=20, batch=32)
 
@@ -101,6 +103,16 @@ def test_the_command_writes_table_numbers_and_picture(
     of_bands = [row["n"] for row in rows if row["windows"] != "all" and row["horizon"] == 5]
     assert sum(of_bands) == next(row["n"] for row in rows)
     assert (out / "calibration.png").stat().st_size > 5000
+    assert coverage_of_kept([run.folder], dataset.path, tmp_path / "again") == tmp_path / "again" / "calibration.md"
+    again = json.loads((tmp_path / "again" / "calibration.json").read_text("utf-8"))["rows"]
+    assert [row["coverage"] for row in again] == [row["coverage"] for row in rows]
+    view_regions(run.folder, dataset, out)
+    assert (out / "regions.png").stat().st_size > 5000
+    (run.folder / FILE).unlink()
+    assert coverage_of_kept([run.folder], dataset.path, tmp_path / "none") is None
+    with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
+        view_regions(run.folder, dataset, out)
+    assert load_familiar(run).novel(looks_of(dataset, "validation", 100)).float().mean() < 0.1
 
 
 def test_what_cannot_be_calibrated_is_refused_in_a_line(

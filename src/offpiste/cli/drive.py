@@ -32,6 +32,10 @@ class Drive:
     """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
     latency: float = PERCEPTION_LATENCY
     """From the data of a plan to its first control [s]."""
+    risk: str = "none"
+    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need `offpiste calibrate`."""
+    novelty: Literal["ignored", "missing"] = "ignored"
+    """What ground is to the model that looks like none in training; missing needs `offpiste calibrate`."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
     """Fault of the sensors."""
     fault_start: float = 10.0
@@ -52,6 +56,8 @@ class Drive:
             pca=self.pca,
             speed=self.speed,
             latency=self.latency,
+            risk=self.risk,
+            novelty=self.novelty,
             fault=self.fault,
             fault_start=self.fault_start,
             recording=self.recording,

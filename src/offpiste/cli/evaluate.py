@@ -18,7 +18,10 @@ else:
 @COMMANDS.register("evaluate")
 @dataclass(frozen=True)
 class Evaluate:
-    """Evaluate runs on the test part of a dataset; writes metrics.json, pictures and report.html."""
+    """Evaluate runs on the test part of a dataset; writes metrics.json, pictures and report.html.
+
+    Of runs that `offpiste calibrate` has given a spread, how many errors lie in its regions (calibration.md).
+    """
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
     """Run folders, or `pretrained:NAME`; a folder of folds counts as its folds. The report is about the first."""
@@ -40,6 +43,7 @@ class Evaluate:
     def run(self) -> int:
         """Load, evaluate, report."""
         from offpiste.evaluation.evaluate_runs import evaluate_runs
+        from offpiste.uncertainty.calibrate import coverage_of_kept
 
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
         evaluate_runs(
@@ -52,4 +56,5 @@ class Evaluate:
             context=self.context,
             device=self.device,
         )
+        coverage_of_kept(self.runs, self.dataset, self.out, self.min_speed)
         return 0

@@ -37,6 +37,8 @@ class Live:
     """Send the commands to the vehicle. Without it, shadow mode: nothing is sent to it."""
     latency: float = PERCEPTION_LATENCY
     """From the data of a plan to its first control [s]."""
+    risk: str = "none"
+    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need `offpiste calibrate`."""
     clock: Literal["system", "clock", "stamps"] = "system"
     """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
     seed: int = 0
@@ -69,6 +71,7 @@ class Live:
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings
         from offpiste.live.viewers.viewer import ViewSettings
+        from offpiste.planning.caution import risk_of
         from offpiste.runtime.settings import RuntimeSettings
 
         run_live(
@@ -77,7 +80,7 @@ class Live:
                 self.run_folder,
                 self.pca,
                 CourseRequest(self.course, self.course_topic, self.goal, self.speed),
-                RuntimeSettings(latency=self.latency),
+                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk)),
                 robot,
                 drive=self.drive,
                 clock=self.clock,

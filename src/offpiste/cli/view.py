@@ -23,6 +23,8 @@ class View:
     """For a log: a file of `fit-pca`, or pretrained:proving-ground; without one, ground is grey."""
     out: Path = Path("view")
     """Folder of the pictures."""
+    run_folder: Annotated[Path | None, tyro.conf.arg(name="run", metavar="RUN")] = None
+    """For a dataset: a run with a spread (`offpiste calibrate`); regions.png shows where it predicts the vehicle."""
     seconds: str = ""
     """For a log: a stretch A:B, A: or :B, in seconds after the first pose."""
     rrd: bool = True
@@ -39,6 +41,7 @@ class View:
             self.out,
             rig=self.rig,
             pca=self.pca,
+            run=self.run_folder,
             seconds=self.seconds,
             rrd=self.rrd,
             device=self.device,

@@ -11,8 +11,10 @@ from offpiste.closed_loop.drive_course import CourseDriveSettings, Driven, drive
 from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import require
+from offpiste.planning.caution import risk_of
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
+from offpiste.uncertainty.novelty import Novelty
 
 logger = logging.getLogger(__name__)
 
@@ -27,6 +29,8 @@ def run_drive(
     pca: Path | None,
     speed: float,
     latency: float,
+    risk: str,
+    novelty: Novelty,
     fault: Kind,
     fault_start: float,
     recording: bool,
@@ -38,12 +42,12 @@ def run_drive(
     """
     if recording:
         require("view", "rerun", otherwise="leave out --recording")
-    planner = load_planner(run, pca)
+    planner, caution = load_planner(run, pca, novelty=novelty), risk_of(risk)
     settings = CourseDriveSettings(
         WorldSettings(world, seed),
         seconds,
         course=CourseSettings(speed=speed),
-        runtime=RuntimeSettings(latency=latency),
+        runtime=RuntimeSettings(latency=latency, risk=caution),
         fault=fault,
         fault_start=fault_start,
     )

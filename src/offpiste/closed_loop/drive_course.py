@@ -131,6 +131,7 @@ def drive_course(
         replace(settings.runtime, remember=remember),
         ground=_truth(world) if planner.knows_ground else None,
         seed=settings.world.seed,
+        spread=planner.spread,
     )
     out.mkdir(parents=True, exist_ok=True)
     remove_partials(out)
@@ -253,6 +254,7 @@ def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, An
         "fault_start": settings.fault_start,
         "sensors": settings.sensors,
         "weights_sha256": planner.weights,
+        "novelty": planner.novelty,
         "runtime": runtime,
         "course": asdict(settings.course),
     }

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,10 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.shipped import PCA, PREFIX
 from offpiste.training.checkpoint import load_json
-from offpiste.training.run import WEIGHTS, load_run
+from offpiste.training.run import WEIGHTS, Run, load_run
+from offpiste.uncertainty.novelty import Novelty, load_familiar, make_wary
+from offpiste.uncertainty.prediction import FILE, load_spread
+from offpiste.uncertainty.spread import Spread
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,8 @@ class Planner:
         extractor: backbone and PCA; None where the model reads no visual features.
         weights: hash of the file of weights, since a run may be trained again in its folder.
         seed: of the training.
+        novelty: what ground is to it that looks like none in training.
+        spread: of its predictions; None where `offpiste calibrate` has made none.
     """
 
     name: str
@@ -33,6 +38,8 @@ class Planner:
     extractor: FeatureExtractor | None = None
     weights: str = ""
     seed: int = 0
+    novelty: Novelty = "ignored"
+    spread: Spread | None = None
 
     @property
     def knows_ground(self) -> bool:
@@ -40,15 +47,17 @@ class Planner:
         return self.extractor is None and self.dynamics.encoder is not None
 
 
-def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
+def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelty = "ignored") -> Planner:
     """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:
         folder: of the run, or `pretrained:NAME`.
         pca: the file that the run's dataset was extracted with; models that ship have theirs beside them.
+        novelty: "missing" treats ground that looks like none in training as ground without features.
 
     Raises:
-        RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with.
+        RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
+            its spread belongs to other weights; or it does not know which ground is familiar.
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
@@ -60,13 +69,16 @@ def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
             how="give a run trained on commands of both",
         )
     ships, folder = str(folder).startswith(PREFIX), run.folder
-    weights = hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
+    planner = _without_features(run)
     if run.dynamics.encoder is None:
-        return Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed)
+        return planner
+    if novelty == "missing":
+        make_wary(run.dynamics, load_familiar(run))
+        planner = replace(planner, novelty=novelty)
     identity, features = (run.pca, run.features) if run.features else _of_dataset(folder)
     if identity is None:
         _refuse_unknown(features, folder)
-        return Planner("ceiling", folder, run.dynamics, weights=weights, seed=run.seed)
+        return replace(planner, name="ceiling")
     if pca is None and ships:
         pca = folder.parent / PCA
     if pca is None:
@@ -78,7 +90,13 @@ def load_planner(folder: str | Path, pca: Path | None = None) -> Planner:
             where=folder,
             how="give the file that its dataset was extracted with",
         )
-    return Planner(run.model, folder, run.dynamics, extractor, weights, run.seed)
+    return replace(planner, extractor=extractor)
+
+
+def _without_features(run: Run) -> Planner:
+    weights = hashlib.sha256((run.folder / WEIGHTS).read_bytes()).hexdigest()[:16]
+    spread = load_spread(run) if (run.folder / FILE).exists() else None
+    return Planner(run.model, run.folder, run.dynamics, weights=weights, seed=run.seed, spread=spread)
 
 
 def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:

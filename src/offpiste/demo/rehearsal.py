@@ -54,7 +54,7 @@ def rehearse_part(part: str, report: Report, *, run: str, folder: Path) -> str:
         else:
             planner, rig, drive = load_planner(Path(run)), load_rig("proving_ground"), CourseDriveSettings(SMALL.world)
             setup = sensor_setup(planner, sensor_suite(drive.sensors), rig)
-            warm_up(planner.dynamics, setup, rig.wheel_positions(), drive.runtime)
+            warm_up(planner.dynamics, setup, rig.wheel_positions(), drive.runtime, spread=planner.spread)
     return part
 
 

@@ -146,7 +146,10 @@ class StepDriver:
                 return
             setup = sensor_setup_of(self._planner, sensors)
             wheels = self._rig.wheel_positions()
-            self.runtime = Runtime(self._planner.dynamics, setup, wheels, course, self._settings, seed=self._seed)
+            self.runtime = Runtime(
+                self._planner.dynamics, setup, wheels, course, self._settings,
+                seed=self._seed, spread=self._planner.spread,
+            )  # fmt: skip
         if isinstance(taken, VehicleReading):
             self.runtime.vehicle(taken)
         elif isinstance(taken, Image):

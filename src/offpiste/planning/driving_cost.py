@@ -9,6 +9,7 @@ from torch import Tensor
 from offpiste.conventions import DT, GRAVITY
 from offpiste.mapping.terrain_map import wheel_positions_of_states
 from offpiste.mapping.terrain_sampler import MapStack, sample_maps
+from offpiste.planning.caution import Caution
 from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CostTerm, Scalar, cost_terms, evaluate
 from offpiste.planning.costs.weights import CostWeights
@@ -27,6 +28,7 @@ class Situation:
         state: state at the start.
         control: control of the step before the start.
         gear: held during the plan, for models that know one (`planning.gear`).
+        caution: how far errors of position reach for the cost; None for nowhere.
     """
 
     ground: MapStack
@@ -36,24 +38,37 @@ class Situation:
     state: Float[Tensor, " 6"]
     control: Float[Tensor, " 3"]
     gear: float = 1.0
+    caution: Caution | None = None
 
 
 def driving_cost(
-    trajectory: Trajectory, controls: Float[Tensor, "K T 3"], situation: Situation, weights: CostWeights
+    trajectory: Trajectory,
+    controls: Float[Tensor, "K T 3"],
+    situation: Situation,
+    weights: CostWeights,
+    stray: Float[Tensor, "K T 2"] | None = None,
 ) -> Float[Tensor, " K"]:
-    """Sum of all terms over time for each trajectory; not finite where a state is not."""
-    terms = driving_terms(trajectory, controls, situation, weights)
+    """Sum of all terms over time for each trajectory; not finite where a state is not.
+
+    Args:
+        stray: how far errors reach along and across the heading [m] (`caution.strays`); None for nowhere.
+    """
+    terms = driving_terms(trajectory, controls, situation, weights, stray)
     return DT * torch.stack(tuple(terms.values())).sum(dim=(0, 2))
 
 
 def driving_terms(
-    trajectory: Trajectory, controls: Float[Tensor, "K T 3"], situation: Situation, weights: CostWeights
+    trajectory: Trajectory,
+    controls: Float[Tensor, "K T 3"],
+    situation: Situation,
+    weights: CostWeights,
+    stray: Float[Tensor, "K T 2"] | None = None,
 ) -> dict[str, Float[Tensor, "K T"]]:
-    """Cost per second of each term after each step, by name."""
+    """Cost per second of each term after each step, by name; `stray` as of `driving_cost`."""
     velocity = trajectory.state[..., 3:5]
     velocity_before = torch.cat((situation.state[3:5].expand(len(velocity), 1, 2), velocity[:, :-1]), dim=1)
     control_before = torch.cat((situation.control.expand(len(controls), 1, 3), controls[:, :-1]), dim=1)
-    return terms_after(trajectory.state, velocity_before, controls, control_before, situation, weights)
+    return terms_after(trajectory.state, velocity_before, controls, control_before, situation, weights, stray)
 
 
 def terms_after(
@@ -63,6 +78,7 @@ def terms_after(
     control_before: Float[Tensor, "*B 3"],
     situation: Situation,
     weights: CostWeights,
+    stray: Float[Tensor, "*B 2"] | None = None,
 ) -> dict[str, Float[Tensor, "*B"]]:
     """Cost per second of each term after single steps, for planners that work step by step.
 
@@ -70,11 +86,12 @@ def terms_after(
         state: state after a step.
         velocity_before: vx, vy before the step [m/s].
         control, control_before: controls of the step, and of the step before.
-        situation: its state and control are not read.
+        situation: its state, control and caution are not read.
+        stray: as of `driving_cost`.
     """
     numbers, terms = weights.values(), cost_terms()
     parameters = {name: numbers[name] for term in terms.values() for name in term.parameters}
-    motion = _motion(state, velocity_before, control, situation) | parameters
+    motion = _motion(state, velocity_before, control, situation, stray) | parameters
     controls: dict[str, Scalar] = {"control": control, "control_before": control_before, "dt": DT, "maximum": _maximum}
     controls |= {name: control.new_tensor(value) for name, value in parameters.items() if isinstance(value, tuple)}
 
@@ -90,7 +107,9 @@ def terms_after(
     return {name: cost(term) for name, term in terms.items()}
 
 
-def _motion(state: Tensor, velocity_before: Tensor, control: Tensor, situation: Situation) -> dict[str, Scalar]:
+def _motion(
+    state: Tensor, velocity_before: Tensor, control: Tensor, situation: Situation, stray: Tensor | None
+) -> dict[str, Scalar]:
     """Base quantities of the motion, layers and elementary functions, by name."""
     _, _, yaw, vx, vy, yaw_rate = state.unbind(-1)
     wheels = wheel_positions_of_states(state, situation.wheels)
@@ -101,6 +120,8 @@ def _motion(state: Tensor, velocity_before: Tensor, control: Tensor, situation: 
     )
     given |= dict(zip(("throttle", "brake", "steer"), control.unbind(-1), strict=True))
     given |= {"vx": vx, "vy": vy, "yaw_rate": yaw_rate, "cos_yaw": torch.cos(yaw), "sin_yaw": torch.sin(yaw)}
+    reach = torch.zeros_like(state[..., :2]) if stray is None else stray
+    given |= dict(zip(("stray_along", "stray_across"), reach.unbind(-1), strict=True))
     given |= {"vx_before": velocity_before[..., 0], "vy_before": velocity_before[..., 1], "dt": DT, "gravity": GRAVITY}
     functions = {"maximum": _maximum, "sin": torch.sin, "cos": torch.cos, "tanh": torch.tanh, "atan": torch.atan}
     return given | functions | _layers(state[..., :2], wheels, situation)

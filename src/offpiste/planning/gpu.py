@@ -40,6 +40,8 @@ def gpu_planner(
         MissingExtra: cuda-core is not installed.
         PlanningError: no such GPU, or settings that it cannot plan with.
     """
+    if situation.caution is not None:
+        raise PlanningError("no spread on a GPU", how="plan on the CPU, or with the risk none")
     place = torch.device(device)
     if place.type != "cuda" or not torch.cuda.is_available():
         raise PlanningError(f"no GPU '{device}' for planning", how="plan on the CPU, or install torch for CUDA")

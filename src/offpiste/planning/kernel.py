@@ -32,6 +32,7 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.gear import complete
 from offpiste.planning.kernel_costs import kernel_costs
+from offpiste.planning.kernel_stray import stray_weights
 from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
 from offpiste.state import ModelState
@@ -163,6 +164,7 @@ def _bind(
         networks(dynamics, compensator_weights(dynamics)),
         _ground_cells(situation, codes),
         _cost_cells(situation),
+        stray_weights(situation.caution, vehicle, dynamics.codes),
         costs.numbers(weights),
         holds and dynamics.holds_codes,
     )

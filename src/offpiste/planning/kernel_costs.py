@@ -34,11 +34,21 @@ from offpiste.planning.costs.declaration import (
 from offpiste.planning.costs.layers import CostLayer, Reading
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.kernel_rollout import roll_out
-from offpiste.planning.kernel_terrain import COS, FIRST_LAYER, POSE_POINT, SIN, find_cost_numbers, sample_terrain
+from offpiste.planning.kernel_terrain import (
+    ACROSS,
+    ALONG,
+    COS,
+    FIRST_LAYER,
+    POSE_POINT,
+    SIN,
+    find_cost_numbers,
+    sample_terrain,
+)
 
 ROWS: Final = {
     "vx": ("after", 3), "vy": ("after", 4), "yaw_rate": ("after", 5), "vx_before": ("before", 3),
     "vy_before": ("before", 4), "cos_yaw": ("values", COS), "sin_yaw": ("values", SIN),
+    "stray_along": ("values", ALONG), "stray_across": ("values", ACROSS),
     "world_normal_x": ("w", NORMAL_ROW), "world_normal_y": ("w", NORMAL_ROW + 1),
     "world_normal_z": ("w", NORMAL_ROW + 2), "throttle": ("command", 0), "brake": ("command", 1),
     "steer": ("command", 2),

@@ -20,6 +20,7 @@ from offpiste.dynamics.kernels.rollout import (
     make_buffer_sets,
     make_workspace,
 )
+from offpiste.planning.kernel_stray import EVERY, StrayWeights, begin_stray, make_stray, move_stray, sense_stray
 from offpiste.planning.kernel_terrain import CostCells, GroundCells, make_samples, sample_terrain
 
 
@@ -67,6 +68,7 @@ def roll_out(
     networks: Networks,
     ground: GroundCells,
     cost_cells: CostCells,
+    unsure: StrayWeights,
     numbers: np.ndarray,
     holds: bool,
     costs: np.ndarray,
@@ -82,6 +84,7 @@ def roll_out(
         c: the constants (`layout.CONSTANTS`).
         networks: of the forces, the brake and the steering.
         ground, cost_cells: the maps.
+        unsure: the spread of the predictions.
         numbers: weights and parameters of the terms (`KernelCosts.numbers`).
         holds: the codes of the start stay.
         costs: to fill [K].
@@ -93,6 +96,7 @@ def roll_out(
     model_states = np.zeros((2, len(start) * LANES), f4)
     commands = np.zeros((2, len(CONTROL) * LANES), f4)
     terrain, total = make_samples(len(cost_cells.outside)), np.zeros(LANES, f4)
+    stray, cautious = make_stray(unsure), len(unsure.bias) > 0
     for block in range(first, last):
         total[:] = f4(0)
         for k in range(len(CONTROL)):
@@ -101,12 +105,16 @@ def roll_out(
             absent = STATES <= k < MOVED // LANES and not recorded[k - STATES]
             model_states[0, k * LANES : (k + 1) * LANES] = f4(0) if absent else start[k]
         sample_terrain(w, model_states[0], terrain, ground, cost_cells, True)
+        begin_stray(unsure, stray, terrain.values)
         for t in range(steps):
             now, then = t % 2, (t + 1) % 2
             before, after = model_states[now], model_states[then]
             load_controls(w, controls, recorded, block, t, commands[then])
+            if cautious and t % EVERY == 0:
+                sense_stray(unsure, stray, w, before, terrain.values, len(ground.missing))
             advance_block(w, c, networks, buffer_sets, before, after)
             sample_terrain(w, after, terrain, ground, cost_cells, not holds)
+            move_stray(stray, terrain.values)
             control_cost(numbers, commands[now], commands[then], total)
             motion_cost(numbers, w, before, after, commands[then], terrain.values, total)
             if len(states) > 0:

@@ -19,8 +19,8 @@ from offpiste.mapping import terrain_map
 on_map = PLANNING.inlined(terrain_map.on_map)
 wheel_position = PLANNING.inlined(terrain_map.wheel_position)
 
-COS, SIN, FIRST_LAYER = range(3)
-"""Rows of `TerrainSamples.values`: the heading, then the layers of the cost map."""
+COS, SIN, ALONG, ACROSS, FIRST_LAYER = range(5)
+"""Rows of `TerrainSamples.values`: the heading, reach of errors along and across it, cost layers."""
 
 POSE_POINT = 4
 """Number of the pose point among the places where layers are read, behind the wheels."""
@@ -75,7 +75,7 @@ class TerrainSamples(NamedTuple):
     """Terrain and cost map under a block after a step, and the buffers to read them.
 
     Attributes:
-        values: heading and layers, rows of lanes.
+        values: heading, reach of errors and layers, rows of lanes.
         cell: of the ground, nearest to each lane's wheel; -1 off the map.
         cost_cell: of the cost map, nearest to each lane's wheel or pose point; off the map -1 less it.
         corner: of the four cells of the ground around the wheel.

@@ -9,6 +9,7 @@ from torch import Tensor
 from offpiste.conventions import CONTROL
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, HeldCodes, MapTerrain
+from offpiste.planning.caution import strays
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
 from offpiste.planning.gear import complete
@@ -50,9 +51,13 @@ def driving_costs(
 
     def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
         source = situation_terrain(dynamics, situation, len(controls), encode)
+        caution, start = situation.caution, situation.state.expand(len(controls), 6)
 
         def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
-            return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights)
+            reach = None
+            if caution is not None:
+                reach = strays(caution, dynamics.vehicle, start, trajectory, controls, source)
+            return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights, reach)
 
         completed = complete(dynamics.vehicle, controls, situation.gear)
         return model_costs(dynamics, model_state, source, cost)(completed)

@@ -11,6 +11,7 @@ from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning.caution import caution_of
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.pedal import controls_of
@@ -31,6 +32,7 @@ from offpiste.runtime.prediction import (
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState
+from offpiste.uncertainty.spread import Spread
 
 
 class Planned(NamedTuple):
@@ -47,6 +49,7 @@ class PlanMaker:
         dynamics: in evaluation mode, without gradients.
         wheels: positions in the body frame, from the pose point [m].
         ground: ground-truth features, used instead of the map's.
+        spread: of the model's predictions, for risks that need one.
         seed: of the sampled controls.
         watch: times of the stages.
 
@@ -55,7 +58,7 @@ class PlanMaker:
         failures: reasons of plans that failed.
 
     Raises:
-        PlanningError: no GPU kernels can step the model.
+        PlanningError: no GPU kernels can step the model; or the risk needs a spread.
     """
 
     def __init__(
@@ -65,11 +68,13 @@ class PlanMaker:
         settings: RuntimeSettings,
         *,
         ground: KnownGround | None = None,
+        spread: Spread | None = None,
         seed: int = 0,
         watch: Stopwatch | None = None,
     ) -> None:
         self._dynamics, self._settings, self._ground = dynamics, settings, ground
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
+        self._caution = caution_of(settings.risk, spread)
         self._improver = PlanImprover(dynamics, settings, seed)
         self._watch = watch or Stopwatch()
         self.map_empty = False
@@ -107,7 +112,9 @@ class PlanMaker:
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
             model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, settings.gear)
-            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last, settings.gear)
+            at = Situation(
+                area.stack, costs, self._wheels, offset, model_state.state[0], last, settings.gear, self._caution
+            )
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
             at = replace(at, state=model_state.state[0])
         with self._watch.of("plan"):

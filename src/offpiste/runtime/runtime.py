@@ -26,6 +26,7 @@ from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch
 from offpiste.runtime.plan_maker import PlanMaker
 from offpiste.runtime.prediction import KnownGround, Prediction
 from offpiste.runtime.settings import RuntimeSettings
+from offpiste.uncertainty.spread import Spread
 
 
 class Runtime:
@@ -36,13 +37,15 @@ class Runtime:
         wheels: positions in the body frame, from the pose point [m].
         ground: ground-truth features, used instead of features from cameras.
         seed: seed of the sampled controls.
+        spread: of the model's predictions, for risks that need one.
 
     Attributes:
         follower: plans and modes.
         watch: wall-clock times of the stages.
 
     Raises:
-        PlanningError: the model reads features, and nothing extracts them; or no GPU kernels can step it.
+        PlanningError: the model reads features, and nothing extracts them; no GPU kernels can step it; or the
+            risk needs a spread.
     """
 
     def __init__(
@@ -55,6 +58,7 @@ class Runtime:
         *,
         ground: KnownGround | None = None,
         seed: int = 0,
+        spread: Spread | None = None,
     ) -> None:
         self._settings = settings or RuntimeSettings()
         self._dynamics = dynamics.eval().requires_grad_(False)
@@ -66,7 +70,9 @@ class Runtime:
         self.follower = Follower(self._settings, self._track, CourseTracker(course))
         encoder = None if ground is not None else dynamics.encoder
         self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
-        self._maker = PlanMaker(dynamics, wheels, self._settings, ground=ground, seed=seed, watch=self.watch)
+        self._maker = PlanMaker(
+            dynamics, wheels, self._settings, ground=ground, spread=spread, seed=seed, watch=self.watch
+        )
         timeouts, dropped = self._settings.timeouts, self._mapper.dropped
         self._intake = Intake(self._track, dynamics.vehicle.actuators, timeouts, dropped)
         self._plan_due = -np.inf

@@ -6,6 +6,7 @@ from offpiste.conventions import DT, PERCEPTION_LATENCY
 from offpiste.errors import PlanningError
 from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
+from offpiste.planning.caution import AsPredicted, Risk
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
@@ -22,6 +23,7 @@ class RuntimeSettings:
         latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
         sampling: of pedal and steering (`planning.pedal`).
         weights, hazards: of the planner's costs.
+        risk: what counts in the costs beside the prediction itself (`planning.caution`).
         replay: how images and scans enter the map, as in the model's dataset.
         timeouts: how old inputs may be before the mode changes.
         launch: more throttle than planned, where the planned one does not move the vehicle.
@@ -56,6 +58,7 @@ class RuntimeSettings:
     )
     weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0))
     hazards: Hazards = field(default_factory=Hazards)
+    risk: Risk = field(default_factory=AsPredicted)
     replay: MapperSettings = field(default_factory=MapperSettings)
     timeouts: Timeouts = field(default_factory=Timeouts)
     launch: LaunchSettings = field(default_factory=LaunchSettings)

@@ -14,6 +14,7 @@ from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
+from offpiste.uncertainty.spread import Spread
 
 SECONDS: Final = 1.0
 SPEED: Final = 2.0
@@ -27,20 +28,22 @@ def warm_up(
     sensors: SensorSetup,
     wheels: Float[np.ndarray, "4 2"],
     settings: RuntimeSettings | None = None,
+    *,
+    spread: Spread | None = None,
 ) -> None:
     """Drive along a straight line over flat ground for a second, and forget it.
 
     A vehicle's first plan would otherwise wait for the compiler: half a minute after an installation.
 
     Args:
-        dynamics, sensors, wheels, settings: as of the `Runtime` that is to drive.
+        dynamics, sensors, wheels, settings, spread: as of the `Runtime` that is to drive.
 
     Raises:
         PlanningError: as `Runtime`, or no plan can be made with these settings.
     """
     x = np.arange(0.0, 60.0)
     course = Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), SPEED))
-    runtime = Runtime(dynamics, sensors, wheels, course, settings)
+    runtime = Runtime(dynamics, sensors, wheels, course, settings, spread=spread)
     for row in range(round(SECONDS / DT)):
         time = row * DT
         place, velocity = np.array((SPEED * time, 0.0, 0.0)), np.array((SPEED, 0.0, 0.0))

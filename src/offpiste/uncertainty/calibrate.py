@@ -1,7 +1,8 @@
-"""`offpiste calibrate`: spreads of runs are fitted, kept with them, and evaluated where nothing was fitted."""
+"""`offpiste calibrate`: spreads of runs and what is familiar to them, kept with them; spreads are evaluated."""
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,7 @@ from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
+from offpiste.shipped import run_folder
 from offpiste.training.checkpoint import load_json, save_tensors
 from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.run import Run, load_run
@@ -23,9 +25,10 @@ from offpiste.uncertainty.calibration import (
     calibration_rows,
     calibration_table,
     draw_calibration,
-    within_regions,
+    foretold_by,
 )
 from offpiste.uncertainty.fit import SpreadSettings, fit_spread, strayed_on_maps
+from offpiste.uncertainty.novelty import keep_familiar
 from offpiste.uncertainty.prediction import FILE, load_spread
 from offpiste.uncertainty.spread import Spread
 
@@ -38,6 +41,8 @@ PART: Final = "test"
 def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
     """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
 
+    What ground is familiar to a run that reads features is kept as well (`novelty`).
+
     Returns:
         Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
 
@@ -46,26 +51,72 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
             weights.
         DatasetError: a part has no window.
     """
-    dataset, rows, within = open_dataset(path), list[CalibrationRow](), dict[str, np.ndarray]()
+    dataset, report = open_dataset(path), _Report()
     for folder in folders:
-        run = load_run(folder)
-        refuse_unfit(run, dataset)
-        refuse_seen(run, dataset, PART)
+        run = _fitting_run(folder, dataset)
         mine = dataset.starting_above(_min_speed(run))
-        windows = Windows(mine, PART)
-        index = windows.evaluation_indices(5)
         spread = kept_or_fitted(run, mine, settings)
-        strayed = strayed_on_maps(run, windows, index)
-        located = EvaluatedWindows(mine, windows.drive[index], windows.row_in_drive(index))
-        rows += calibration_rows(folder.name, spread, strayed, members(located), Sampling().on(located))
-        within[folder.name] = within_regions(spread, strayed)
-    table = calibration_table(rows)
-    write_png(out / "calibration.png", draw_calibration(within), dpi=110)
-    write_text(out / "calibration.json", msgspec.json.encode({"schema": 1, "part": PART, "rows": rows}).decode())
-    write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
-    logger.info(table.text(width=150))
-    logger.info(f"written: {out / 'calibration.md'}")
-    return out / "calibration.md"
+        if run.dynamics.encoder is not None:
+            keep_familiar(run, mine)
+        report.add(run, spread, mine)
+    return report.write(out)
+
+
+def coverage_of_kept(folders: Sequence[Path], path: Path, out: Path, min_speed: float | None = None) -> Path | None:
+    """Evaluate the spreads that runs keep, as `calibrate` does; nothing is fitted.
+
+    Args:
+        min_speed: windows start above it [m/s]; None: as the dataset says.
+
+    Returns:
+        Path of the table; None where no run keeps a spread.
+
+    Raises:
+        RunError, DatasetError: as `calibrate`.
+    """
+    keeping = [folder for folder in folders if (run_folder(folder) / FILE).exists()]
+    if not keeping:
+        return None
+    dataset, report = open_dataset(path).starting_above(min_speed), _Report()
+    for folder in keeping:
+        run = _fitting_run(folder, dataset)
+        report.add(run, load_spread(run), dataset)
+    return report.write(out)
+
+
+@dataclass
+class _Report:
+    """Rows of the table, and by run the regions that errors lie on."""
+
+    rows: list[CalibrationRow] = field(default_factory=list)
+    within: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def add(self, run: Run, spread: Spread, dataset: Dataset) -> None:
+        """Evaluate a run's spread on the windows of the test part that have a map."""
+        windows = Windows(dataset, PART)
+        index = windows.evaluation_indices(5)
+        foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
+        located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
+        self.rows += calibration_rows(run.folder.name, foretold, members(located), Sampling().on(located))
+        self.within[run.folder.name] = foretold.within
+
+    def write(self, out: Path) -> Path:
+        """Write table, numbers and picture; show the table."""
+        table = calibration_table(self.rows)
+        write_png(out / "calibration.png", draw_calibration(self.within), dpi=110)
+        content = {"schema": 1, "part": PART, "rows": self.rows}
+        write_text(out / "calibration.json", msgspec.json.encode(content).decode())
+        write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
+        logger.info(table.text(width=150))
+        logger.info(f"written: {out / 'calibration.md'}")
+        return out / "calibration.md"
+
+
+def _fitting_run(folder: Path, dataset: Dataset) -> Run:
+    run = load_run(folder)
+    refuse_unfit(run, dataset)
+    refuse_seen(run, dataset, PART)
+    return run
 
 
 def kept_or_fitted(run: Run, dataset: Dataset, settings: SpreadSettings | None = None) -> Spread:

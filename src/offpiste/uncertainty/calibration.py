@@ -1,6 +1,7 @@
 """Whether spreads are calibrated: how many errors lie in the regions that should hold half, 80 and 95 % of them."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -13,7 +14,7 @@ from offpiste.report.figure import plain
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.uncertainty.fit import Strayed
 from offpiste.uncertainty.spread import INTERVAL, Spread
-from offpiste.uncertainty.student import area_under_curve, crps, probability_within, squared_distance
+from offpiste.uncertainty.student import area_under_curve, crps, probability_within
 
 HORIZONS: Final = (1.0, 3.0, 5.0)
 """Moments that are evaluated [s]."""
@@ -36,6 +37,34 @@ ABOUT: Final = (
     "probability that a window among the tenth with the largest errors has a larger spread than another window (0.5 is "
     "chance); beside it the same by the speed at the start alone."
 )
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """Errors of position and how they were foretold, at the moments of a spread.
+
+    Attributes:
+        error, scale: along and across the predicted heading [m].
+        freedom: degrees of freedom of the errors.
+        speed: at the start [m/s].
+    """
+
+    error: Float[np.ndarray, "N K 2"]
+    scale: Float[np.ndarray, "N K 2"]
+    freedom: float
+    speed: Float[np.ndarray, " N"]
+
+    @property
+    def within(self) -> Float[np.ndarray, "N H"]:
+        """Probability of the region that each error lies on, at each of `HORIZONS`."""
+        squared = np.square(self.error[:, AT] / self.scale[:, AT]).sum(axis=-1)
+        return probability_within(squared, self.freedom)
+
+
+def foretold_by(spread: Spread, strayed: Strayed) -> Foretold:
+    """What a spread foretold of predictions."""
+    scale, speed = spread(strayed.inputs).detach().numpy(), strayed.inputs[:, 0, 0].numpy()
+    return Foretold(strayed.error.numpy(), scale, float(spread.freedom.detach()), speed)
 
 
 class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,21 +94,20 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def calibration_rows(
-    run: str, spread: Spread, strayed: Strayed, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
+    run: str, foretold: Foretold, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
 ) -> list[CalibrationRow]:
     """A row for all windows, and one for each group, at each horizon.
 
     Args:
         run: name of the run.
-        strayed: its predictions of the windows.
+        foretold: of the windows.
         groups: which windows belong to each.
         drawn: of the same windows, for intervals of the row of all of them.
     """
-    scale, error, freedom = spread(strayed.inputs).numpy(), strayed.error.numpy(), float(spread.freedom)
-    within, speed, rows = within_regions(spread, strayed), strayed.inputs[:, 0, 0].numpy(), []
+    scale, error, within, rows = foretold.scale, foretold.error, foretold.within, list[CalibrationRow]()
     for place, (horizon, k) in enumerate(zip(HORIZONS, AT, strict=True)):
         distance, reach = np.linalg.norm(error[:, k], axis=-1), np.linalg.norm(scale[:, k], axis=-1)
-        score = crps(error[:, k], scale[:, k], freedom).mean(axis=-1)
+        score = crps(error[:, k], scale[:, k], foretold.freedom).mean(axis=-1)
         for name, mine in ({ALL: np.ones(len(error), bool)} | dict(groups)).items():
             worst = distance[mine] >= np.quantile(distance[mine], 1 - WORST)
             covered = within[mine, place, None] <= np.array(NOMINAL)
@@ -95,16 +123,10 @@ def calibration_rows(
                     ci95=_intervals(covered, drawn) if name == ALL else ((np.nan, np.nan),) * len(NOMINAL),
                     crps_m=float(score[mine].mean()),
                     foretold=area_under_curve(reach[mine], worst),
-                    by_speed=area_under_curve(speed[mine], worst),
+                    by_speed=area_under_curve(foretold.speed[mine], worst),
                 )
             )
     return rows
-
-
-def within_regions(spread: Spread, strayed: Strayed) -> Float[np.ndarray, "N H"]:
-    """Probability of the region that each error lies on, at each of `HORIZONS`."""
-    squared = squared_distance(strayed.error, spread(strayed.inputs)).numpy()
-    return probability_within(squared[:, AT], float(spread.freedom))
 
 
 def _intervals(covered: Bool[np.ndarray, "N R"], drawn: Resampling) -> tuple[tuple[float, float], ...]:

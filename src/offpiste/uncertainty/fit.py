@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,19 +15,11 @@ from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
 from offpiste.progress import track
-from offpiste.state import RecordedTerrain, Terrain, TerrainSource, Trajectory
+from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.training.prediction import Lookup, batch_for, in_parts, predict
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import encoded, on_map
-from offpiste.uncertainty.spread import (
-    EVERY,
-    Moments,
-    Spread,
-    errors_in_heading,
-    inputs_of,
-    spread_inputs,
-    states_at_moments,
-)
+from offpiste.uncertainty.spread import Spread, errors_in_heading, inputs_along, inputs_of
 from offpiste.uncertainty.student import negative_log_likelihood
 
 logger = logging.getLogger(__name__)
@@ -169,10 +161,7 @@ def _predicted(
 
 
 def _strayed(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source: TerrainSource) -> Strayed:
-    state = states_at_moments(batch.state, trajectory)
-    read = [source.at(EVERY * k, moment) for k, moment in enumerate(state.unbind(dim=1))]
-    terrain = Terrain(*(torch.stack([getattr(each, f.name) for each in read], dim=1) for f in fields(Terrain)))
-    inputs = spread_inputs(dynamics.vehicle, Moments(state, batch.control[:, ::EVERY], terrain))
+    inputs = inputs_along(dynamics.vehicle, batch.state, trajectory, batch.control, source)
     return Strayed(inputs, errors_in_heading(trajectory.state, batch.target))
 
 

@@ -5,7 +5,7 @@ unsure. These variances add up to that of the velocity; errors of a velocity las
 to that of the position. It never shrinks, it costs next to nothing beside the rollout, and nothing in it looks ahead.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import torch
@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import Terrain, Trajectory
+from offpiste.state import Terrain, TerrainSource, Trajectory
 
 EVERY: Final = 10
 """Steps between two moments at which the spread is known."""
@@ -69,6 +69,23 @@ def spread_inputs(vehicle: Vehicle, moments: Moments) -> Float[Tensor, "B K I"]:
     return torch.cat(read, dim=-1)
 
 
+def inputs_along(
+    vehicle: Vehicle, start: Float[Tensor, "B 6"], trajectory: Trajectory, control: Float[Tensor, "B T U"],
+    source: TerrainSource,
+) -> Float[Tensor, "B K I"]:  # fmt: skip
+    """What the spread's network reads along a rollout.
+
+    Args:
+        start: state before the first step.
+        control: of each step, in the vehicle's columns.
+        source: terrain of the rollout.
+    """
+    state = states_at_moments(start, trajectory)
+    read = [source.at(EVERY * k, moment) for k, moment in enumerate(state.unbind(dim=1))]
+    terrain = Terrain(*(torch.stack([getattr(each, f.name) for each in read], dim=1) for f in fields(Terrain)))
+    return spread_inputs(vehicle, Moments(state, control[:, ::EVERY], terrain))
+
+
 class Spread(nn.Module):
     """Scales and degrees of freedom of a model's errors of position (`student`).
 
@@ -97,10 +114,17 @@ class Spread(nn.Module):
 
     def forward(self, inputs: Float[Tensor, "B K I"]) -> Float[Tensor, "B K 2"]:
         """Scales along and across the heading, `INTERVAL` after each moment [m]."""
+        return self._velocity(inputs).cumsum(dim=1) * INTERVAL
+
+    def at_every_step(self, inputs: Float[Tensor, "B K I"]) -> Float[Tensor, "B _ 2"]:
+        """The same after every step [m], `EVERY` to a moment."""
+        return self._velocity(inputs).repeat_interleave(EVERY, dim=1).cumsum(dim=1) * DT
+
+    def _velocity(self, inputs: Float[Tensor, "B K I"]) -> Float[Tensor, "B K 2"]:
+        """Scales of the velocity during the interval after each moment [m/s]."""
         rate = functional.softplus(self.layers((inputs - self.mean) / self.deviation))  # m/s^1.5
         begin = functional.softplus(self.start).square()
-        velocity = (begin + rate.square().cumsum(dim=1) * INTERVAL).sqrt()
-        return self.factor * velocity.cumsum(dim=1) * INTERVAL
+        return self.factor * (begin + rate.square().cumsum(dim=1) * INTERVAL).sqrt()
 
     def standardise_on(self, inputs: Float[Tensor, "B K I"]) -> None:
         """Take mean and deviation of training inputs; one that hardly varies keeps its unit."""

@@ -31,6 +31,7 @@ from offpiste.visualization.coverage_tables import (
     seconds_of,
     tables,
 )
+from offpiste.visualization.predicted_regions import view_regions
 from offpiste.visualization.view_log import view_log
 
 logger = logging.getLogger(__name__)
@@ -165,6 +166,7 @@ def view(
     *,
     rig: str | None = None,
     pca: Path | None = None,
+    run: Path | None = None,
     seconds: str = "",
     rrd: bool = True,
     device: str = "cpu",
@@ -174,12 +176,13 @@ def view(
     Args:
         rig, pca, seconds, rrd, device: of a log: a preset's name or a file, a file of `fit-pca` (None: no features),
             a stretch "A:B", whether to write a Rerun recording, and where the backbone runs.
+        run: of a dataset: a trained run with a spread, whose predicted regions are drawn.
 
     Returns:
         what was written, each whole.
 
     Raises:
-        LogError, RigError, PerceptionError, DatasetError: the path is neither, or cannot be viewed.
+        LogError, RigError, PerceptionError, DatasetError, RunError: the path is neither, or cannot be viewed.
     """
     if out.exists() and not out.is_dir():
         raise DatasetError("is a file, not a folder for pictures", where=out, how="choose another --out")
@@ -188,7 +191,8 @@ def view(
             logger.info(
                 "a dataset is viewed whole, with the rig that it was made with: --rig, --pca and --seconds do nothing"
             )
-        return view_dataset(open_dataset(path), out)
+        dataset = open_dataset(path)
+        return view_dataset(dataset, out) + ([] if run is None else [view_regions(run, dataset, out)])
     stretch = parse_stretch(seconds)
     if rig is None:
         raise _without_rig(path)

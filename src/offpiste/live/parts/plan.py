@@ -25,7 +25,8 @@ class Plans:
         self.planner, self._rig = load_planner(settings.run, settings.pca), load_rig(settings.rig)
         dynamics = self.planner.dynamics.eval().requires_grad_(False)
         self._feed = TrackFeed(part, dynamics.vehicle.actuators)
-        self._maker = PlanMaker(dynamics, self._rig.wheel_positions(), settings.runtime, seed=settings.seed)
+        wheels, spread = self._rig.wheel_positions(), self.planner.spread
+        self._maker = PlanMaker(dynamics, wheels, settings.runtime, spread=spread, seed=settings.seed)
         self._course = NewestCourse(part)
         self._follower: Follower | None = None
         self._commands, self._map_number = part.ring("commands").written, 0

@@ -48,7 +48,7 @@ def load_kernels(part: Part, planner: Planner) -> None:
         camera = Camera("made up", model, looks, CameraSource("/made_up"))
         cameras = {"made up": make_pinhole_camera(camera, planner.extractor.patch)}
         setup = SensorSetup(lidars, cameras, planner.extractor.extract)
-    warm_up(planner.dynamics, setup, rig.wheel_positions(), part.settings.runtime)
+    warm_up(planner.dynamics, setup, rig.wheel_positions(), part.settings.runtime, spread=planner.spread)
 
 
 class NewestCourse:

@@ -32,6 +32,8 @@ MOTION: Final = {
     "vy_before": "velocity to the left before the step [m/s]",
     "cos_yaw": "cosine of the heading",
     "sin_yaw": "sine of the heading",
+    "stray_along": "how far errors of position reach along the heading, as the risk counts them [m]",
+    "stray_across": "the same, across the heading [m]",
     "world_normal_x": "mean of the surface normals under the wheels, world frame",
     "world_normal_y": "the same, y",
     "world_normal_z": "the same, z",

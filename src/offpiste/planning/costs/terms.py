@@ -48,6 +48,25 @@ def speed_along(
 
 
 @quantity
+def stray_from_course(
+    cos_yaw: Scalar, sin_yaw: Scalar, direction_x: Scalar, direction_y: Scalar, stray_along: Scalar,
+    stray_across: Scalar, maximum: Function,
+) -> Scalar:  # fmt: skip
+    """How far errors of position reach away from the course [m]; 0 where the risk counts none.
+
+    At most: as if the largest errors along and across the heading came together.
+
+    Args:
+        cos_yaw, sin_yaw: of the heading.
+        direction_x, direction_y: of the course, a unit vector in the world.
+        stray_along, stray_across: reach along and across the heading [m].
+        maximum: of two numbers.
+    """
+    ahead, aside = cos_yaw * direction_x + sin_yaw * direction_y, cos_yaw * direction_y - sin_yaw * direction_x
+    return stray_along * maximum(aside, -aside) + stray_across * maximum(ahead, -ahead)
+
+
+@quantity
 def lateral_ratio(
     lateral_acceleration: Scalar,
     normal_y: Scalar,
@@ -75,14 +94,16 @@ def lateral_ratio(
 
 
 @cost_term("path", weight=1.0, unit="1/s per m^2")
-def path_term(distance: Scalar, weight: Scalar) -> Scalar:
-    """Distance from the course: weight distance^2.
+def path_term(distance: Scalar, stray_from_course: Scalar, weight: Scalar) -> Scalar:
+    """Distance from the course, and what errors may add to it: weight (distance + stray)^2.
 
     Args:
         distance: to the path [m].
+        stray_from_course: see there [m].
         weight: [1/s per m^2].
     """
-    return weight * distance * distance
+    off = distance + stray_from_course
+    return weight * off * off
 
 
 @cost_term("speed", weight=1.0, unit="1/s per (m/s)^2")

@@ -25,9 +25,9 @@ PLACES: Final = {
     "vx": "state[3]", "vy": "state[4]", "yaw_rate": "state[5]", "vx_before": "v->vx_before",
     "vy_before": "v->vy_before", "cos_yaw": "v->cos_yaw", "sin_yaw": "v->sin_yaw", "world_normal_x": "normal[0]",
     "world_normal_y": "normal[1]", "world_normal_z": "normal[2]", "throttle": "v->control[0]",
-    "brake": "v->control[1]", "steer": "v->control[2]",
+    "brake": "v->control[1]", "steer": "v->control[2]", "stray_along": "0.0f", "stray_across": "0.0f",
 }  # fmt: skip
-"""Where `offpiste_motion_cost` finds each of `declaration.MOTION`."""
+"""Where `offpiste_motion_cost` finds each of `declaration.MOTION`; a GPU plans as predicted (`gpu.gpu_planner`)."""
 
 INFINITE: Final = "3.4e38f * 10.0f"
 """Infinity, without a header that NVRTC lacks."""

@@ -1,0 +1,200 @@
+"""Is ground recognised that no training drive had? Each kind of ground is held out in turn.
+
+A dataset of simulated drives with visual features, and another of the same drives with the true ground properties
+(`reproduce` makes both). Cells under the wheels of its training part say what is familiar, without those of one kind,
+and validation's, without them too, set the limit; in the test part the distance from the familiar is to tell that kind
+from all others. The PCA may have seen the kind; the looks have not.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from experiments.command import run
+from offpiste.conventions import FEATURE_SETS
+from offpiste.dataset.features_under_wheels import Cells
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
+from offpiste.errors import DatasetError
+from offpiste.files import write_text
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
+from offpiste.progress import track
+from offpiste.report.text_table import TextTable, number
+from offpiste.simulation.world.ground import property_table
+from offpiste.uncertainty.novelty import NoveltySettings, fit_familiar
+from offpiste.uncertainty.student import area_under_curve
+
+PURE: Final = 0.05
+"""Largest distance of a cell's properties from those of its kind, in standard deviations between kinds; cells further
+away are mixtures, and belong to none."""
+
+FEWEST: Final = 100
+"""Cells of a kind in the test part, for a row of the table."""
+
+ABOUT: Final = (
+    "Area: probability that a cell of the kind that was held out is further from the familiar looks than a cell of a "
+    "known kind (0.5 is chance). Novel: share of cells of that kind, and of known kinds, beyond the limit."
+)
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Cells as they looked: features, number of the kind (-1 for a mixture), number of the feature set."""
+
+    features: torch.Tensor
+    kind: Int[np.ndarray, " N"]
+    seen_from: Int[np.ndarray, " N"]
+
+    def where(self, mine: Bool[np.ndarray, " N"]) -> torch.Tensor:
+        """Features of some of them."""
+        return self.features[torch.from_numpy(mine)]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Recognise ground of a kind that no training drive had."""
+
+    dataset: Path
+    """Of simulated drives, with visual features."""
+    truth: Path
+    """Of the same drives, with `--features ground-truth`."""
+    out: Path = Path("novelty")
+    """Folder of all outputs."""
+    sets: tuple[str, ...] = ("hindsight", "10", "20")
+    """Feature sets that are read: by the distance cells were seen from [m]."""
+    cells: int = 400
+    """Of each drive and feature set, drawn at random."""
+    powers: tuple[float, ...] = (0.0, 0.5, 1.0)
+    """Of the features' standard deviation that they are divided by."""
+    seed: int = 0
+    """Of the cells."""
+
+    def run(self) -> str:
+        """Read the cells, hold out each kind, write and show the table.
+
+        Raises:
+            DatasetError: the second is no truth of the first.
+        """
+        dataset, truth = open_dataset(self.dataset), open_dataset(self.truth)
+        refuse_unlike(dataset, truth)
+        looks = {part: self.looks(dataset, truth, part) for part in PARTS}
+        rows = [row for power in self.powers for row in held_out_rows(looks, NoveltySettings(power=power))]
+        write_text(self.out / "novelty.json", json.dumps({"schema": 1, "rows": rows}, indent=1))
+        table = novelty_table(rows)
+        write_text(self.out / "novelty.md", table.markdown())
+        return f"{table.text(width=120)}\nwritten: {self.out / 'novelty.md'}"
+
+    def looks(self, dataset: Dataset, truth: Dataset, part: str) -> Looks:
+        """Cells of the drives of a part."""
+        rng, found = np.random.default_rng(self.seed), list[Looks]()
+        for drive, true in track(list(zip(dataset.drives, truth.drives, strict=True)), f"reading {part}"):
+            if (drive.part == PARTS.index(part)).any():
+                found += [looks_in(drive, true, FEATURE_SETS.index(name), self.cells, rng) for name in self.sets]
+        return Looks(
+            torch.cat([each.features for each in found]),
+            np.concatenate([each.kind for each in found]),
+            np.concatenate([each.seen_from for each in found]),
+        )
+
+
+def refuse_unlike(dataset: Dataset, truth: Dataset) -> None:
+    """Raise unless one dataset has the true ground of another's drives."""
+    if truth.features != GROUND_PROPERTIES:
+        raise DatasetError("has no true ground", where=truth.path, how="extract it with `--features ground-truth`")
+    pairs = zip(dataset.drives, truth.drives, strict=False)
+    alike = len(dataset.drives) == len(truth.drives)
+    if not alike or any(a.name != b.name or not np.array_equal(a.rows.time, b.rows.time) for a, b in pairs):
+        raise DatasetError(f"has other drives than {dataset.path}", where=truth.path, how="extract both of one folder")
+
+
+def looks_in(drive: StoredDrive, true: StoredDrive, seen_from: int, most: int, rng: np.random.Generator) -> Looks:
+    """Some valid cells of a drive in one feature set, with the kind of ground that its wheels then were on."""
+    cells, ground = _cells(drive), _cells(true)
+    touched, first = np.unique(cells.index, return_index=True)
+    there = ground.index.reshape(-1)[first]
+    usable = (touched >= 0) & (there >= 0)
+    touched, there = touched[usable], there[usable]
+    keep = cells.valid[seen_from, touched]
+    touched, there = touched[keep], there[keep]
+    chosen = np.sort(rng.permutation(len(touched))[:most])
+    features = np.asarray(cells.features[seen_from, touched[chosen]], np.float32)
+    kind = kinds_of(np.asarray(ground.features[0, there[chosen]], np.float64))
+    return Looks(torch.from_numpy(features), kind, np.full(len(chosen), seen_from))
+
+
+def _cells(drive: StoredDrive) -> Cells:
+    if drive.rows.cells is None:
+        raise DatasetError(f"drive '{drive.name}' has no features", how="extract it with --pca")
+    return drive.rows.cells
+
+
+@cache
+def _of_kinds() -> Float[np.ndarray, "W K 4"]:
+    """Properties of the kinds from dry to wet."""
+    dry, wet = property_table()
+    wetness = np.linspace(0, 1, 41)[:, None, None]
+    return np.asarray((1 - wetness) * dry + wetness * wet)
+
+
+def kinds_of(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
+    """Number of the kind with these properties, however wet; -1 where none has them."""
+    kinds = _of_kinds()
+    apart = (properties[:, None, None] - kinds) / kinds.std(axis=(0, 1))
+    nearest = np.linalg.norm(apart, axis=-1).min(axis=1)
+    return np.where(nearest.min(axis=1) < PURE, nearest.argmin(axis=1), -1)
+
+
+def held_out_rows(looks: dict[str, Looks], settings: NoveltySettings) -> list[dict[str, Any]]:
+    """A row for each kind of ground that the test part has enough of and each feature set, the kind held out."""
+    rows, test = list[dict[str, Any]](), looks["test"]
+    for held, kind in enumerate(GROUND_KINDS):
+        known = [looks[part].where((looks[part].kind != held) & (looks[part].kind >= 0)) for part in PARTS[:2]]
+        familiar = fit_familiar(*known, settings)
+        for seen_from in np.unique(test.seen_from):
+            compared = (test.kind >= 0) & (test.seen_from == seen_from)
+            positive = test.kind[compared] == held
+            if positive.sum() < FEWEST:
+                continue
+            distance = familiar.distance(test.where(compared)).numpy()
+            novel = distance > float(familiar.limit)
+            rows.append(
+                {
+                    "kind": kind,
+                    "set": FEATURE_SETS[seen_from],
+                    "power": settings.power,
+                    "n": int(positive.sum()),
+                    "area": area_under_curve(distance, positive),
+                    "novel": float(novel[positive].mean()),
+                    "false": float(novel[~positive].mean()),
+                }
+            )
+    return rows
+
+
+def novelty_table(rows: Sequence[dict[str, Any]]) -> TextTable:
+    """A line a kind, feature set and power."""
+    names = ("held out", "seen from", "power", "cells", "area", "novel [%]", "known ones [%]")
+    lines = [
+        (
+            row["kind"],
+            row["set"],
+            f"{row['power']:g}",
+            f"{row['n']}",
+            number(row["area"]),
+            number(100 * row["novel"], 0),
+            number(100 * row["false"], 0),
+        )
+        for row in rows
+    ]
+    return TextTable("Novel ground", names, tuple(lines), ABOUT, left=2)
+
+
+if __name__ == "__main__":
+    run(HeldOut)

@@ -1,0 +1,239 @@
+"""How is it best foretold how far predictions stray? By several seeds, by a fitted spread, and by both.
+
+All centre on positions: the fitted spread on its own run's prediction, the others on the mean of the runs. An ensemble
+gives the deviation of its members; as it is, that is a Gaussian's. Calibrated, it is scaled and widened by a share of
+the error at that moment, as an errors' Student t, by likelihood on the validation part; both together likewise.
+"""
+
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import minimize
+
+from experiments.command import run
+from offpiste.conventions import HORIZON_STEPS
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows
+from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.speed_bands import members
+from offpiste.files import write_text
+from offpiste.training.fitness import refuse_seen, refuse_unfit
+from offpiste.training.prediction import in_parts
+from offpiste.training.run import Run, load_run
+from offpiste.uncertainty.calibrate import kept_or_fitted
+from offpiste.uncertainty.calibration import CalibrationRow, Foretold, calibration_rows, calibration_table
+from offpiste.uncertainty.fit import SpreadSettings, predicted
+from offpiste.uncertainty.novelty import FILE, load_familiar
+from offpiste.uncertainty.spread import EVERY, Spread
+from offpiste.uncertainty.student import negative_log_likelihood
+
+logger = logging.getLogger("experiments")
+
+GAUSSIAN: Final = 1e6
+"""Degrees of freedom of what is Gaussian."""
+
+NOVEL: Final = 0.1
+"""Share of the ground along a window that is novel, from which on it counts as one on novel ground."""
+
+MOMENTS: Final = slice(EVERY - 1, HORIZON_STEPS, EVERY)
+"""Steps of a rollout at whose end spreads are known."""
+
+
+@dataclass(frozen=True)
+class Members:
+    """Predictions of several runs for the same windows, at the moments of a spread.
+
+    Attributes:
+        place: [m]; scale: of each run's own spread, along and across its heading [m].
+        heading: [rad].
+        target: recorded places [m].
+        speed: at the start [m/s].
+    """
+
+    place: Float[np.ndarray, "S N K 2"]
+    scale: Float[np.ndarray, "S N K 2"]
+    heading: Float[np.ndarray, "S N K"]
+    target: Float[np.ndarray, "N K 2"]
+    speed: Float[np.ndarray, " N"]
+
+
+@dataclass(frozen=True)
+class Widening:
+    """How deviations become scales: sqrt((factor deviation)² + (floor error)²).
+
+    Attributes:
+        error: root mean square at each moment, on validation [m].
+        freedom: degrees of freedom of the errors.
+    """
+
+    factor: float
+    floor: float
+    freedom: float
+    error: Float[np.ndarray, " K"]
+
+    def scale(self, deviation: Float[np.ndarray, "N K 2"]) -> Float[np.ndarray, "N K 2"]:
+        """Scales of errors [m]."""
+        return np.hypot(self.factor * deviation, (self.floor * self.error)[:, None])
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """Ensemble, fitted spread or both? Predicts, fits on the validation part and evaluates on the test part."""
+
+    runs: tuple[Path, ...]
+    """One model, trained with different seeds."""
+    dataset: Path
+    """That they were trained on."""
+    held_out: tuple[Path, ...] = ()
+    """Datasets of ground that no training drive had; nothing is fitted to them."""
+    out: Path = Path("spreads")
+    """Folder of the table and the numbers."""
+    quick: bool = False
+    """Fit spreads in a second, to try the command."""
+
+    def run(self) -> str:
+        """Compare, write and show the tables.
+
+        Raises:
+            RunError: less than two runs, or they differ in more than their seed.
+        """
+        runs = [load_run(folder) for folder in self.runs]
+        if len(runs) < 2 or len({run.model for run in runs}) > 1:
+            raise RunError(f"{len(runs)} runs of the models {', '.join(sorted({r.model for r in runs}))}",
+                           how="give two runs or more of one model, trained with different --seed")  # fmt: skip
+        dataset = open_dataset(self.dataset)
+        quick = SpreadSettings(windows=64, steps=20, batch=32) if self.quick else None
+        spreads = [kept_or_fitted(each, dataset, quick) for each in runs]
+        ways = fitted_ways(members_of(runs, spreads, dataset, "validation")[0])
+        tables, rows = [], dict[str, list[CalibrationRow]]()
+        for path in (self.dataset, *self.held_out):
+            there = open_dataset(path)
+            for each in runs:
+                refuse_unfit(each, there)
+                refuse_seen(each, there, "test")
+            found, windows, index = members_of(runs, spreads, there, "test")
+            located = EvaluatedWindows(there, windows.drive[index], windows.row_in_drive(index))
+            groups = members(located) | novel_windows(runs[0], windows, index)
+            drawn = Sampling().on(located)
+            rows[path.name] = [
+                row
+                for name, foretold in foretold_ways(found, ways, float(spreads[0].freedom)).items()
+                for row in calibration_rows(name, foretold, groups, drawn)
+            ]
+            tables.append((path.name, calibration_table(rows[path.name])))
+        content = {name: msgspec.to_builtins(each) for name, each in rows.items()}
+        write_text(self.out / "spreads.json", json.dumps({"schema": 1, "rows": content}, indent=1))
+        write_text(self.out / "spreads.md", "\n".join(f"## {name}\n\n{t.markdown()}" for name, t in tables))
+        shown = "\n".join(f"{name}\n{t.text(width=150)}" for name, t in tables)
+        return f"{shown}\nwritten: {self.out / 'spreads.md'}"
+
+
+def members_of(
+    runs: Sequence[Run], spreads: Sequence[Spread], dataset: Dataset, part: str
+) -> tuple[Members, Windows, Int[np.ndarray, " N"]]:
+    """Predictions of all runs for the windows of a part that have a map."""
+    windows = Windows(dataset, part)
+    index = windows.evaluation_indices(5)
+    target = np.concatenate([windows.gather(some).target[:, MOMENTS, :2].numpy() for some in _parts(windows, index)])
+    place, scale, heading = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+    for each, spread in zip(runs, spreads, strict=True):
+        found = list(predicted(each, windows, index, "map"))
+        state = torch.cat([trajectory.state[:, MOMENTS] for trajectory, _ in found]).numpy()
+        place.append(state[..., :2])
+        heading.append(state[..., 2])
+        scale.append(torch.cat([spread(strayed.inputs).detach() for _, strayed in found]).numpy())
+        speed = torch.cat([strayed.inputs[:, 0, 0] for _, strayed in found]).numpy()
+    return Members(np.stack(place), np.stack(scale), np.stack(heading), target, speed), windows, index
+
+
+def _parts(windows: Windows, index: Int[np.ndarray, " N"]) -> list[np.ndarray]:
+    return list(in_parts(index, windows, "map"))
+
+
+def in_heading(difference: Float[np.ndarray, "*B 2"], heading: Float[np.ndarray, "*B"]) -> Float[np.ndarray, "*B 2"]:
+    """Differences of places along and across headings [m]."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = difference[..., 0], difference[..., 1]
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+
+
+def mean_of(found: Members) -> tuple[Float[np.ndarray, "N K 2"], Float[np.ndarray, "N K 2"]]:
+    """Error of the members' mean, and their deviation from it, along and across its heading [m]."""
+    heading = np.arctan2(np.sin(found.heading).mean(axis=0), np.cos(found.heading).mean(axis=0))
+    mean = found.place.mean(axis=0)
+    apart = in_heading(found.place - mean, np.broadcast_to(heading, found.heading.shape))
+    return in_heading(found.target - mean, heading), apart.std(axis=0, ddof=1)
+
+
+def deviations(found: Members) -> dict[str, Float[np.ndarray, "N K 2"]]:
+    """What calibrated ways foretell from: the members' deviation, and that with their own spreads [m]."""
+    deviation = mean_of(found)[1]
+    return {"ensemble": deviation, "both": np.sqrt(np.square(deviation) + np.square(found.scale).mean(axis=0))}
+
+
+def fitted_ways(validation: Members) -> dict[str, Widening]:
+    """How each way widens, by likelihood on the windows of validation."""
+    error = mean_of(validation)[0]
+    return {name: widened(deviation, error) for name, deviation in deviations(validation).items()}
+
+
+def widened(deviation: Float[np.ndarray, "N K 2"], error: Float[np.ndarray, "N K 2"]) -> Widening:
+    """The widening under which errors are likeliest."""
+    size = np.sqrt(np.square(error).mean(axis=(0, 2)))
+
+    def widening(logarithms: np.ndarray) -> Widening:
+        factor, floor, beyond = np.exp(np.clip(logarithms, -7, 7))
+        return Widening(float(factor), float(floor), 2 + float(beyond), size)
+
+    def loss(logarithms: np.ndarray) -> float:
+        way = widening(logarithms)
+        given = (torch.from_numpy(np.asarray(part, np.float64)) for part in (error, way.scale(deviation)))
+        return float(negative_log_likelihood(*given, torch.tensor(way.freedom, dtype=torch.float64)).mean())
+
+    return widening(minimize(loss, np.log([1.0, 0.3, 3.0]), method="Nelder-Mead").x)
+
+
+def foretold_ways(found: Members, ways: dict[str, Widening], freedom: float) -> dict[str, Foretold]:
+    """What each way foretells of the same windows.
+
+    Args:
+        freedom: of the first run's spread.
+    """
+    error, deviation = mean_of(found)
+    own = in_heading(found.target - found.place[0], found.heading[0])
+    foretold = {
+        "fitted": Foretold(own, found.scale[0], freedom, found.speed),
+        "ensemble as it is": Foretold(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),
+    }
+    for name, given in deviations(found).items():
+        foretold[name] = Foretold(error, ways[name].scale(given), ways[name].freedom, found.speed)
+    return foretold
+
+
+def novel_windows(first: Run, windows: Windows, index: Int[np.ndarray, " N"]) -> dict[str, Bool[np.ndarray, " N"]]:
+    """Windows whose recorded ground is novel to a run; none where it reads no features or keeps nothing familiar."""
+    if first.dynamics.encoder is None or not (first.folder / FILE).exists():
+        return {}
+    familiar, share = load_familiar(first), list[torch.Tensor]()
+    for some in _parts(windows, index):
+        ground = windows.gather(some).ground
+        assert ground is not None
+        novel = ground.valid.clone()
+        novel[ground.valid] = familiar.novel(ground.features[ground.valid])
+        share.append(novel[ground.ahead].float().mean(dim=(1, 2)))
+    mine = (torch.cat(share) >= NOVEL).numpy()
+    return {"novel ground": mine, "familiar ground": ~mine} if mine.any() and not mine.all() else {}
+
+
+if __name__ == "__main__":
+    run(Spreads)

@@ -1,0 +1,139 @@
+"""How far a plan may stray from its prediction, and how much that counts in its cost: a declared setting."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from jaxtyping import Float
+from scipy import stats
+from torch import Tensor
+
+from offpiste.dynamics.vehicle import Vehicle
+from offpiste.errors import PlanningError
+from offpiste.state import TerrainSource, Trajectory
+from offpiste.uncertainty.spread import Spread, inputs_along
+
+
+@dataclass(frozen=True)
+class AsPredicted:
+    """Plans cost what they cost where the vehicle goes exactly as predicted."""
+
+    kind: Literal["none"] = "none"
+
+
+@dataclass(frozen=True)
+class AddSpread:
+    """The predicted scale of the position's error, so many times, adds to the distance from the course.
+
+    Raises:
+        PlanningError: the factor is negative.
+    """
+
+    times: float = 1.0
+    kind: Literal["spread"] = "spread"
+
+    def __post_init__(self) -> None:
+        if not self.times >= 0:
+            raise PlanningError(f"a risk of {self.times:g} times the spread", how="give a factor of 0 or more")
+
+
+@dataclass(frozen=True)
+class WorstShare:
+    """The mean of the largest errors adds to the distance from the course: CVaR under the spread's Student t.
+
+    Attributes:
+        share: of the errors, the largest ones.
+
+    Raises:
+        PlanningError: the share is not one.
+    """
+
+    share: float = 0.2
+    kind: Literal["cvar"] = "cvar"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.share <= 1:
+            raise PlanningError(f"a risk of the worst {self.share:g} of errors", how="give a share above 0, up to 1")
+
+
+Risk = AsPredicted | AddSpread | WorstShare
+"""What counts in the cost beside the prediction itself."""
+
+KINDS: Final = ("none", "spread:TIMES", "cvar:SHARE")
+"""How a risk is written."""
+
+
+@dataclass(frozen=True)
+class Caution:
+    """How far errors of position reach for the cost.
+
+    Attributes:
+        spread: of the model that plans.
+        reach: scales of the spread that count.
+    """
+
+    spread: Spread
+    reach: float
+
+
+def risk_of(text: str) -> Risk:
+    """A risk from its text, one of `KINDS`.
+
+    Raises:
+        PlanningError: it is none.
+    """
+    kind, _, number = text.partition(":")
+    made: dict[str, Callable[..., Risk]] = {"spread": AddSpread, "cvar": WorstShare}
+    try:
+        if text == "none":
+            return AsPredicted()
+        return made[kind](float(number)) if number else made[kind]()
+    except (KeyError, ValueError):
+        raise PlanningError(f"no risk is written {text!r}", how=f"give one of {', '.join(KINDS)}") from None
+
+
+def caution_of(risk: Risk, spread: Spread | None) -> Caution | None:
+    """What a risk adds to the cost of a model's plans; None for nothing.
+
+    Args:
+        spread: of the model; None where it has none.
+
+    Raises:
+        PlanningError: the risk needs a spread.
+    """
+    if isinstance(risk, AsPredicted):
+        return None
+    if spread is None:
+        how = "make it with `offpiste calibrate RUN --dataset DATASET`, or plan with the risk none"
+        raise PlanningError(f"the risk {risk.kind!r} needs a spread, which the run does not have", how=how)
+    if isinstance(risk, AddSpread):
+        return Caution(spread, risk.times)
+    return Caution(spread, mean_of_worst(risk.share, float(spread.freedom.detach())))
+
+
+def mean_of_worst(share: float, freedom: float) -> float:
+    """Mean size of the largest errors of one component, in units of its scale.
+
+    E[|t| | |t| > q] = 2 f(q) (freedom + q²) / ((freedom - 1) share), P(|t| > q) = share.
+
+    Args:
+        share: of the errors, the largest ones.
+        freedom: degrees of freedom, above 1.
+    """
+    beyond = stats.t.isf(share / 2, freedom)
+    return float(2 * stats.t.pdf(beyond, freedom) * (freedom + beyond**2) / ((freedom - 1) * share))
+
+
+def strays(
+    caution: Caution, vehicle: Vehicle, start: Float[Tensor, "K 6"], trajectory: Trajectory, controls: Tensor,
+    source: TerrainSource,
+) -> Float[Tensor, "K T 2"]:  # fmt: skip
+    """How far errors of position reach along and across the heading after each step [m]; the kernel's reference.
+
+    Args:
+        start: state before the first step.
+        controls: in the vehicle's columns [K, T, U].
+        source: terrain of the same rollouts.
+    """
+    inputs = inputs_along(vehicle, start, trajectory, controls, source)
+    return caution.reach * caution.spread.at_every_step(inputs)[:, : controls.shape[1]]

@@ -1,0 +1,39 @@
+"""Plans by a declared risk: slower where the model is unsure, and refused where it cannot know."""
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.errors import PlanningError
+from offpiste.planning.caution import AddSpread, AsPredicted, WorstShare
+from offpiste.uncertainty.spread import MOTION, Spread, inputs_of
+from runtime.stream import parametric, straight_drive
+
+
+def unsure_when_fast():
+    """A spread that grows with the speed alone."""
+    vehicle = parametric().vehicle
+    spread = Spread(inputs_of(vehicle, 0), hidden=4)
+    with torch.no_grad():
+        for layer in (spread.layers[0], spread.layers[2]):
+            layer.weight.zero_()
+            layer.bias.zero_()
+        spread.layers[0].weight[0, MOTION.index("speed")] = 0.2
+        spread.layers[2].weight[:, 0] = 4.0
+        spread.layers[2].bias.fill_(-3.0)
+    return spread.requires_grad_(False)
+
+
+def test_plans_are_slower_where_fast_ones_are_unsure():
+    ends = {}
+    for risk in (AsPredicted(), AddSpread(2.0)):
+        stream = straight_drive(spread=unsure_when_fast(), risk=risk)
+        stream.run(1.0)
+        ends[risk.kind] = np.mean([p.state[-1, 3] for p in stream.runtime.predictions[-4:]])
+    assert ends["spread"] < ends["none"] - 0.5
+
+
+def test_a_risk_without_a_spread_is_refused_in_a_line():
+    with pytest.raises(PlanningError, match=r"needs a spread, which the run does not have.*offpiste calibrate") as one:
+        straight_drive(risk=WorstShare())
+    assert "\n" not in str(one.value)
