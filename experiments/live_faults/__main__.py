@@ -30,7 +30,7 @@ class Outcome(NamedTuple):
     Attributes:
         stopped_s: time until the stop was heard [s]; NaN where it drove on.
         named: the first line of the diagnostics that names it; empty for none.
-        mode: that was said last before it resumed, or did not.
+        why: it was stopped first, as control says; empty where it was not, or another one stopped it.
         log: the recording of the drive.
     """
 
@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
     stopped_s: float
     named: str
     resumed: bool
-    mode: str
+    why: str
     log: str
 
 
@@ -110,7 +110,7 @@ class LiveFaults:
         lines = sorted(line for line in bench.new_lines(began) if re.search(fault.named, line))
         named = lines[0] if lines else ""
         stopped = bench.stopped_after(lost)
-        return Outcome(fault.name, repetition, stopped, named, resumed, bench.mode, str(bench.recording))
+        return Outcome(fault.name, repetition, stopped, named, resumed, bench.why(began), str(bench.recording))
 
     def _left(self, wanted: Sequence[Fault]) -> list[tuple[Fault, int]]:
         """Faults that are still to be made; those that end a drive come last."""
@@ -141,7 +141,7 @@ def _read(path: Path) -> Iterator[Outcome]:
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             number, stopped, resumed = int(row["repetition"]), float(row["stopped_s"]), row["resumed"] == "True"
-            yield Outcome(row["fault"], number, stopped, row["named"], resumed, row["mode"], row["log"])
+            yield Outcome(row["fault"], number, stopped, row["named"], resumed, row["why"], row["log"])
 
 
 def readable(log: str) -> bool:

@@ -33,12 +33,11 @@ class Bench:
 
     Attributes:
         recording: of `live`.
-        mode: that was said last.
     """
 
     def __init__(self, folder: Path, world: str, seed: int, speed: float, run: str) -> None:
         folder.mkdir(parents=True)
-        self.recording, self.mode = folder / "drive.mcap", ""
+        self.recording, self._modes = folder / "drive.mcap", list[tuple[float, str]]()
         self._commands: list[tuple[float, float, float]] = []
         self._diagnostics: list[tuple[float, frozenset[str]]] = []
         self.pids: dict[str, int] = {}
@@ -85,6 +84,15 @@ class Bench:
     def stopped_after(self, moment: float) -> float:
         """Time from a moment until a stop was heard [s]; NaN where none was."""
         return next((c[0] - moment for c in self._commands if c[0] >= moment and _is_stop(*c[1:])), np.nan)
+
+    @property
+    def mode(self) -> str:
+        """What was said last."""
+        return self._modes[-1][1] if self._modes else ""
+
+    def why(self, moment: float) -> str:
+        """Why it was first stopped after a moment [s], as control says; empty where it did not."""
+        return next((mode for at, mode in self._modes if at >= moment and mode.startswith("stop")), "")
 
     def new_lines(self, moment: float) -> set[str]:
         """Lines of the diagnostics since a moment that were not there before."""
@@ -137,7 +145,7 @@ class Bench:
         self._diagnostics.append((time.monotonic(), frozenset(lines)))
 
     def _moded(self, message: Any) -> None:
-        self.mode = message.data
+        self._modes.append((time.monotonic(), message.data))
 
     def _kept(self, received: Received) -> None:
         self.last_odometry = received

@@ -42,20 +42,20 @@ def faults() -> list[Fault]:
         found.append(Fault(f"SIGKILL of {part}", _blow(part, signal.SIGKILL), rf"^{part}: restarts", stops))
         why = rf"^{part}: gives no sign of life|^control: stopp"
         found.append(Fault(f"SIGSTOP of {part} for 3 s", _blow(part, signal.SIGSTOP), why, stops))
-    lost = r"no state|interrupted|no router|ahead of the clock|repeat or go back"
+    lost = r"no state|interrupted|router lost|no router"
     return [
         *found,
         Fault("router gone for 1 s", _router_gone, lost, stops=True),
         Fault("network stalled for 0.1 to 3 s", _stalled, lost),
         Fault("packets in bursts for 3 s", _bursts, lost),
         Fault("a reading stamped 100 s ahead", _stamps(100.0), "stamps ahead of the clock"),
-        Fault("a reading stamped 100 s ago", _stamps(-100.0), "repeat or go back"),
-        Fault("the clock jumps by 100 s and back", _clock_jumps, lost, stops=True),
+        Fault("a reading stamped 100 s ago", _stamps(-100.0), "repeat or go back|not finite"),
+        Fault("the clock jumps by 100 s and back", _clock_jumps, "the clock jumped", stops=True),
         Fault("a corrupt message", _corrupt, "cannot be decoded"),
         Fault("a wrong type hash", _wrong_hash, "its hash differs"),
         Fault("a full disk under --record", _full_disk, r"^record: ended"),
         Fault("a second commander for 0.5 s", _second_commander, "another publisher", stops=True),
-        Fault("no more memory for map", _no_memory("map"), r"^map: restarts|^map: ended"),
+        Fault("no more memory for receive", _no_memory("receive"), r"^receive: (restarts|ended)|MemoryError"),
     ]
 
 
@@ -122,8 +122,9 @@ def _clock_jumps(bench: Bench, rng: np.random.Generator) -> float:
     stamp = other.decode(bench.last_odometry).header.stamp
     stamp.sec += 100
     moment = time.monotonic()
-    publish(make("rosgraph_msgs/Clock", clock=stamp))
-    time.sleep(0.2)
+    for _ in range(20):
+        publish(make("rosgraph_msgs/Clock", clock=stamp))
+        time.sleep(0.01)
     other.close()
     return moment
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from offpiste.live.backlog import Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
-from offpiste.live.part import STAMP, Part
+from offpiste.live.part import RUNS_ON, STAMP, Part
 from offpiste.live.reception import Reception
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Cloud, Image
@@ -82,6 +82,8 @@ class Receiver:
     def _clock(self, stamp: float, steady: float) -> None:
         """Hand on the clock; a stamp that repeats is no sign that it runs."""
         if stamp != self._stamp:
+            if self._stamp >= 0 and not -RUNS_ON <= stamp - self._stamp <= RUNS_ON:
+                self.part.dropped["the clock jumped"] += 1
             self._stamp = stamp
             self.part.hand_on("clock", STAMP.pack(stamp, steady))
 
@@ -120,11 +122,13 @@ class Receiver:
 def receive(session: Session, *, cameras: bool) -> None:
     """The process that receives."""
     part = Part("receive", session)
-    receiver = Receiver(part, cameras=cameras)
+    receiver, connected = Receiver(part, cameras=cameras), True
     while not part.ended and receiver.lives:  # control needs readings until the vehicle is at a standstill
         receiver.read()
         waits, routers = receiver.reception.waiting_for, receiver.transport.routers()
         state = f"waits for {waits}" if waits else "ready"
+        part.dropped["connection to the router lost"] += connected and not routers
+        connected = routers > 0
         part.beat(
             state if routers else "no router: nothing is heard or sent",
             refused=dict(receiver.transport.refused),
