@@ -219,11 +219,13 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
 @contextmanager
 def _asked_to_end() -> Iterator[threading.Event]:
     """Set once a service manager (SIGTERM) or a terminal that is gone (SIGHUP) ends the drive; Ctrl-C raises."""
-    asked, numbers = threading.Event(), (signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(number, lambda *_: asked.set()) for number in numbers]
-    interrupt = signal.getsignal(signal.SIGINT)
+    asked = threading.Event()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if before[number] != signal.SIG_IGN:  # as nohup sets it
+            signal.signal(number, lambda *_: asked.set())
     try:
         yield asked
     finally:
-        for number, handler in zip((*numbers, signal.SIGINT), (*before, interrupt), strict=True):
+        for number, handler in before.items():
             signal.signal(number, handler)

@@ -1,13 +1,17 @@
 """Receives and decodes: readings at once, of images and scans the newest."""
 
 import threading
+import time
 from collections import deque
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
+from offpiste.errors import LiveError
 from offpiste.live.backlog import Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
-from offpiste.live.part import STAMP, Part
+from offpiste.live.part import RUNS_ON, STAMP, Part
 from offpiste.live.reception import Reception
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Cloud, Image
@@ -17,6 +21,8 @@ from offpiste.runtime.estimator import VehicleReading
 from offpiste.transport.interface import Received
 
 CLOCK = "/clock"
+DEAF: Final = 5.0
+"""Where nothing has come for so long, the connection is made anew [s]: its thread may have ended for want of memory."""
 _WAITING: Final = 256
 """Readings that may wait to be decoded; where more do, the oldest are dropped, and counted."""
 
@@ -32,7 +38,7 @@ class Receiver:
         self._small = Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
         self._calibrations: deque[Received] = deque(maxlen=_WAITING)
-        self._stamp, self._first_course = -1.0, True
+        self._stamp, self._first_course, self._heard_at = -1.0, True, np.inf
         self._lock, self._any, self._handed_over = threading.Lock(), threading.Event(), False
         measured = {*(c.topic for c in self.rig.cameras.values()), *(one.topic for one in self.rig.lidars.values())}
         self._measured = measured & set(self.reception.sensors.topics)
@@ -48,6 +54,7 @@ class Receiver:
 
     def _deliver(self, received: Received) -> None:
         """Called in zenoh's thread."""
+        self._heard_at = received.steady
         if received.topic in self._measured:
             with self._lock:
                 if received.topic in self._newest:
@@ -81,6 +88,8 @@ class Receiver:
     def _clock(self, stamp: float, steady: float) -> None:
         """Hand on the clock; a stamp that repeats is no sign that it runs."""
         if stamp != self._stamp:
+            if self._stamp >= 0 and not -RUNS_ON <= stamp - self._stamp <= RUNS_ON:
+                self.part.dropped["the clock jumped"] += 1
             self._stamp = stamp
             self.part.hand_on("clock", STAMP.pack(stamp, steady))
 
@@ -91,10 +100,18 @@ class Receiver:
             self.part.hand_on("course", data)
         self._first_course = False
 
-    @property
-    def lives(self) -> bool:
-        """Whether images and scans are still decoded."""
-        return self._sensing.is_alive() or self.part.ending
+    def check(self) -> None:
+        """End what no longer receives or decodes: it is started again.
+
+        Raises:
+            LiveError: why.
+        """
+        if self.part.ending:
+            return
+        if not self._sensing.is_alive():
+            raise LiveError("images and scans are not decoded any more", how="see what it said before")
+        if self.transport.routers() and time.monotonic() - self._heard_at > DEAF:
+            raise LiveError(f"nothing has been heard for {DEAF:g} s", how="see whether the robot still publishes")
 
     def _sense(self) -> None:
         """Decode images and scans, the newest of each sensor."""
@@ -119,11 +136,14 @@ class Receiver:
 def receive(session: Session, *, cameras: bool) -> None:
     """The process that receives."""
     part = Part("receive", session)
-    receiver = Receiver(part, cameras=cameras)
-    while not part.ended and receiver.lives:  # control needs readings until the vehicle is at a standstill
+    receiver, connected = Receiver(part, cameras=cameras), True
+    while not part.ended:  # control needs readings until the vehicle is at a standstill
         receiver.read()
+        receiver.check()
         waits, routers = receiver.reception.waiting_for, receiver.transport.routers()
         state = f"waits for {waits}" if waits else "ready"
+        part.dropped["connection to the router lost"] += connected and not routers
+        connected = routers > 0
         part.beat(
             state if routers else "no router: nothing is heard or sent",
             refused=dict(receiver.transport.refused),
