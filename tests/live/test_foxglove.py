@@ -25,7 +25,8 @@ class App:
     """What the Foxglove app does: reads the channels, subscribes, and decodes by their schemas."""
 
     def __init__(self, port):
-        self._socket = client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self._open = client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self._socket = self._open.__enter__()
         self.subprotocol = self._socket.subprotocol
         self.info, advertised = (json.loads(self._socket.recv(timeout=10)) for _ in range(2))
         self.channels = {channel["topic"]: channel for channel in advertised["channels"]}
@@ -47,7 +48,7 @@ class App:
         return {topic: (time, message) for topic, time, message in (self.receive() for _ in range(count))}
 
     def close(self):
-        self._socket.close()
+        self._open.__exit__(None, None, None)
 
     def _decoded(self, channel, data):
         if channel["encoding"] == "json":

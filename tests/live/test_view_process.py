@@ -12,9 +12,8 @@ from live.made_up_robot import write_course, write_rig
 from live.test_foxglove import App
 from live.test_view import RUN, feed
 from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.session import LiveSettings, ViewSettings, new_session
 from offpiste.live.supervisor import Supervisor
-from offpiste.live.viewers.viewer import ViewSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network, free_port, until
 

@@ -12,7 +12,6 @@ from typing import Final, Literal
 from offpiste.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
-from offpiste.live.viewers.viewer import ViewSettings
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -38,6 +37,19 @@ RINGS: Final = {
 PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record", "view")
 """Processes of a drive; each has a ring for its status beside these."""
 _PREFIX: Final = "offpiste-live-"
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """How a drive is shown.
+
+    Attributes:
+        name: of the viewer, one of `live.viewers.viewer.VIEWERS`.
+        place: where it listens (host:port), or what it writes; the viewer's own default if empty.
+    """
+
+    name: str
+    place: str = ""
 
 
 @dataclass(frozen=True)

@@ -26,19 +26,6 @@ NUMBERS: Final = {"latencies": "latencies [ms]", "command": "command", "speed": 
 
 
 @dataclass(frozen=True)
-class ViewSettings:
-    """How a drive is shown.
-
-    Attributes:
-        name: of the viewer, one of `VIEWERS`.
-        place: where it listens (host:port), or what it writes; the viewer's own default if empty.
-    """
-
-    name: str
-    place: str = ""
-
-
-@dataclass(frozen=True)
 class ShownPlan:
     """A plan as it is drawn.
 
