@@ -1,7 +1,6 @@
 """The Foxglove server, as a client of its protocol sees it: channels, their schemas, and messages that are decoded."""
 
 import json
-import socket
 import struct
 from base64 import b64decode
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ import pytest
 from live.shown_drive import CAMERAS, LOOPBACK, ORIGIN, WHEELS, addresses_of, show
 from offpiste.errors import LiveError
 from offpiste.live.viewers.viewer import VIEWERS
+from transport.routers import until
 
 pytest.importorskip("foxglove")
 client = pytest.importorskip("websockets.sync.client")
@@ -25,7 +25,8 @@ class App:
     """What the Foxglove app does: reads the channels, subscribes, and decodes by their schemas."""
 
     def __init__(self, port):
-        self._socket = client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self._open = client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self._socket = self._open.__enter__()
         self.subprotocol = self._socket.subprotocol
         self.info, advertised = (json.loads(self._socket.recv(timeout=10)) for _ in range(2))
         self.channels = {channel["topic"]: channel for channel in advertised["channels"]}
@@ -47,7 +48,7 @@ class App:
         return {topic: (time, message) for topic, time, message in (self.receive() for _ in range(count))}
 
     def close(self):
-        self._socket.close()
+        self._open.__exit__(None, None, None)
 
     def _decoded(self, channel, data):
         if channel["encoding"] == "json":
@@ -176,5 +177,4 @@ def test_it_listens_on_the_loopback_alone_and_a_taken_port_is_one_line():
         assert addresses_of(port) == {LOOPBACK}
         with pytest.raises(LiveError, match=r"cannot listen there.*--view-at"):
             VIEWERS["foxglove"](f"127.0.0.1:{port}", WHEELS, CAMERAS)
-    with socket.socket() as probe:
-        assert probe.connect_ex(("127.0.0.1", port)) != 0, "closed"
+    assert until(lambda: not addresses_of(port)), "closed"

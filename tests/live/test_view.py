@@ -22,7 +22,7 @@ from offpiste.live.parts.view import Showing, shown_ground
 from offpiste.live.plan_regions import PlanRegions, has_spread
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
-from offpiste.live.viewers.viewer import VIEWERS, ViewSettings, listening_at
+from offpiste.live.viewers.viewer import VIEWERS, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
@@ -201,7 +201,6 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path, capsys):
     with listening_socket() as port, pytest.raises(LiveError, match="cannot listen there"):
         listening_at(f"127.0.0.1:{port}")
     assert {"foxglove", "rerun"} <= set(VIEWERS)
-    assert ViewSettings("rerun").place == ""
 
 
 @contextmanager

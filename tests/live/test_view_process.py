@@ -12,9 +12,8 @@ from live.made_up_robot import write_course, write_rig
 from live.test_foxglove import App
 from live.test_view import RUN, feed
 from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.session import LiveSettings, ViewSettings, new_session
 from offpiste.live.supervisor import Supervisor
-from offpiste.live.viewers.viewer import ViewSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network, free_port, until
 
@@ -73,5 +72,7 @@ def test_a_drive_is_shown_by_a_process_that_holds_nobody_up_and_is_started_again
 
 def test_a_taken_port_is_said_as_the_reason(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken, closing(Drive(tmp_path, taken.getsockname()[1])) as drive:
-        assert until(lambda: "cannot listen there" in drive.state()[1], 120), drive.state()
-        assert drive.state()[1].endswith("and is started again")
+        said = f"ended with 127.0.0.1:{drive.port}: cannot listen there: Address already in use; "
+        states = []
+        assert until(lambda: (states.append(drive.state()[1]), states[-1].startswith(said))[1], 120), states[-1]
+        assert states[-1].endswith(", and is started again")

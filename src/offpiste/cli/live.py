@@ -69,8 +69,7 @@ class Live:
         """The same over another transport, without the options of `robot`."""
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
-        from offpiste.live.session import LiveSettings
-        from offpiste.live.viewers.viewer import ViewSettings
+        from offpiste.live.session import LiveSettings, ViewSettings
         from offpiste.planning.caution import risk_of
         from offpiste.runtime.settings import RuntimeSettings
 

@@ -19,7 +19,6 @@ from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings
 from offpiste.live.supervisor import supervise
-from offpiste.live.viewers.viewer import VIEWERS
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -42,6 +41,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
     if settings.view is not None:
+        from offpiste.live.viewers.viewer import VIEWERS
+
         if lockstep or replay is not None:
             raise LiveError(
                 "only a live drive is shown", where="--view", how="leave it out, or use `offpiste view LOG`"

@@ -14,7 +14,6 @@ from typing import Final, Literal
 from offpiste.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
-from offpiste.live.viewers.viewer import ViewSettings
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -47,6 +46,19 @@ _BEGINS: Final = 60.0
 """A folder without this file is left alone for so long [s]."""
 ROOM: Final = 0.25
 """Shared memory that a drive has to find free [GB]: a process that finds none while it writes is killed."""
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """How a drive is shown.
+
+    Attributes:
+        name: of the viewer, one of `live.viewers.viewer.VIEWERS`.
+        place: where it listens (host:port), or what it writes; the viewer's own default if empty.
+    """
+
+    name: str
+    place: str = ""
 
 
 @dataclass(frozen=True)

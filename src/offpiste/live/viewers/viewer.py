@@ -26,19 +26,6 @@ NUMBERS: Final = {"latencies": "latencies [ms]", "command": "command", "speed": 
 
 
 @dataclass(frozen=True)
-class ViewSettings:
-    """How a drive is shown.
-
-    Attributes:
-        name: of the viewer, one of `VIEWERS`.
-        place: where it listens (host:port), or what it writes; the viewer's own default if empty.
-    """
-
-    name: str
-    place: str = ""
-
-
-@dataclass(frozen=True)
 class ShownPlan:
     """A plan as it is drawn.
 
@@ -159,7 +146,8 @@ def listening_at(place: str) -> tuple[str, int]:
             return host, int(probe.getsockname()[1])
     except OSError as error:
         how = "end the other program, or give another --view-at HOST:PORT"
-        raise LiveError(f"cannot listen there: {error.strerror}", where=place, how=how) from error
+        reason = str(error.strerror).partition(" (")[0]  # Python adds the address, which is said before
+        raise LiveError(f"cannot listen there: {reason}", where=place, how=how) from error
 
 
 def jpeg_of(image: Image) -> bytes:
