@@ -3,11 +3,10 @@
 `python benchmarks/onnx_codes.py LOG [--rig proving_ground] [--images 32] [--turns 15]`. Half of the log's images
 calibrate int8, the others measure. Positions: the 16 drives of the parity file over flat ground whose cells, 1 m wide,
 have the codes of an image's patches, once with those of the float32 graph and once with the others'. Times: one image,
-in turns in one run, medians.
+in turns in one run, medians; processor time counts that of all threads, and others on the machine hardly change it.
 """
 
 import argparse
-import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -93,18 +92,19 @@ def print_times(run: Run, folder: Path, image: Tensor, turns: int) -> None:
     for name in GRAPHS:
         session = onnxruntime.InferenceSession(str(folder / name), providers=["CPUExecutionProvider"])
         ways[f"onnxruntime, `{name}`"] = lambda session=session: session.run(None, {"images": image.numpy()})
-    taken: dict[str, list[float]] = {name: [] for name in ways}
+    clocks = time.perf_counter, time.process_time
+    taken: dict[str, list[list[float]]] = {name: [] for name in ways}
     for turn in range(turns + 2):
         for name, way in ways.items():
-            before = time.perf_counter()
+            before = [clock() for clock in clocks]
             way()
             if turn >= 2:
-                taken[name].append(1e3 * (time.perf_counter() - before))
-    medians = {name: statistics.median(values) for name, values in taken.items()}
+                taken[name].append([1e3 * (clock() - began) for clock, began in zip(clocks, before, strict=True)])
+    medians = {name: np.median(values, axis=0) for name, values in taken.items()}
     first = next(iter(medians.values()))
-    print("| way | median [ms] | of the first |\n|---|---|---|")
-    for name, median in medians.items():
-        print(f"| {name} | {median:.1f} | {median / first:.2f} |")
+    print("| way | time [ms] | processor time [ms] | of the first |\n|---|---|---|---|")
+    for name, (elapsed, used) in medians.items():
+        print(f"| {name} | {elapsed:.0f} | {used:.0f} | {used / first[1]:.2f} |")
 
 
 @torch.no_grad()

@@ -109,6 +109,17 @@ class Nothing:
         raise AssertionError(name)
 
 
+def test_maps_that_are_large_in_different_ways_do_not_take_turns_with_new_buffers():
+    dynamics, _, _ = parts(situation(), "b")
+    planner = DevicePlanner(Nothing(), dynamics, SETTINGS, torch.Generator())
+    wide, deep = (tuple(torch.zeros(n) for n in sizes) for sizes in ((10, 3, 2), (2, 3, 10)))
+    given = torch.zeros(20, 2), torch.zeros(30)
+    first, second = planner._buffers_for(*given, wide), planner._buffers_for(*given, deep)
+    assert second is not first
+    assert planner._buffers_for(*given, wide) is second
+    assert (second.slope.numel(), second.layers.numel()) == (10, 10)
+
+
 def test_what_a_gpu_cannot_do_is_refused():
     at = situation()
     dynamics, _, _ = parts(at, "b")
