@@ -18,6 +18,8 @@ from offpiste.closed_loop.faults import KINDS, Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import OffpisteError
 from offpiste.parallel import usable_cores
+from offpiste.planning.caution import risk_of
+from offpiste.runtime.settings import RuntimeSettings
 
 logger = logging.getLogger("experiments")
 
@@ -42,6 +44,8 @@ class ClosedLoop:
     """Target speed along the courses [m/s]."""
     latencies: tuple[float, ...] = (0.0, 0.3)
     """Latencies of the first dc and the first ceiling, beside 0.1 [s]."""
+    risk: str = "none"
+    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE; all runs then need a spread."""
     keep_logs: bool = False
     """Keep the log of every drive: 150 MB each."""
     cards: bool = False
@@ -64,7 +68,10 @@ class ClosedLoop:
             raise OffpisteError(f"{self.courses} courses", where="--courses", how="give 1 or more")
         planners = [load_planner(run, self.pca) for run in self.runs]
         settings = CourseDriveSettings(
-            seconds=self.seconds, course=CourseSettings(speed=self.speed), keep_log=self.keep_logs
+            seconds=self.seconds,
+            course=CourseSettings(speed=self.speed),
+            runtime=RuntimeSettings(risk=risk_of(self.risk)),
+            keep_log=self.keep_logs,
         )
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
         drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores())

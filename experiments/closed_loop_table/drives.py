@@ -35,7 +35,7 @@ WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 NEEDED: Final = ("world", "seed", "modes", "final_speed_mps", *MEASURES, *COUNTED)
 """What is read from results."""
 
-NEWER: Final = ("fault_start", "sensors", "weights_sha256")
+NEWER: Final = ("fault_start", "sensors", "weights_sha256", "novelty")
 """Older results lack these; they are compared where they are known, so that no drive is lost."""
 
 
