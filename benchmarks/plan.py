@@ -3,8 +3,9 @@
 `python benchmarks/plan.py [--threads 2] [--samples 256 1024 4096] [--seconds 20] [--skip compiled] [--plan-alone]`.
 All read the same map (600 x 600 cells of 0.2 m, waves), with the same dynamics and the same cost. pytorch_mppi calls
 dynamics and cost step by step, so its cost is `driving_cost.terms_after` of one step. Planners take turns, so that what
-else the machine does meets all alike; a line has the median and the best time, the processor's time [ms], how many times as long as the
-fused one (median over turns; in brackets by the processor's time), and the share of costs within 1 % of eager.
+else the machine does meets all alike; a line has the median and the best time, the processor's time [ms], how many
+times as long as the fused one (median over turns; in brackets by the processor's time), and the share of costs within
+1 % of eager.
 
 `--cycle RUN --pca FILE` drives a run for some seconds on the proving ground instead, and prints the stages of its run
 time.
