@@ -94,7 +94,7 @@ class LiveFaults:
                     return
                 self._keep(outcome)
                 logger.info(f"{fault.name}: stop after {outcome.stopped_s:.2f} s, {outcome.named or 'not named'}")
-                if not outcome.resumed or fault.name.startswith("a full disk") or "record" in fault.name:
+                if not outcome.resumed or fault.ends_recording:
                     return
         finally:
             bench.end()
@@ -116,7 +116,7 @@ class LiveFaults:
         """Faults that are still to be made; those that end a drive come last."""
         made = {(one.fault, one.repetition) for one in self._outcomes()}
         left = [(one, k) for k in range(self.repetitions) for one in wanted if (one.name, k) not in made]
-        return sorted(left, key=lambda pair: "record" in pair[0].name)
+        return sorted(left, key=lambda pair: pair[0].ends_recording)
 
     def _outcomes(self) -> list[Outcome]:
         return list(_read(self.out / "outcomes.csv"))
@@ -155,8 +155,17 @@ def readable(log: str) -> bool:
 
 def tabulate(outcomes: Sequence[Outcome], folder: Path) -> Table:
     """What came of each fault; also as table.md."""
-    columns = ("fault", "times", "stop heard after, median / worst (s)", "drove on", "named", "resumed", "log readable")
-    rows = []
+    columns = (
+        "fault",
+        "times",
+        "has to stop",
+        "stop heard after, median / worst (s)",
+        "drove on",
+        "named",
+        "resumed",
+        "log readable",
+    )
+    rows, has_to_stop = [], {fault.name for fault in faults() if fault.stops}
     logs = {log: readable(log) for log in {one.log for one in outcomes}}
     for name in dict.fromkeys(one.fault for one in outcomes):
         of = [one for one in outcomes if one.fault == name]
@@ -164,7 +173,15 @@ def tabulate(outcomes: Sequence[Outcome], folder: Path) -> Table:
         stop = f"{np.median(times):.2f} / {max(times):.2f}" if times else ""
         shares = [len(of) - len(times), *(sum(map(bool, flags)) for flags in zip(
             *((one.named, one.resumed, logs[one.log]) for one in of), strict=True))]  # fmt: skip
-        rows.append((name, str(len(of)), stop, *(f"{share}/{len(of)}" for share in shares)))
+        rows.append(
+            (
+                name,
+                str(len(of)),
+                "yes" if name in has_to_stop else "",
+                stop,
+                *(f"{share}/{len(of)}" for share in shares),
+            )
+        )
     lines = [columns, ("---",) * len(columns), *rows]
     (folder / "table.md").write_text("".join(f"| {' | '.join(line)} |\n" for line in lines), "utf-8")
     table = Table(*columns, box=None)

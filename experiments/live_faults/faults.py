@@ -26,12 +26,14 @@ class Fault:
     Attributes:
         named: what a new line of the diagnostics has to hold.
         stops: whether the vehicle has to be stopped; else it may drive on.
+        ends_recording: after it, another drive is begun.
     """
 
     name: str
     inject: Inject
     named: str
     stops: bool = False
+    ends_recording: bool = False
 
 
 def faults() -> list[Fault]:
@@ -53,7 +55,7 @@ def faults() -> list[Fault]:
         Fault("the clock jumps by 100 s and back", _clock_jumps, "the clock jumped", stops=True),
         Fault("a corrupt message", _corrupt, "cannot be decoded"),
         Fault("a wrong type hash", _wrong_hash, "its hash differs"),
-        Fault("a full disk under --record", _full_disk, r"^record: ended"),
+        Fault("a full disk under --record", _full_disk, r"^record: ended", ends_recording=True),
         Fault("a second commander for 0.5 s", _second_commander, "another publisher", stops=True),
         Fault("no more memory for receive", _no_memory("receive"), r"^receive: (restarts|ended)", stops=True),
     ]

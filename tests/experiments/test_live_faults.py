@@ -50,5 +50,5 @@ def test_the_table_counts_stops_names_and_logs(tmp_path):
     rows = [
         [cell.strip() for cell in line.split("|")[1:-1]] for line in (tmp_path / "table.md").read_text().splitlines()
     ]
-    assert rows[2] == ["a", "2", "0.20 / 0.30", "0/2", "1/2", "1/2", "0/2"]
-    assert rows[3] == ["b", "1", "", "1/1", "1/1", "1/1", "0/1"]
+    assert rows[2] == ["a", "2", "", "0.20 / 0.30", "0/2", "1/2", "1/2", "0/2"]
+    assert rows[3] == ["b", "1", "", "", "1/1", "1/1", "1/1", "0/1"]
