@@ -19,6 +19,9 @@ class ResidentCells:
     Args:
         cells: of the drives, in the order of their rows.
         device: where they go.
+
+    Attributes:
+        sets: how many feature sets there are.
     """
 
     def __init__(self, cells: Sequence[Cells], device: torch.device) -> None:
@@ -26,24 +29,19 @@ class ResidentCells:
         numbers = [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, first[:-1], strict=True)]
         self._index = torch.from_numpy(np.concatenate(numbers).astype(np.int64)).to(device)
         self._valid = torch.from_numpy(np.concatenate([c.valid for c in cells], axis=1)).to(device)
-        sets, _, channels = cells[0].features.shape
-        self._features = torch.empty(sets, int(first[-1]), channels, dtype=torch.float16, device=device)
+        self.sets, _, channels = cells[0].features.shape
+        self._features = torch.empty(self.sets, int(first[-1]), channels, dtype=torch.float16, device=device)
         for c, begin, end in zip(cells, first[:-1], first[1:], strict=True):
             self._features[:, begin:end] = torch.from_numpy(np.array(c.features))
-
-    @property
-    def sets(self) -> int:
-        """How many feature sets there are."""
-        return len(self._valid)
 
     def under(
         self, rows: Int[np.ndarray, "B R"], feature_set_choice: FeatureSetChoice, history: int = 0
     ) -> FeaturesUnderWheels:
         """Features of the cells under the wheels at rows (`CellTable.under`)."""
-        device, (sets, cells, channels) = self._features.device, self._features.shape
+        device, (_, cells, channels) = self._features.device, self._features.shape
         cell = self._index[torch.from_numpy(rows).to(device)]
         chosen = torch.from_numpy(np.ascontiguousarray(feature_set_choice.features)).to(device)[..., None]
-        nowhere = sets * cells
+        nowhere = self.sets * cells
         key = torch.where(cell >= 0, chosen * cells + cell, nowhere)
         distinct, number = torch.unique(torch.cat((key.flatten(), key.new_tensor([nowhere]))), return_inverse=True)
         touched = distinct[:-1]  # the last one is nowhere

@@ -89,7 +89,7 @@ class Actuators(nn.Module):
         """Recurrent state of the residuals after the history."""
         inputs = self.residual_inputs(history.actuators, history.control, history.state[..., 3])
         started = [self.networks[name].start(value) for name, value in inputs.items()]
-        nothing = history.state.new_zeros(len(history.state), 0)
+        nothing = history.state[:, 0, :0]  # len() would fix the batch of a traced graph
         return (
             torch.cat([nothing, *(hidden for hidden, _ in started)], dim=-1),
             torch.cat([nothing, *(cell for _, cell in started)], dim=-1),

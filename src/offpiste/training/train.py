@@ -96,8 +96,7 @@ def train(
     if vehicle.actuators:
         lags = initial_actuators(vehicle, config.seed).to(device)
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
-        _freeze(reference, lags)
-        _freeze(dynamics, lags)
+        _freeze(lags, reference, dynamics)
     scale = loss_scale(reference, windows, config)
     weights = torch.tensor(config.weights.in_order(), device=device)
     weigh = speed_weights(windows, config.relative)
@@ -249,11 +248,12 @@ def _refuse_ground(batch: Batch) -> None:
         raise TrainingError("valid terrain features of the dataset are not finite", how="extract it again")
 
 
-def _freeze(dynamics: Dynamics, fitted: nn.Module) -> None:
-    """Put the fitted actuator models into a model and keep them from training."""
-    if dynamics.actuators is not None:
-        dynamics.actuators.load_state_dict(fitted.state_dict())
-        dynamics.actuators.requires_grad_(False)
+def _freeze(fitted: nn.Module, *models: Dynamics) -> None:
+    """Put the fitted actuator models into models and keep them from training."""
+    for actuators in (model.actuators for model in models):
+        if actuators is not None:
+            actuators.load_state_dict(fitted.state_dict())
+            actuators.requires_grad_(False)
 
 
 def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
