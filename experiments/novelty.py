@@ -155,8 +155,10 @@ def held_out_rows(looks: dict[str, Looks], settings: NoveltySettings) -> list[di
     """A row for each kind of ground that the test part has enough of and each feature set, the kind held out."""
     rows, test = list[dict[str, Any]](), looks["test"]
     for held, kind in enumerate(GROUND_KINDS):
-        known = [looks[part].where((looks[part].kind != held) & (looks[part].kind >= 0)) for part in PARTS[:2]]
-        familiar = fit_familiar(*known, settings)
+        training, validation = (
+            looks[part].where((looks[part].kind != held) & (looks[part].kind >= 0)) for part in PARTS[:2]
+        )
+        familiar = fit_familiar(training, validation, settings)
         for seen_from in np.unique(test.seen_from):
             compared = (test.kind >= 0) & (test.seen_from == seen_from)
             positive = test.kind[compared] == held

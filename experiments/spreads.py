@@ -197,8 +197,9 @@ def widened(deviation: Float[np.ndarray, "N K 2"], error: Float[np.ndarray, "N K
 
     def loss(logarithms: np.ndarray) -> float:
         way = widening(logarithms)
-        given = (torch.from_numpy(np.asarray(part, np.float64)) for part in (error, way.scale(deviation)))
-        return float(negative_log_likelihood(*given, torch.tensor(way.freedom, dtype=torch.float64)).mean())
+        error_there, scale = (torch.from_numpy(np.asarray(part, np.float64)) for part in (error, way.scale(deviation)))
+        freedom = torch.tensor(way.freedom, dtype=torch.float64)
+        return float(negative_log_likelihood(error_there, scale, freedom).mean())
 
     return widening(minimize(loss, np.log([1.0, 0.3, 3.0]), method="Nelder-Mead").x)
 

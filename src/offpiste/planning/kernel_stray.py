@@ -75,8 +75,8 @@ def stray_weights(caution: Caution | None, vehicle: Vehicle, codes: int) -> Stra
     outer = nn.functional.pad(last.weight, (0, 0, 0, 2))
     start = nn.functional.softplus(spread.start).square()
     parts = inner, first.bias - scaled @ spread.mean, outer, last.bias, start
-    reach = f4(caution.reach * float(spread.factor))
-    return StrayWeights(*(part.float().contiguous().numpy() for part in parts), reach)
+    matrix, bias, out, out_bias, variance = (part.float().contiguous().numpy() for part in parts)
+    return StrayWeights(matrix, bias, out, out_bias, variance, f4(caution.reach * float(spread.factor)))
 
 
 @PLANNING.maker

@@ -42,7 +42,7 @@ class NoveltySettings:
 
     looks: int = 1024
     neighbours: int = 3
-    power: float = 0.5
+    power: float = 0.0
     known: float = 0.99
     candidates: int = 20_000
     seed: int = 0
