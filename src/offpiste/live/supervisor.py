@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from offpiste.closed_loop.planner import Planner
 from offpiste.live.packing import layers_from, plan_from, unpacked
-from offpiste.live.parts.entry import run_part
+from offpiste.live.parts.entry import SAID, run_part
 from offpiste.live.parts.setup import LOADING
 from offpiste.live.reports import (
     DIAGNOSTICS,
@@ -134,7 +134,7 @@ class Supervisor:
                 self.restarts[name] += 1
                 self._again[name] = time.monotonic() + min(0.1 * self.restarts[name], 2.0)
                 self._start(name)
-            how = values.get("state", code) if code == 1 else code
+            how = values.get("state", code) if code == SAID else code
             return ERROR, f"ended with {how}, and is started again", about
         if newest is None or values.get("pid") != process.pid:
             return WARN, "starts", about

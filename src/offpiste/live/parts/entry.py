@@ -10,15 +10,18 @@ from offpiste.live.session import Session
 _NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10, "view": 10}
 """How much other processes come first: where there are few cores, control is not held up."""
 
+SAID = 3
+"""Exit code of a process whose last state says why it ended."""
+
 
 def run_part(name: str, session: Session, cameras: bool) -> None:
-    """Run a process to its end; an error of ours becomes its last state, and its exit code 1."""
+    """Run a process to its end; an error of ours becomes its last state, and its exit code `SAID`."""
     os.nice(_NICE.get(name, 0))
     try:
         _run(name, session, cameras)
     except OffpisteError as error:
         Part(name, session).end_with(str(error))
-        sys.exit(1)
+        sys.exit(SAID)
 
 
 def _run(name: str, session: Session, cameras: bool) -> None:
