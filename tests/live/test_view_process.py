@@ -72,7 +72,7 @@ def test_a_drive_is_shown_by_a_process_that_holds_nobody_up_and_is_started_again
 
 def test_a_taken_port_is_said_as_the_reason(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken, closing(Drive(tmp_path, taken.getsockname()[1])) as drive:
-        said = f"ended with 127.0.0.1:{drive.port}: cannot listen there: Address already in use; "
+        said = f"ended with 1 (127.0.0.1:{drive.port}: cannot listen there: Address already in use; "
         states = []
         assert until(lambda: (states.append(drive.state()[1]), states[-1].startswith(said))[1], 120), states[-1]
-        assert states[-1].endswith(", and is started again")
+        assert states[-1].endswith("), and is started again")
