@@ -142,6 +142,28 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path):
         assert until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), 30)
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
+    said = tmp_path / "said.txt"
+    with closing(Network()) as network, said.open("w") as file:
+        command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), "--run", RUN, "--endpoint",
+                   network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]  # fmt: skip
+        live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+        assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
+        children = _descendants(live.pid)
+        os.killpg(live.pid, number)
+        assert live.wait(30) == 0, said.read_text()
+        assert until(lambda: not any(runs(pid) for pid in children), 5)
+        assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
+        assert "Traceback" not in said.read_text()
+
+
+def runs(pid):
+    """Whether a process runs: one that has ended and was not waited for does not."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
 def _descendants(pid):
     found, border = [], [pid]
     while border:

@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from live.made_up_robot import ENABLE, write_course, write_rig
+from live.test_all_processes import runs
 from live.test_supervisor import RUN, Drive, first_stop
 from offpiste.errors import LiveError
 from offpiste.live.commands import run_live
@@ -138,14 +139,23 @@ def test_where_the_server_of_the_processes_dies_no_process_runs_twice(moving):
     server = int(Path(f"/proc/{before[0]}/stat").read_text().rpartition(")")[2].split()[1])
     os.kill(server, signal.SIGKILL)
     assert until(lambda: (moving.run(0.2), moving.supervisor.restarts)[1] == {"control": 1, "watchdog": 1}, 60)
-    assert until(lambda: not any(_runs(pid) for pid in before), 5)
+    assert until(lambda: not any(runs(pid) for pid in before), 5)
     del moving.heard[:]
     assert moving.drives(60)
 
 
-def _runs(pid):
-    stat = Path(f"/proc/{pid}/stat")
-    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_the_stop_is_sent_at_the_end_though_the_server_of_the_processes_is_gone(moving, number):
+    assert moving.drives(), moving.supervisor.look()
+    server = int(Path(f"/proc/{moving.pid('control')}/stat").read_text().rpartition(")")[2].split()[1])
+    os.kill(server, number)
+    time.sleep(0.1)
+    moment = time.monotonic()
+    moving.supervisor.end()
+    time.sleep(0.1)
+    stops = [after for after, drive in moving.since(moment) if drive.acceleration < 0]
+    assert stops[-1] - stops[0] > 0.9
+    assert moving.heard[-1][1].acceleration < 0
 
 
 def test_the_switch_is_heard_over_the_bridge_by_the_type_in_the_rig(tmp_path):

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from multiprocessing import connection, resource_tracker
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
@@ -48,6 +49,7 @@ _LOADS: Final = 600.0
 _SAY: Final = 1.0
 """States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Supervisor:
@@ -127,8 +129,8 @@ class Supervisor:
         """Wait for processes to end; end those that do not."""
         until = time.monotonic() + seconds
         for name in names:
-            if name in self._processes:
-                self._processes[name].join(max(until - time.monotonic(), 0.0))
+            if name in self._handles:  # and not `join`, which returns at once where the server that forked it is gone
+                connection.wait([self._handles[name]], max(until - time.monotonic(), 0.0))
                 self._kill(name)
 
     def _start(self, name: str) -> None:
@@ -136,7 +138,12 @@ class Supervisor:
         process = self._context.Process(
             target=run_part, args=(name, self._session, self._cameras), name=f"offpiste {name}", daemon=True
         )
-        process.start()
+        resource_tracker.ensure_running()  # it would unblock them
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        try:  # the server and its processes are born with these blocked, and outlive a signal to all at once
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         self._processes[name], self._started[name] = process, time.monotonic()
         with suppress(ProcessLookupError):  # it has ended already
             self._handles[name] = os.pidfd_open(process.pid or 0)
@@ -220,7 +227,7 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
 def _asked_to_end() -> Iterator[threading.Event]:
     """Set once a service manager (SIGTERM) or a terminal that is gone (SIGHUP) ends the drive; Ctrl-C raises."""
     asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    before = {number: signal.getsignal(number) for number in _ENDING}
     for number in (signal.SIGTERM, signal.SIGHUP):
         if before[number] != signal.SIG_IGN:  # as nohup sets it
             signal.signal(number, lambda *_: asked.set())
