@@ -33,6 +33,11 @@ class RclpySettings:
 
     run: str = field(default_factory=lambda: f"offpiste_{os.urandom(4).hex()}")
 
+    @property
+    def says_types(self) -> bool:
+        """Whether publishers have it: always."""
+        return True
+
     def require(self) -> None:
         """Check that the workspace is sourced."""
         if not is_installed("rclpy"):

@@ -95,7 +95,7 @@ def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
         how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
         raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
     enable = rig.live.enable
-    if enable is not None and settings.robot.keys == "bridge" and enable.topic not in rig.live.types:
+    if enable is not None and not settings.robot.says_types and enable.topic not in rig.live.types:
         how = (
             f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the keys of the bridge do not say it'
         )

@@ -32,7 +32,7 @@ from offpiste.simulation.simulate import drive
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
-from offpiste.transport.interface import Received
+from offpiste.transport.interface import Received, Transport
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
 logger = logging.getLogger(__name__)
@@ -86,13 +86,13 @@ class SimulatedSensors:
         left_out, published: number of measurements.
     """
 
-    def __init__(self, world: World, suite_name: str, seed: int, transport: ZenohTransport) -> None:
+    def __init__(self, world: World, suite_name: str, seed: int, transport: Transport) -> None:
         self.suite, self._transport = sensor_suite(suite_name), transport
         self._sensing = Sensing(world, self.suite, np.random.default_rng([seed, 2]))
         self._publish: dict[str, Any] = {}
         self._waiting: queue.SimpleQueue[VehicleSample | None] = queue.SimpleQueue()
         self.left_out = self.published = 0
-        self._latest = 0.0
+        self._latest, self._ends = 0.0, False
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -102,12 +102,13 @@ class SimulatedSensors:
         self._waiting.put(sample)
 
     def end(self) -> None:
-        """End the thread."""
+        """End the thread; what waits is not measured any more."""
+        self._ends = True
         self._waiting.put(None)
-        self._thread.join(5.0)
+        self._thread.join()
 
     def _work(self) -> None:
-        while (sample := self._waiting.get()) is not None:
+        while (sample := self._waiting.get()) is not None and not self._ends:
             if self._latest - sample.time > _BEHIND:
                 self.left_out += self._sensing.pass_by(sample)
                 continue
@@ -126,7 +127,7 @@ class SimulatedRobot:
         sensors: profile of `simulation.sensors`.
     """
 
-    def __init__(self, transport: ZenohTransport, world: World, chosen: ChosenCourse, sensors: str, seed: int) -> None:
+    def __init__(self, transport: Transport, world: World, chosen: ChosenCourse, sensors: str, seed: int) -> None:
         self._transport, self.world, self.chosen = transport, world, chosen
         self._rig, self._parameters = load_rig("proving_ground"), load_vehicle()
         self.commands = RemoteCommands()
@@ -144,21 +145,23 @@ class SimulatedRobot:
         end, due = self.chosen.course.driven[-1], time.monotonic()
         steps = round(seconds / DT)
         run = drive(self.world, self._parameters, self.chosen.start, self.commands, steps=steps)
-        for _, sample in zip(track(range(steps), "simulate"), run, strict=False):
-            samples.append(sample)
-            self._publish_vehicle(sample)
-            self._sensors.measure(sample)
-            moving = float(np.hypot(*sample.velocity[:2])) > 0.1
-            there = not moving and np.linalg.norm(sample.position[:2] - end) < _NEAR
-            stands = stands + DT if there else 0.0
-            if stands > _STANDS:
-                break
-            due += DT
-            if time.monotonic() - due > 5 * DT:  # simulated time falls behind rather than hurry after
-                slow += time.monotonic() - due
-                due = time.monotonic()
-            time.sleep(max(due - time.monotonic(), 0.0))
-        self._sensors.end()
+        try:
+            for _, sample in zip(track(range(steps), "simulate"), run, strict=False):
+                samples.append(sample)
+                self._publish_vehicle(sample)
+                self._sensors.measure(sample)
+                moving = float(np.hypot(*sample.velocity[:2])) > 0.1
+                there = not moving and np.linalg.norm(sample.position[:2] - end) < _NEAR
+                stands = stands + DT if there else 0.0
+                if stands > _STANDS:
+                    break
+                due += DT
+                if time.monotonic() - due > 5 * DT:  # simulated time falls behind rather than hurry after
+                    slow += time.monotonic() - due
+                    due = time.monotonic()
+                time.sleep(max(due - time.monotonic(), 0.0))
+        finally:  # also at Ctrl-C: what measures must not outlive the pools that it uses
+            self._sensors.end()
         if slow > 0.05 * len(samples) * DT:
             logger.warning(f"this machine is too slow: simulated time fell behind by {slow:.1f} s")
         if self._sensors.left_out:

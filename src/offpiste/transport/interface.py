@@ -103,6 +103,11 @@ class Transport(Protocol):
 class RobotSettings(Protocol):
     """How a robot is reached. Each process of a drive is sent them, and connects by itself: they can be pickled."""
 
+    @property
+    def says_types(self) -> bool:
+        """Whether a message's type comes with it, or with its publisher; else the rig has to say it."""
+        ...
+
     def require(self) -> None:
         """Check that what it needs is installed.
 

@@ -55,6 +55,11 @@ class ZenohSettings:
     node: str = "offpiste"
     identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))
 
+    @property
+    def says_types(self) -> bool:
+        """Whether the keys have it (see `RobotSettings`)."""
+        return self.keys != "bridge"
+
     def require(self) -> None:
         """Check that the extra `live` is installed (see `RobotSettings`)."""
         require("live", "zenoh")

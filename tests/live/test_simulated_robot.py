@@ -1,0 +1,96 @@
+"""The proving ground as a robot: what it sends, which commands it takes, and that nothing of it is left at the end."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from offpiste.closed_loop.courses import choose_course
+from offpiste.live import simulated_robot
+from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
+from offpiste.logs.ros.writer import header, make
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
+from offpiste.transport.interface import Received
+from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.tally import Tally
+
+WORLD = WorldSettings("dunes", 5, size=200.0, resolution=0.5)
+
+
+class Recorded:
+    """A transport that keeps what is published, by topic."""
+
+    identity = b"recorded"
+
+    def __init__(self):
+        self.sent, self.heard, self.refused, self.types = {}, {}, Tally(), MessageTypes()
+
+    def publisher(self, topic, msgtype, *, keep=False):
+        return self.sent.setdefault(topic, []).append
+
+    def subscribe(self, topic, deliver, **_):
+        self.heard[topic] = deliver
+
+    def decode(self, message):
+        return self.message
+
+    def topics(self):
+        return {}
+
+    def routers(self):
+        return 1
+
+    def close(self):
+        pass
+
+
+@pytest.fixture(scope="module")
+def place():
+    world = make_world(WORLD)
+    return world, choose_course(world, WORLD.seed)
+
+
+def threads():
+    return {thread for thread in threading.enumerate() if thread.is_alive() and "_work" in thread.name}
+
+
+def test_it_sends_readings_sensors_clock_and_course_and_takes_commands(place):
+    transport, before = Recorded(), threads()
+    robot = SimulatedRobot(transport, *place, "light", 0)
+    (deliver,) = transport.heard.values()
+    axes, buttons = np.array((0.4, 0.0, 0.1)), np.zeros(0, np.int32)
+    transport.message = make("sensor_msgs/Joy", header=header(0, ""), axes=axes, buttons=buttons)
+    deliver(Received("/command", "sensor_msgs/msg/Joy", b"", 0.0))
+    driving = robot.drive(0.5)
+    assert len(driving.samples) == 25
+    for topic in ("/odometry", "/clock"):
+        assert len(transport.sent[topic]) == 25
+    assert len(transport.sent[COURSE][0].poses) == len(place[1].course.driven)
+    assert transport.sent["/tf_static"]
+    np.testing.assert_allclose(robot.commands.given[0][:3], (0.4, 0.0, 0.1))
+    assert threads() == before
+
+
+@pytest.mark.parametrize("axes", [(), (0.1,), (np.nan, 0.0, 0.0)])
+def test_what_is_no_command_is_left_out(axes, place):
+    commands = RemoteCommands()
+    commands.received(np.array(axes))
+    robot = SimulatedRobot(Recorded(), *place, "light", 0)
+    robot.commands = commands
+    robot.drive(0.02)
+    np.testing.assert_allclose(commands.given, [(0.0, 1.0, 0.0)])
+
+
+def test_an_interrupted_drive_leaves_no_thread_behind(place, monkeypatch):
+    before = threads()
+    robot = SimulatedRobot(Recorded(), *place, "light", 0)
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulated_robot, "track", interrupted)
+    assert threads() > before
+    with pytest.raises(KeyboardInterrupt):
+        robot.drive(1.0)
+    assert threads() == before
