@@ -3,6 +3,7 @@
 import itertools
 import os
 import subprocess
+import sys
 
 import pytest
 
@@ -176,3 +177,17 @@ def test_tls_with_certificates_of_both_sides(tmp_path):
             ZenohTransport(ZenohSettings(config=configuration(tmp_path, port, "client", "")))
     finally:
         router.close()
+
+
+@pytest.mark.skipif(not os.path.isdir("/dev/shm"), reason="no /dev/shm here")
+def test_a_killed_session_leaves_no_shared_memory(network):
+    code = f"""
+import os
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+transport = ZenohTransport(ZenohSettings(endpoint="{network.endpoint}"))
+os.kill(os.getpid(), 9)
+"""
+    before = {name for name in os.listdir("/dev/shm") if name.endswith(".zenoh")}
+    done = subprocess.run([sys.executable, "-c", code], check=False)
+    assert done.returncode == -9
+    assert {name for name in os.listdir("/dev/shm") if name.endswith(".zenoh")} <= before

@@ -260,7 +260,7 @@ def _opened(zenoh: Any, settings: ZenohSettings) -> Any:
         _configure(config, settings)
         return zenoh.open(config)
     except (zenoh.ZError, ValueError, OSError) as error:
-        reason = " ".join(str(error).split())[:200]
+        reason = " ".join(str(error).split(" at /")[0].split())[:200]  # without the place in zenoh's own source
         if settings.mode == "router":
             raise TransportError(f"cannot be a router there: {reason}", where=where, how="end the other one") from error
         how = "start the robot's router (ros2 run rmw_zenoh_cpp rmw_zenohd), or give --router"
@@ -275,6 +275,7 @@ def _configure(config: Any, settings: ZenohSettings) -> None:
     if not settings.config:
         config.insert_json5("scouting/multicast/enabled", "false")
         config.insert_json5("scouting/gossip/enabled", "false")
+        config.insert_json5("transport/shared_memory/enabled", "false")  # unused, and what is killed leaves files of it
         config.insert_json5("timestamping/enabled", "true")  # publishers that keep their last message need it
         config.insert_json5("listen/endpoints", "[]")
         config.insert_json5("connect/endpoints", "[]")
