@@ -4,6 +4,7 @@ import itertools
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,7 @@ from transport.routers import Network, free_port, network, until
 
 __all__ = ["network"]
 STRING = "std_msgs/msg/String"
+SHARED = Path("/dev/shm")
 
 
 def text(data):
@@ -179,7 +181,7 @@ def test_tls_with_certificates_of_both_sides(tmp_path):
         router.close()
 
 
-@pytest.mark.skipif(not os.path.isdir("/dev/shm"), reason="no /dev/shm here")
+@pytest.mark.skipif(not SHARED.is_dir(), reason="no /dev/shm here")
 def test_a_killed_session_leaves_no_shared_memory(network):
     code = f"""
 import os
@@ -187,7 +189,7 @@ from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 transport = ZenohTransport(ZenohSettings(endpoint="{network.endpoint}"))
 os.kill(os.getpid(), 9)
 """
-    before = {name for name in os.listdir("/dev/shm") if name.endswith(".zenoh")}
+    before = set(SHARED.glob("*.zenoh"))
     done = subprocess.run([sys.executable, "-c", code], check=False)
     assert done.returncode == -9
-    assert {name for name in os.listdir("/dev/shm") if name.endswith(".zenoh")} <= before
+    assert set(SHARED.glob("*.zenoh")) <= before
