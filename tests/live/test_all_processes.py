@@ -14,6 +14,7 @@ import pytest
 from live.made_up_robot import START, cloud, odometry, small_settings, tree, write_course, write_rig
 from offpiste.cli import main
 from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.part import AFTER
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.supervisor import Supervisor
@@ -146,14 +147,15 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path):
 def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
     said = tmp_path / "said.txt"
     with closing(Network()) as network, said.open("w") as file:
-        command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), "--run", RUN, "--endpoint",
-                   network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]  # fmt: skip
+        options = ["--run", RUN, "--endpoint", network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]
+        heeding = ["env", "--default-signal=HUP"]  # also where the tests run under nohup
+        command = [*heeding, sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), *options]
         live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
         assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
         children = _descendants(live.pid)
         os.killpg(live.pid, number)
         assert live.wait(30) == 0, said.read_text()
-        assert until(lambda: not any(runs(pid) for pid in children), 5)
+        assert until(lambda: not any(runs(pid) for pid in children), AFTER + 5)
         assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
         assert "Traceback" not in said.read_text()
 
