@@ -16,16 +16,18 @@ import torch
 from live.made_up_robot import ENABLE, write_course, write_rig
 from live.test_all_processes import runs
 from live.test_supervisor import RUN, Drive, first_stop
-from offpiste.errors import LiveError
+from offpiste.errors import LiveError, PlanningError
 from offpiste.live.commands import run_live
 from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
 from offpiste.live.part import STAMP
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.logs.ros.writer import make
+from offpiste.planning.caution import AddSpread
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import until
 
@@ -191,6 +193,14 @@ def test_options_that_would_do_nothing_are_refused(tmp_path, changed, options, w
     given = {"lockstep": False, "replay": None, "commands": None} | options
     with pytest.raises(LiveError, match=what):
         run_live(LiveSettings(rig, RUN, None, course, **changed), **given)
+
+
+def test_a_risk_that_needs_a_spread_is_refused_before_anything_starts(tmp_path):
+    course, runtime = CourseRequest(write_course(tmp_path)), RuntimeSettings(risk=AddSpread())
+    with pytest.raises(PlanningError, match="needs a spread"):
+        run_live(
+            LiveSettings(write_rig(tmp_path), RUN, None, course, runtime), lockstep=False, replay=None, commands=None
+        )
 
 
 LEFT = """

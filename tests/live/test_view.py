@@ -196,6 +196,9 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path, capsys):
     live = ("live", write_rig(tmp_path), "--run", RUN, "--course", write_course(tmp_path))
     assert "no viewer 'foxglov'; did you mean 'foxglove'?" in refused(capsys, *live, "--view", "foxglov")
     assert "only a live drive is shown" in refused(capsys, *live, "--view", "rerun", "--lockstep")
+    assert "would show nothing; give --view, too" in refused(capsys, *live, "--view-at", "drive.rrd")
+    (there := tmp_path / "there.rrd").write_bytes(b"")
+    assert "exists already" in refused(capsys, *live, "--view", "rerun", "--view-at", str(there))
     with pytest.raises(LiveError, match="is no host and port"):
         listening_at("8765")
     with listening_socket() as port, pytest.raises(LiveError, match="cannot listen there"):

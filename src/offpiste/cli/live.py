@@ -67,12 +67,15 @@ class Live:
 
     def run_on(self, robot: "RobotSettings") -> int:
         """The same over another transport, without the options of `robot`."""
+        from offpiste.errors import LiveError
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings, ViewSettings
         from offpiste.planning.caution import risk_of
         from offpiste.runtime.settings import RuntimeSettings
 
+        if self.view_at and not self.view:
+            raise LiveError(f"{self.view_at} would show nothing", where="--view-at", how="give --view, too")
         run_live(
             LiveSettings(
                 self.rig,

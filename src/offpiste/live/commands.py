@@ -19,6 +19,7 @@ from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings
 from offpiste.live.supervisor import supervise
+from offpiste.planning.caution import caution_of
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -38,6 +39,7 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
     _refuse_driving(settings, rig)
+    caution_of(settings.runtime.risk, planner.spread)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
     if settings.view is not None:
@@ -49,6 +51,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
             )
         if package := VIEWERS[settings.view.name].package:
             require("view", package, otherwise="leave out --view")
+        if settings.view.place and Path(settings.view.place).exists():
+            raise LiveError("exists already", where=settings.view.place, how="remove it, or give another name")
     if settings.record is not None and settings.record.exists():
         raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)

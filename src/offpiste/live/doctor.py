@@ -203,7 +203,13 @@ class _Listener:
         if topic in self._static:
             return Finding("ok", f"{topic}: {kind}")
         age, rate = float(np.median(heard.ages)), len(heard.times) / seconds
-        what = f"{topic}: {kind}, {rate:.1f} a second, {1e3 * age:.0f} ms old"
-        if clock == "system" and not -0.05 < age < _OLD:
-            return Finding("error", f"{what}: synchronise the clocks (chrony), or give --clock stamps")
+        what = f"{topic}: {kind}, {rate:.1f} a second"
+        if clock != "system":
+            return Finding("ok", what)
+        what += f", {1e3 * age:.0f} ms old"
+        if not -0.05 < age < _OLD:
+            how = (
+                "synchronise the clocks (chrony), or give --clock stamps; for a simulator or a played log --clock clock"
+            )
+            return Finding("error", f"{what}: {how}")
         return Finding("ok", what)
