@@ -194,7 +194,8 @@ class _Listener:
 
     def _of(self, topic: str, seconds: float, clock: Source, others: dict[str, str]) -> Finding:
         if topic not in self._heard:
-            near = "" if topic in others else did_you_mean(topic, others)
+            free = [other for other in others if other not in self._heard]  # what is heard is of another channel
+            near = "" if topic in others else did_you_mean(topic, free)
             there = f"; {near}" if near else "" if topic not in others else f"; it is published, as {others[topic]}"
             optional = topic in self._optional or topic in self._commands
             return Finding("warning" if optional else "error", f"{topic}: nothing heard{there}")

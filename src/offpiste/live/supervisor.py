@@ -113,7 +113,8 @@ class Supervisor:
             said, at = self._said.get(name, ("", 0.0))
             if said != state and now - at > _SAY:
                 self._said[name] = state, now
-                (logger.info if level == OK else logger.warning)(f"{name}: {state}")
+                begins = state in ("starts", LOADING) or state.startswith("waits")
+                (logger.info if level == OK or begins else logger.warning)(f"{name}: {state}")
 
     def end(self) -> None:
         """End all processes: control and the watchdog once the vehicle is at a standstill, then the others."""
