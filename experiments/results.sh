@@ -88,14 +88,20 @@ controls() {
 }
 
 closed_loop() {
-    local runs=("$out"/evening/runs/{parametric,b,dc}-{0,1,2} "$out"/evening-controls/oracle/runs/df-{0,1,2})
+    local runs=("$out"/laptop/runs/{parametric,b,dc}-{0,1,2} "$out"/controls/oracle/runs/df-{0,1,2})
+    step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
+    step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
+        --courses 20 --test --out "$out/closed-loop"
+    step faults python -m experiments.closed_loop_table --runs "$out/laptop/runs/dc-0" --pca "$out/laptop/pca.safetensors" \
+        --faults --courses 1 --out "$out/faults"
+}
+
+all_speeds() {
+    step evening offpiste reproduce fig4 --size evening --out "$out/evening"
+    step evening-strata python -m experiments.control_experiments strata --reproduction "$out/evening" \
+        --out "$out/evening-controls"
     step pretrained python -m experiments.pretrained_models --reproduction "$out/evening" \
         --controls "$out/evening-controls" --out "$out/pretrained"
-    step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
-    step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/evening/pca.safetensors" \
-        --courses 20 --test --out "$out/closed-loop"
-    step faults python -m experiments.closed_loop_table --runs "$out/evening/runs/dc-0" --pca "$out/evening/pca.safetensors" \
-        --faults --courses 1 --out "$out/faults"
 }
 
 half_contrast() {
@@ -106,7 +112,7 @@ real_floors() {
     step dart python -m experiments.surfaces "$data/dart" --out "$out/dart" --permutations 3
 }
 
-groups=(laptop_figures real_drive true_ground controls closed_loop half_contrast visual_features real_floors)
+groups=(laptop_figures real_drive true_ground controls closed_loop all_speeds half_contrast visual_features real_floors)
 for group in "${@:3}"; do
     [[ " ${groups[*]} " == *" $group "* ]] || { echo "no group '$group'; there are: ${groups[*]}" >&2; exit 2; }
 done

@@ -1,4 +1,4 @@
-"""Kinds of ground that are held out: found from their properties, and told from others where they look apart."""
+"""Kinds of ground that are held out: found from their properties, and recognised where they look apart."""
 
 from dataclasses import replace
 

@@ -59,7 +59,7 @@ def test_it_is_a_transport_whose_settings_are_sent_to_processes(connect, graph):
     settings = RclpySettings()
     assert isinstance(settings, RobotSettings)
     assert pickle.loads(pickle.dumps(settings)) == settings  # noqa: S301 - our own
-    assert RclpySettings() != settings, "drives are told apart"
+    assert RclpySettings() != settings, "each drive has settings of its own"
     transport = connect()
     assert isinstance(transport, Transport)
     assert transport.routers() == 1

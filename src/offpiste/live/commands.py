@@ -17,7 +17,7 @@ from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer
 from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep, replayed
-from offpiste.live.session import LiveSettings
+from offpiste.live.session import LiveSettings, ViewSettings
 from offpiste.live.supervisor import supervise
 from offpiste.planning.caution import caution_of
 from offpiste.progress import track
@@ -39,20 +39,11 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
     _refuse_driving(settings, rig)
-    caution_of(settings.runtime.risk, planner.spread)
+    caution_of(settings.runtime.risk, planner.spread)  # refused here, not in each process anew
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
     if settings.view is not None:
-        from offpiste.live.viewers.viewer import VIEWERS
-
-        if lockstep or replay is not None:
-            raise LiveError(
-                "only a live drive is shown", where="--view", how="leave it out, or use `offpiste view LOG`"
-            )
-        if package := VIEWERS[settings.view.name].package:
-            require("view", package, otherwise="leave out --view")
-        if settings.view.place and Path(settings.view.place).exists():
-            raise LiveError("exists already", where=settings.view.place, how="remove it, or give another name")
+        _refuse_showing(settings.view, lockstep=lockstep, replay=replay)
     if settings.record is not None and settings.record.exists():
         raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
@@ -104,6 +95,23 @@ def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
             f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the keys of the bridge do not say it'
         )
         raise LiveError(f"the type of the enable topic {enable.topic} is not known", where=settings.rig, how=how)
+
+
+def _refuse_showing(view: ViewSettings, *, lockstep: bool, replay: Path | None) -> None:
+    """Refuse a viewer that could show nothing.
+
+    Raises:
+        LiveError: the drive is not live, no such viewer, or its file is there already.
+        MissingExtra: its package is not installed.
+    """
+    from offpiste.live.viewers.viewer import VIEWERS
+
+    if lockstep or replay is not None:
+        raise LiveError("only a live drive is shown", where="--view", how="leave it out, or use `offpiste view LOG`")
+    if package := VIEWERS[view.name].package:
+        require("view", package, otherwise="leave out --view")
+    if view.place and Path(view.place).exists():
+        raise LiveError("exists already", where=view.place, how="remove it, or give another name")
 
 
 def _replay(

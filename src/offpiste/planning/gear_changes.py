@@ -3,6 +3,7 @@
 Gears cannot be averaged, so each schedule has samples and a mean of its own, and the plan that costs least is taken.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -96,7 +97,7 @@ def improve_with_gears(
             failed.append(error)
             continue
         total = float(cost_of(plan.controls[None], schedule)[0])
-        if total == total:
+        if not math.isnan(total):
             found.append((total, GearedPlan(plan, schedule)))
     if not found:
         raise failed[0] if failed else PlanningError("no plan has a finite cost", how="stop")
