@@ -17,7 +17,7 @@ from offpiste.runtime.plan_maker import Planned
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 
-COMMANDED = {"applied": np.zeros(3), "stopping": False, "launch": 0.0, "mode": "driving", "course": 1, "progress": 30.0}
+COMMANDED = {"applied": np.zeros(3), "stopping": False, "gear": 1.0, "mode": "driving", "course": 1, "progress": 30.0}
 STRAIGHT = Course(np.stack((np.arange(0.0, 60), np.zeros(60)), axis=1), np.full(60, 4.0))
 
 

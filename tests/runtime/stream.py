@@ -78,6 +78,7 @@ class Stream:
     controls: list = field(default_factory=list)
     states: list = field(default_factory=list)
     height: float = 0.0
+    geared: bool = False
 
     def run(self, seconds):
         """Continue the drive; returns the controls since the start."""
@@ -100,7 +101,9 @@ class Stream:
         if row % 5 == 0 and self.scans(t):
             self.runtime.scan(scan(t, self.height))
         self.controls.append(self.runtime.command(t))
-        command = torch.as_tensor(self.controls[-1].command, dtype=torch.float32)
+        due = self.controls[-1]
+        given = np.append(due.command, due.gear) if self.geared else due.command
+        command = torch.as_tensor(given, dtype=torch.float32)
         self.model_state = self.truth.step(self.model_state, command[None], FLAT)
 
     def modes(self):
@@ -157,4 +160,4 @@ def straight_drive(
     model = dynamics or (feature_model() if with_camera else parametric())
     seen, there = sensor_setup(with_camera=with_camera, extractor=extractor), course(length, wanted)
     runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed, spread=spread)
-    return Stream(runtime, **(stream or {}))
+    return Stream(runtime, geared="gear" in model.vehicle.control_columns, **(stream or {}))

@@ -12,8 +12,7 @@ from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
 from offpiste.runtime import plan_maker, prediction
-from offpiste.runtime.schedule import LaunchSettings
-from runtime.stream import Held, Stream, extract_features, feature_model, reading, scan, settings, straight_drive
+from runtime.stream import Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
 
 def speed(stream):
@@ -35,7 +34,7 @@ def test_it_follows_its_course_at_speed(driven):
     x, y = driven.states[-1][:2]
     assert x > 8.0
     assert abs(y) < 0.6
-    assert speed(driven) == pytest.approx(5.0, abs=1.1)
+    assert 3.5 < speed(driven) < 5.5
     assert driven.modes() == [("stopped", "no scan"), ("stopped", "no plan"), ("driving", "")]
     assert driven.runtime.dropped == {"lidar: before the first poses": 1}
 
@@ -79,7 +78,7 @@ def test_commands_and_plans_do_not_depend_on_what_is_measured_later(leak):
 @pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
 def test_a_plan_starts_where_the_vehicle_then_is(latency):
     # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
-    stream = straight_drive(latency=latency, launch=LaunchSettings(rate=0.0))
+    stream = straight_drive(latency=latency)
     stream.run(1.5)
     checked = 0
     for plan in stream.runtime.predictions:
@@ -93,38 +92,6 @@ def test_a_plan_starts_where_the_vehicle_then_is(latency):
     assert checked >= 6
     acting = [c.time for c in stream.controls if c.mode == "driving"]
     assert acting[0] == pytest.approx(0.1 + latency, abs=DT / 2)  # the first scan that counts comes at 0.1 s
-
-
-def test_a_vehicle_at_a_standstill_gets_more_throttle_than_planned(driven):
-    planned = straight_drive(launch=LaunchSettings(rate=0.0))
-    planned.run(0.3)
-    first = next(row for row, command in enumerate(commands(planned)) if command[0] > 0.05)
-    more = commands(driven)[first, 0] - commands(planned)[first, 0]
-    assert more == pytest.approx(LaunchSettings().rate * DT)
-
-
-def test_plans_account_for_the_added_throttle():
-    stream = straight_drive(latency=0.3)
-    stream.run(1.5)
-    met = []
-    for plan in stream.runtime.predictions:
-        row = round(plan.time / DT)
-        if 0.5 < plan.time < 1.0:  # made when more was given
-            met.append(speed_of(plan.state[0]) - speed_of(stream.states[row + 1]))
-    assert len(met) >= 4
-    np.testing.assert_allclose(met, 0.0, atol=0.02)
-
-
-def test_added_throttle_is_removed_by_a_stop():
-    held = straight_drive(stream={"reads": lambda t: not 1.2 <= t < 1.5, "truth": Held()}, wanted=1.0)
-    held.run(1.2)
-    assert held.runtime.follower.launch.more > 0.2, "more and more, since it does not move"
-    held.run(0.4)
-    brake = commands(held)[:, 1]
-    since = len(brake) - 1 - np.flatnonzero(brake == 0.5)[-1]
-    assert 0 < since < 10
-    assert held.runtime.follower.launch.more == pytest.approx(since * LaunchSettings().rate * DT)
-    assert commands(held)[-1, 0] < 0.9
 
 
 def test_a_stamp_ahead_of_the_clock_is_dropped():

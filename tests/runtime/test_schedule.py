@@ -1,13 +1,10 @@
-"""Schedule of controls, and throttle added where the planned one does not move the vehicle."""
+"""Schedule of controls."""
 
 import numpy as np
-import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from offpiste.conventions import DT
-from offpiste.runtime.schedule import Launch, LaunchSettings, Schedule, TimedPlan
+from offpiste.runtime.schedule import Schedule, TimedPlan
 
 REST = np.array((9.0, 9.0, 9.0))
 
@@ -57,37 +54,9 @@ def test_stamps_of_this_century_do_not_shift_steps():
         assert schedule.control(begin + 0.1 + row * DT)[0] == row
 
 
-def test_added_throttle_rises_at_a_standstill_and_falls_when_the_vehicle_moves():
-    launch = Launch(LaunchSettings(below=1.0, rate=0.5))
-    standing = [launch.throttle(0.3, 0.0) for _ in range(100)]
-    assert standing[0] == pytest.approx(0.3 + 0.5 * DT)
-    assert standing[49] == pytest.approx(0.3 + 0.5 * DT * 50)
-    assert standing[-1] == 1.0, "full throttle is all there is"
-    moving = [launch.throttle(0.3, 2.0) for _ in range(100)]
-    assert moving[49] == pytest.approx(1.0 - 0.5 * DT * 50)
-    assert moving[-1] == pytest.approx(0.3), "and no less"
-
-
-def test_no_throttle_is_added_where_none_is_planned():
-    launch = Launch()
-    for _ in range(50):
-        launch.throttle(0.4, 0.0)
-    assert launch.throttle(0.0, 0.0) == 0.0
-    assert launch.throttle(0.4, 0.0) == pytest.approx(0.4 + 0.3 * DT), "it starts from the plan again"
-
-
-def test_throttle_of_steps_to_come_is_computed_without_changing_it():
-    launch, planned = Launch(), np.array([0.4, 0.5, 0.0, 0.4, 0.9])
-    launch.throttle(0.4, 0.0)
-    ahead = launch.ahead(planned, 0.5)
-    np.testing.assert_array_equal(launch.ahead(planned, 0.5), ahead)
-    np.testing.assert_array_equal([launch.throttle(one, 0.5) for one in planned], ahead)
-    launch.reset()
-    assert launch.throttle(0.4, 2.0) == 0.4
-
-
-@given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 10)), max_size=50))
-def test_throttle_is_between_the_planned_one_and_full(driven):
-    launch = Launch()
-    for planned, speed in driven:
-        assert planned <= launch.throttle(planned, speed) <= 1.0 + 1e-9
+def test_a_plan_in_another_gear_is_not_continued():
+    schedule = Schedule()
+    schedule.add(plan(0.0, 0.0, steps=5))
+    rest = np.array([0.4, 0.0, 0.0])
+    assert schedule.continued(0.0, 5, rest)[:, 0].tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(schedule.continued(0.0, 5, rest, gear=-1.0), np.tile(rest, (5, 1)), atol=1e-7)

@@ -32,6 +32,8 @@ from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.world import World
 
 PLANNER_EVENTS = "/planner/events"
+GAVE_UP = ("stopped", "stuck")
+"""Mode, and why, once backing out was given up."""
 
 
 @dataclass
@@ -40,7 +42,7 @@ class PlannerController:
 
     Attributes:
         rng: noise of the readings.
-        timeout: the vehicle counts as stuck after this time without progress, unless it is stopped [s].
+        timeout: the vehicle counts as stuck after this time without progress, unless it is stopped or backs out [s].
     """
 
     runtime: Runtime
@@ -58,17 +60,19 @@ class PlannerController:
 
     @property
     def stuck(self) -> bool:
-        """Whether the vehicle has made no progress for `timeout`."""
-        return bool(self.controls) and self.controls[-1].time - self._since > self.timeout
+        """Whether the vehicle has made no progress for `timeout`, or backing out was given up."""
+        last = self.controls[-1] if self.controls else None
+        return last is not None and (last.time - self._since > self.timeout or (last.mode, last.why) == GAVE_UP)
 
-    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
-        """Throttle, brake and steering for the next `conventions.DT`."""
+    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
+        """Throttle, brake, steering and gear for the next `conventions.DT`."""
         self.runtime.vehicle(reading_of(with_noise(sample, Noise(), Imperfections(), self.rng)))
         controls = self.runtime.command(time_of(sample.time))
-        if not self.controls or controls.mode == "stopped" or self.runtime.course_tracker.progress > self._best + 1.0:
+        waits = controls.mode == "stopped" or controls.gear < 0
+        if not self.controls or waits or self.runtime.course_tracker.progress > self._best + 1.0:
             self._best, self._since = self.runtime.course_tracker.progress, controls.time
         self.controls.append(controls)
-        return controls.command
+        return np.append(controls.command, controls.gear)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.ros.bag_files import stamp_of
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.course import Course
+from offpiste.rig.outputs import can_reverse
 from offpiste.rig.rig import Rig
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import VehicleReading
@@ -111,7 +112,7 @@ class StepDriver:
         controls = self.runtime.command(now, applied, held)
         followed = self.runtime.prediction_at(now) if controls.mode in ("driving", "degraded") else None
         stopped = passed[-1].why != ""
-        command = Command(now, passed[-1].control, self._settings.gear, None if stopped else followed)
+        command = Command(now, passed[-1].control, controls.gear, None if stopped else followed)
         return Step(controls, command, passed[-1].why)
 
     def other(self, now: float) -> None:
@@ -123,7 +124,8 @@ class StepDriver:
     def stop(self) -> Command:
         """The stop, with the steering that was sent last."""
         control = np.array((0.0, self._settings.stop, self._gate.steer))
-        return Command(max(self._now, 0.0), control, self._settings.gear)
+        gear = self._settings.gear if self.runtime is None else self.runtime.follower.gear
+        return Command(max(self._now, 0.0), control, gear)
 
     def _in_order(self, heard: Iterable[Heard]) -> list[Heard]:
         """The vehicle's messages by their stamps, the position last of those of one stamp; then all others."""
@@ -149,6 +151,7 @@ class StepDriver:
             self.runtime = Runtime(
                 self._planner.dynamics, setup, wheels, course, self._settings,
                 seed=self._seed, spread=self._planner.spread,
+                reverses=not self._shadow and can_reverse(self._rig.outputs),
             )  # fmt: skip
         if isinstance(taken, VehicleReading):
             self.runtime.vehicle(taken)

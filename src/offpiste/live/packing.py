@@ -114,10 +114,11 @@ def layers_from(values: Values) -> TerrainLayers | None:
 def pack_plan(plan: TimedPlan, prediction: Prediction, **more: Any) -> bytes:
     """A plan, and where it leads."""
     controls = plan.controls.numpy()
-    return packed({"start": plan.start, "made": plan.made, "controls": controls, "states": prediction.state} | more)
+    about = {"start": plan.start, "made": plan.made, "controls": controls, "gear": plan.gear}
+    return packed(about | {"states": prediction.state} | more)
 
 
 def plan_from(values: Values) -> tuple[TimedPlan, Prediction]:
     """A plan, and where it leads."""
-    plan = TimedPlan(values["start"], values["made"], torch.from_numpy(values["controls"]))
+    plan = TimedPlan(values["start"], values["made"], torch.from_numpy(values["controls"]), values["gear"])
     return plan, Prediction(values["start"], values["states"])

@@ -29,16 +29,15 @@ class PlanRegions:
     Args:
         planner: of a run whose folder has a spread (`offpiste calibrate`).
         wheels: positions in the body frame [m].
-        gear: as the planner drives: 1 forward.
 
     Raises:
         RunError: the spread is damaged, or belongs to other weights.
     """
 
-    def __init__(self, planner: Planner, wheels: Float[np.ndarray, "4 2"], gear: float) -> None:
+    def __init__(self, planner: Planner, wheels: Float[np.ndarray, "4 2"]) -> None:
         self._dynamics = planner.dynamics.eval().requires_grad_(False)
         self._spread = load_spread(load_run(planner.folder))
-        self._wheels, self._gear = torch.as_tensor(wheels, dtype=torch.float32), gear
+        self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
 
     @torch.no_grad()
     def outlines(
@@ -56,7 +55,7 @@ class PlanRegions:
         area = coded_area(layers, self._dynamics.encoder)
         under = area.terrain(torch.from_numpy(offset), self._wheels, len(moments)).at(0, moments)
         terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
-        control = complete(self._dynamics.vehicle, plan.controls[: len(prediction.state) : EVERY], self._gear)
+        control = complete(self._dynamics.vehicle, plan.controls[: len(prediction.state) : EVERY], plan.gear)
         inputs = spread_inputs(self._dynamics.vehicle, Moments(moments[None], control[None], terrain))
         axes = radius(WITHIN, float(self._spread.freedom)) * self._spread(inputs)[0].double().numpy()
         each = round(1 / INTERVAL)

@@ -59,22 +59,23 @@ class RemoteCommands:
 
     stuck: bool = False
     lost: int = 0
-    given: list[Float[np.ndarray, " 3"]] = field(default_factory=list)
-    _command: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.array((0.0, 1.0, 0.0)))
+    given: list[Float[np.ndarray, " 4"]] = field(default_factory=list)
+    _command: Float[np.ndarray, " 4"] = field(default_factory=lambda: np.array((0.0, 1.0, 0.0, 1.0)))
     _at: float = -np.inf
 
     def received(self, axes: Float[np.ndarray, " n"]) -> None:
-        """Throttle, brake and steer of a sensor_msgs/Joy; what is not that, or not finite, is left out."""
-        if len(axes) >= 3 and np.isfinite(axes[:3]).all():
-            limited = np.clip(np.asarray(axes[:3], np.float64), (0.0, 0.0, -1.0), 1.0)
+        """Throttle, brake, steer and gear of a sensor_msgs/Joy; what is not that, or not finite, is left out."""
+        command = np.append(axes, 1.0)[:4] if len(axes) == 3 else axes[:4]  # without a gear: forward
+        if len(command) == 4 and np.isfinite(command).all():
+            limited = np.clip(np.asarray(command, np.float64), (0.0, 0.0, -1.0, -1.0), 1.0)
             self._command, self._at = limited, time.monotonic()
 
-    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 3"]:
+    def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """The command for the next step."""
         command = self._command
         if time.monotonic() - self._at > OWN_STOP:
             self.lost += np.isfinite(self._at)
-            command = np.array((0.0, 1.0, command[2]))
+            command = np.array((0.0, 1.0, command[2], command[3]))
         self.given.append(command)
         return command
 
@@ -167,7 +168,8 @@ class SimulatedRobot:
         if self._sensors.left_out:
             measured = self._sensors.left_out + self._sensors.published
             logger.warning(f"this machine is too slow: {self._sensors.left_out} of {measured} measurements left out")
-        controls = [Controls(time_of(s.time), given, "driving") for s, given in zip(samples, self.commands.given)]  # noqa: B905
+        driven = zip(samples, self.commands.given, strict=False)
+        controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
         return Driving(samples, controls)
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:

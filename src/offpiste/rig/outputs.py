@@ -117,6 +117,11 @@ class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return replace(self, definitions=tuple(str(folder / name) for name in self.definitions))
 
 
+def can_reverse(outputs: Mapping[str, Output]) -> bool:
+    """Whether commands say in which direction to drive: by a gear, or by the sign of a speed."""
+    return any(field.of in ("gear", "speed") for output in outputs.values() for field in output.fields.values())
+
+
 def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -> None:
     """Refuse impossible numbers, names and types.
 

@@ -13,7 +13,7 @@ from offpiste.conventions import DT
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import TrackRows, VehicleTrack
 from offpiste.runtime.modes import NO_AGES, Ages, Controls, Event, ModeDecision, decide_mode
-from offpiste.runtime.schedule import Launch, Schedule
+from offpiste.runtime.schedule import Schedule
 from offpiste.runtime.settings import RuntimeSettings
 
 Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
@@ -27,11 +27,13 @@ class MapState:
     Attributes:
         scan_time, image_time: of the last scan and image in it [s]; infinite for models without visual features.
         empty: whether it holds no ground within reach of a plan.
+        stuck: whether the planner gave up getting the vehicle out of a place.
     """
 
     scan_time: float = -np.inf
     image_time: float = -np.inf
     empty: bool = False
+    stuck: bool = False
 
 
 class Follower:
@@ -43,14 +45,14 @@ class Follower:
 
     Attributes:
         schedule: plans that were made.
-        launch: throttle added while the vehicle hardly moves.
+        gear: that is commanded: 1 forward, -1 reverse.
         stopping: whether a stop has begun and is not completed.
         events: changes of mode, oldest first.
     """
 
     def __init__(self, settings: RuntimeSettings, track: VehicleTrack, tracker: CourseTracker) -> None:
         self._settings, self._track = settings, track
-        self.tracker, self.schedule, self.launch = tracker, Schedule(), Launch(settings.launch)
+        self.tracker, self.schedule, self.gear = tracker, Schedule(), settings.gear
         self.stopping = False
         self.events: list[Event] = []
 
@@ -68,7 +70,8 @@ class Follower:
             plan=now - followed.start if followed else np.inf,
         )
         finished = self.tracker.progress > self.tracker.length - self._settings.arrived
-        return decide_mode(ages.at_least(least), self._settings.timeouts, map_empty=state.empty, finished=finished)
+        faults = {"map_empty": state.empty, "finished": finished, "stuck": state.stuck}
+        return decide_mode(ages.at_least(least), self._settings.timeouts, **faults)
 
     def follow(self, now: float, decision: ModeDecision, applied: Applied | None = None) -> Controls:
         """Controls for the next `conventions.DT`: of the plan, or of a controlled stop.
@@ -91,15 +94,27 @@ class Follower:
         if not must_stop and not (self.stopping and not at_standstill):
             self.stopping = False
             assert planned is not None
-            planned[0] = self.launch.throttle(float(planned[0]), self.speed)
-            return Controls(now, planned, decision.mode, decision.why)
+            return self._driven(now, planned, decision)
         self.stopping = True
-        self.launch.reset()
         # The planned steering is kept: straight ahead may lead off the course.
         steer = 0.0 if planned is None else float(planned[2])
         command = np.array((0.0, self._settings.stop, steer))
         why = decision.why if must_stop or not self.events else self.events[-1].why
-        return Controls(now, command, "stopped" if at_standstill else "stopping", why)
+        return Controls(now, command, "stopped" if at_standstill else "stopping", why, self.gear)
+
+    def _driven(self, now: float, planned: Float[np.ndarray, " 3"], decision: ModeDecision) -> Controls:
+        """The plan's control; before it, while the plan is in another gear, the brake until that can be engaged."""
+        if self._shifts(now):
+            planned[:2] = (0.0, self._settings.stop)
+            if self.at_standstill():
+                self.gear = -self.gear
+        why = decision.why or ("backing out" if self.gear < 0 else "")
+        return Controls(now, planned, decision.mode, why, self.gear)
+
+    def _shifts(self, time: float) -> bool:
+        """Whether the plan that acts at a moment [s] is in another gear than is engaged."""
+        plan = self.schedule.at(time)
+        return plan is not None and plan.gear != self.gear
 
     def committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
         """Controls committed from the last reading until a new plan acts.
@@ -114,10 +129,10 @@ class Follower:
         stop = np.array((0.0, self._settings.stop, 0.0))
         steps = max(round((start - first) / DT), 0)
         committed = self.schedule.committed(first, steps, stop if self.stopping else rows.control[-2])
-        if self.stopping and not self.at_standstill():  # steering follows the plan, the pedals do not
-            committed[:, :2] = stop[:2]
-        else:
-            committed[:, 0] = self.launch.ahead(committed[:, 0], self.speed)
+        # Steering follows the plan, the pedals do not.
+        halts = self.stopping and not self.at_standstill()
+        braked = [halts or self._shifts(first + DT * step) for step in range(steps)]
+        committed[braked, :2] = stop[:2]
         return committed
 
     @property
@@ -133,4 +148,3 @@ class Follower:
     def restart(self) -> None:
         """Forget all plans."""
         self.schedule.clear()
-        self.launch.reset()

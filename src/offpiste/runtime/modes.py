@@ -86,20 +86,25 @@ class Controls:
         time: when it begins to act [s].
         command: throttle [0..1], brake [0..1], steer [-1..1, + left].
         why: reason for the mode; empty in normal driving.
+        gear: 1 forward, -1 reverse.
     """
 
     time: float
     command: Float[np.ndarray, " 3"]
     mode: Mode
     why: str = ""
+    gear: float = 1.0
 
 
-def decide_mode(ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool) -> ModeDecision:
+def decide_mode(
+    ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool, stuck: bool = False
+) -> ModeDecision:
     """Mode that the most severe fault demands.
 
     Args:
         map_empty: whether the map holds no ground within reach of a plan.
         finished: whether the end of the course is reached.
+        stuck: whether backing out was given up.
     """
     if ages.state > timeouts.state:
         return ModeDecision("stopping", "no state of the vehicle")
@@ -107,6 +112,8 @@ def decide_mode(ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bo
         return ModeDecision("stopping", "end of the course")
     if ages.scan > timeouts.scan_limit:
         return ModeDecision("stopping", "no scan")
+    if stuck:
+        return ModeDecision("stopping", "stuck")
     if map_empty:
         return ModeDecision("stopping", "empty map")
     if ages.plan > timeouts.plan:

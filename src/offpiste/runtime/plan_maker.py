@@ -1,6 +1,7 @@
 """Plans on a map: from the vehicle's last rows and the committed controls to a plan and its prediction."""
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,10 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.caution import caution_of
-from offpiste.planning.cost_map import cost_map
+from offpiste.planning.cost_map import CostMap, cost_map
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.pedal import controls_of
+from offpiste.runtime.backing_out import BackingOut
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.perception import Stopwatch
@@ -51,6 +53,7 @@ class PlanMaker:
         ground: ground-truth features, used instead of the map's.
         spread: of the model's predictions, for risks that need one.
         seed: of the sampled controls.
+        reverses: whether the vehicle's gear can be commanded; no model that does not know a gear backs out.
         watch: times of the stages.
 
     Attributes:
@@ -70,6 +73,7 @@ class PlanMaker:
         ground: KnownGround | None = None,
         spread: Spread | None = None,
         seed: int = 0,
+        reverses: bool = True,
         watch: Stopwatch | None = None,
     ) -> None:
         self._dynamics, self._settings, self._ground = dynamics, settings, ground
@@ -77,13 +81,16 @@ class PlanMaker:
         self._caution = caution_of(settings.risk, spread)
         self._improver = PlanImprover(dynamics, settings, seed)
         self._watch = watch or Stopwatch()
+        backs_out = reverses and "gear" in dynamics.vehicle.control_columns
+        chosen = settings.backing_out
+        self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
         self.map_empty = False
         self.failures: list[str] = []
 
     def plan(
         self, now: float, layers: TerrainLayers, follower: Follower, rows: TrackRows, read: float, *, slow: bool
     ) -> Planned | None:
-        """A plan that acts once the latency has passed; None where the map is empty, or no plan can be made.
+        """A plan that acts once the latency has passed; None where stuck or on an empty map, or where none can be made.
 
         Args:
             now: time [s].
@@ -94,10 +101,11 @@ class PlanMaker:
             slow: whether the speed is limited.
         """
         settings, state = self._settings, rows.state[-1]
-        speed = max(float(np.hypot(*state[3:5])), follower.tracker.target)
-        half = 0.5 * speed * DT * HORIZON_STEPS
-        heading = np.array((np.cos(state[2]), np.sin(state[2])))
-        near = cropped(layers, state[:2] + half * heading, half + settings.margin)
+        driven = not follower.stopping and follower.tracker.target > settings.standstill
+        found_stuck = self._backing_out.update(now, state[:2], driven=driven)
+        if self.stuck:
+            return None
+        near = self._reachable(layers, state, follower.tracker.target)
         self.map_empty = not near.known.any()
         if self.map_empty:
             return None
@@ -105,20 +113,32 @@ class PlanMaker:
             area = coded_area(near, self._dynamics.encoder, self._ground)
         with self._watch.of("cost map"):
             stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
-            costs = cost_map(near, stretch, settings.hazards)
+            costs = cost_map(near, self._backing_out.course(stretch), settings.hazards)
+            if found_stuck:
+                self._backing_out.choose_side(state[:2], stretch, partial(_hazard, costs))
         with self._watch.of("start"):
             offset = torch.from_numpy(state[:2].copy())
             given = follower.committed(read, now + settings.latency, rows)
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
-            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, settings.gear)
-            at = Situation(
-                area.stack, costs, self._wheels, offset, model_state.state[0], last, settings.gear, self._caution
-            )
+            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.gear)
+            gear = self._backing_out.gear
+            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last, gear, self._caution)
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
             at = replace(at, state=model_state.state[0])
         with self._watch.of("plan"):
             return self._improved(now, follower, area, model_state, at)
+
+    @property
+    def stuck(self) -> bool:
+        """Whether backing out was given up: no plan is made."""
+        return self._backing_out.gave_up
+
+    def _reachable(self, layers: TerrainLayers, state: Float[np.ndarray, " 6"], target: float) -> TerrainLayers:
+        """The part of the map that a plan can reach."""
+        half = 0.5 * max(float(np.hypot(*state[3:5])), target) * DT * HORIZON_STEPS
+        heading = self._backing_out.gear * np.array((np.cos(state[2]), np.sin(state[2])))
+        return cropped(layers, state[:2] + half * heading, half + self._settings.margin)
 
     def _improved(
         self, now: float, follower: Follower, area: Area, model_state: ModelState, at: Situation
@@ -127,7 +147,7 @@ class PlanMaker:
         settings, model = self._settings, self._dynamics
         rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
-        before = follower.schedule.continued(start, HORIZON_STEPS, rest)
+        before = follower.schedule.continued(start, HORIZON_STEPS, rest, at.gear)
         try:
             plan = self._improver.improve(before, model_state, area, at)
         except PlanningError as error:
@@ -138,4 +158,10 @@ class PlanMaker:
             return None
         controls = controls_of(plan.controls)
         states = predicted(model, model_state, controls, area, at, settings.weights)
-        return Planned(TimedPlan(start, now, controls), Prediction(start, states))
+        return Planned(TimedPlan(start, now, controls, at.gear), Prediction(start, states))
+
+
+def _hazard(costs: CostMap, places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """Hazard at places in the world frame [1/s]."""
+    values = costs.at(torch.from_numpy(places), torch.zeros(2, dtype=torch.float64))
+    return np.asarray(values[:, costs.names.index("hazard")])

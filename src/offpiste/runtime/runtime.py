@@ -38,6 +38,7 @@ class Runtime:
         ground: ground-truth features, used instead of features from cameras.
         seed: seed of the sampled controls.
         spread: of the model's predictions, for risks that need one.
+        reverses: as of `PlanMaker`.
 
     Attributes:
         follower: plans and modes.
@@ -59,6 +60,7 @@ class Runtime:
         ground: KnownGround | None = None,
         seed: int = 0,
         spread: Spread | None = None,
+        reverses: bool = True,
     ) -> None:
         self._settings = settings or RuntimeSettings()
         self._dynamics = dynamics.eval().requires_grad_(False)
@@ -71,8 +73,9 @@ class Runtime:
         encoder = None if ground is not None else dynamics.encoder
         self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
         self._maker = PlanMaker(
-            dynamics, wheels, self._settings, ground=ground, spread=spread, seed=seed, watch=self.watch
-        )
+            dynamics, wheels, self._settings,
+            ground=ground, spread=spread, seed=seed, reverses=reverses, watch=self.watch,
+        )  # fmt: skip
         timeouts, dropped = self._settings.timeouts, self._mapper.dropped
         self._intake = Intake(self._track, dynamics.vehicle.actuators, timeouts, dropped)
         self._plan_due = -np.inf
@@ -147,7 +150,7 @@ class Runtime:
         decision = self._current_mode(now)
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
-            if decision.mode != "stopping" or decision.why in ("no plan", "empty map"):
+            if decision.mode != "stopping" or decision.why in ("no plan", "empty map", "stuck"):
                 with single_threaded_torch():
                     self._plan(now, decision)
                 decision = self._current_mode(now)
@@ -162,7 +165,9 @@ class Runtime:
         self._plan_due = -np.inf
 
     def _current_mode(self, now: float) -> ModeDecision:
-        return self.follower.mode(now, replace(self._mapper.state, empty=self._maker.map_empty))
+        return self.follower.mode(
+            now, replace(self._mapper.state, empty=self._maker.map_empty, stuck=self._maker.stuck)
+        )
 
     def _plan(self, now: float, decision: ModeDecision) -> None:
         """Plan on the current map; if planning fails, the last plan stays."""

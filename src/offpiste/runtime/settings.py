@@ -10,8 +10,8 @@ from offpiste.planning.caution import AsPredicted, Risk
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.runtime.backing_out import BackingOutSettings
 from offpiste.runtime.modes import Timeouts
-from offpiste.runtime.schedule import LaunchSettings
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class RuntimeSettings:
         risk: what counts in the costs beside the prediction itself (`planning.caution`).
         replay: how images and scans enter the map, as in the model's dataset.
         timeouts: how old inputs may be before the mode changes.
-        launch: more throttle than planned, where the planned one does not move the vehicle.
+        backing_out: of a vehicle that does not move although it is driven, for models that know a gear.
         slow: speed limit while scans are late [m/s].
         stop: brake of a controlled stop [0..1].
         forget: plans that began to act longer ago than this are not continued [s].
-        gear: that the vehicle has engaged, for models that know one; the run time does not shift.
+        gear: that is engaged at the start; 1 forward, -1 reverse.
         standstill: the vehicle is at a standstill below this speed [m/s].
         arrived: distance from its end at which the course counts as driven [m].
         margin: the map is read this far beyond what a plan can reach [m].
@@ -61,7 +61,7 @@ class RuntimeSettings:
     risk: Risk = field(default_factory=AsPredicted)
     replay: MapperSettings = field(default_factory=MapperSettings)
     timeouts: Timeouts = field(default_factory=Timeouts)
-    launch: LaunchSettings = field(default_factory=LaunchSettings)
+    backing_out: BackingOutSettings = field(default_factory=BackingOutSettings)
     slow: float = 3.0
     stop: float = 0.5
     forget: float = 1.0

@@ -43,7 +43,8 @@ class Controller:
         self._feed = TrackFeed(part, load_planner(settings.run, settings.pca).dynamics.vehicle.actuators)
         before, enable = last_command(part), rig.live.enable if settings.drive else None
         self._gate = Gate(rig.live.limits, enable, settings.runtime.stop, before.get("applied"))
-        self._course, self._plan_number, self._empty = NewestCourse(part), part.ring("plans").written, False
+        self._course, self._plan_number = NewestCourse(part), part.ring("plans").written
+        self._empty = self._stuck = False
         self._predictions: deque[Prediction] = deque(maxlen=32)
         self._steady, self._since = SteadyAges(), -np.inf
         self._stops, self._sent_at = part.ring("stops").written, time.monotonic()
@@ -110,7 +111,7 @@ class Controller:
     def _command(self, follower: Follower, now: float, held: str) -> Controls:
         newest = self.part.ring("map-state").newest()
         known = {} if newest is None else unpacked(newest.data)
-        state = MapState(known.get("scan_time", -np.inf), known.get("image_time", -np.inf), self._empty)
+        state = MapState(known.get("scan_time", -np.inf), known.get("image_time", -np.inf), self._empty, self._stuck)
         drive, acting = self.part.settings.drive, follower.schedule.acting(now)
         steady = self._steady.ages(self._feed.came, state, acting, time.monotonic())
         decision = follower.mode(now, state, steady)
@@ -135,7 +136,7 @@ class Controller:
         self._publish(controls, passed[-1], now)
         self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
         about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
-        about |= {"launch": follower.launch.more, "course": self._course.number, "progress": follower.tracker.progress}
+        about |= {"gear": controls.gear, "course": self._course.number, "progress": follower.tracker.progress}
         self.part.hand_on("commands", packed(about))
         self._sent_at = time.monotonic()
         return controls
@@ -156,7 +157,7 @@ class Controller:
     def _publish(self, controls: Controls, passed: Passed, now: float) -> None:
         moving = controls.mode in ("driving", "degraded") and not passed.why
         followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
-        command = Command(now, passed.control, self.part.settings.runtime.gear, followed)
+        command = Command(now, passed.control, controls.gear, followed)
         if self._send:
             for topic, message in self._outputs.messages(command).items():
                 self._send[topic](message)
@@ -175,7 +176,7 @@ class Controller:
         settings = self.part.settings.runtime
         for entry in self.part.ring("plans").since(self._plan_number):
             self._plan_number, values = entry.number, unpacked(entry.data)
-            self._empty = bool(values["empty"])
+            self._empty, self._stuck = bool(values["empty"]), bool(values["stuck"])
             if "start" not in values:
                 continue
             timed, prediction = plan_from(values)

@@ -12,6 +12,7 @@ from offpiste.live.part import Part, TrackFeed
 from offpiste.live.parts.setup import NewestCourse, load_kernels
 from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.rig.outputs import can_reverse
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.plan_maker import PlanMaker
@@ -26,7 +27,11 @@ class Plans:
         dynamics = self.planner.dynamics.eval().requires_grad_(False)
         self._feed = TrackFeed(part, dynamics.vehicle.actuators)
         wheels, spread = self._rig.wheel_positions(), self.planner.spread
-        self._maker = PlanMaker(dynamics, wheels, settings.runtime, spread=spread, seed=settings.seed)
+        # In shadow mode somebody else drives, and may wait.
+        reverses = settings.drive and can_reverse(self._rig.outputs)
+        self._maker = PlanMaker(
+            dynamics, wheels, settings.runtime, spread=spread, seed=settings.seed, reverses=reverses
+        )
         self._course = NewestCourse(part)
         self._follower: Follower | None = None
         self._commands, self._map_number = part.ring("commands").written, 0
@@ -57,14 +62,14 @@ class Plans:
             planned = self._maker.plan(now, self._layers, self._follower, rows, latest.time, slow=slow)
         self.took = time.monotonic() - began
         if planned is None:
-            part.hand_on("plans", packed({"empty": self._maker.map_empty}))
-            if self._maker.map_empty:
-                return "empty map"
+            part.hand_on("plans", packed({"empty": self._maker.map_empty, "stuck": self._maker.stuck}))
+            if self._maker.map_empty or self._maker.stuck:
+                return "stuck" if self._maker.stuck else "empty map"
             del self._maker.failures[:-1]
             return f"no plan: {self._maker.failures[-1]}"
         self._follower.schedule.add(planned.plan)
         self._follower.schedule.acting(now)  # those before it are forgotten
-        part.hand_on("plans", pack_plan(*planned, empty=False, scan_time=self._scan_time))
+        part.hand_on("plans", pack_plan(*planned, empty=False, stuck=False, scan_time=self._scan_time))
         return "ready"
 
     def _take_over(self) -> None:
@@ -81,7 +86,7 @@ class Plans:
             self._commands, values = entry.number, unpacked(entry.data)
             self._feed.track.commanded(values["time"], values["applied"])
             if self._follower is not None:
-                self._follower.stopping, self._follower.launch.more = values["stopping"], values["launch"]
+                self._follower.stopping, self._follower.gear = values["stopping"], values["gear"]
 
 
 def plan(session: Session) -> None:

@@ -167,7 +167,7 @@ def view(session: Session, *, cameras: bool) -> None:
     viewer = VIEWERS[settings.view.name](settings.view.place, rig.wheel_positions(), names)
     regions = None
     if has_spread(planner):
-        regions = PlanRegions(planner, rig.wheel_positions(), settings.runtime.gear)
+        regions = PlanRegions(planner, rig.wheel_positions())
     showing = Showing(part, viewer, regions)
     while not part.ending:
         began = time.monotonic()

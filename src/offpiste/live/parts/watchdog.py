@@ -34,8 +34,8 @@ def watchdog(session: Session) -> None:
             ends = time.monotonic()
         silent = commands.written > 0 and commands.age > SILENCE
         if silent:
-            steer = float(last_command(part)["applied"][2])
-            stop = Command(part.now(), np.array((0.0, settings.runtime.stop, steer)), settings.runtime.gear)
+            last = last_command(part)
+            stop = Command(part.now(), np.array((0.0, settings.runtime.stop, last["applied"][2])), last["gear"])
             for topic, message in outputs.messages(stop).items():
                 send[topic](message)
             part.hand_on("stops", b"stop")  # control completes it, once it is back

@@ -1,0 +1,191 @@
+"""A vehicle that is stuck backs out, goes around the place, and gives up where that does not help."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.conventions import CONTROL, DT
+from offpiste.dynamics import Parametric, Vehicle
+from offpiste.errors import PlanningError
+from offpiste.planning.course import Course
+from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
+from runtime.stream import Held, straight_drive
+
+SETTINGS = BackingOutSettings(after=3.0, distance=4.0, longest=6.0, attempts=2)
+
+
+def geared():
+    return Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, "gear"), ())).eval()
+
+
+STRAIGHT = Course(np.stack((np.arange(-20.0, 60.0), np.zeros(80)), axis=1), np.full(80, 5.0))
+
+
+def no_hazard(places):
+    return np.zeros(len(places))
+
+
+def driven_along(backing, places, *, begin=0.0, driven=True):
+    """Gears while the vehicle is at places [x], one every 0.1 s."""
+    gears = []
+    for step, x in enumerate(places):
+        backing.update(begin + 0.1 * step, np.array((x, 0.0)), driven=driven)
+        gears.append(backing.gear)
+    return np.array(gears)
+
+
+def test_a_vehicle_that_moves_or_is_stopped_stays_in_its_gear():
+    slowly = driven_along(BackingOut(SETTINGS), 0.02 * np.arange(100))  # 0.2 m/s: 0.6 m in 3 s
+    assert (slowly == 1).all()
+    assert (driven_along(BackingOut(SETTINGS), np.zeros(100), driven=False) == 1).all()
+    assert (driven_along(BackingOut(BackingOutSettings(attempts=0)), np.zeros(1000)) == 1).all()
+
+
+def test_it_backs_out_after_the_time_and_as_far_as_set():
+    backing = BackingOut(SETTINGS)
+    gears = driven_along(backing, np.zeros(40))
+    assert (gears[:31] == 1).all(), "3 s are not over"
+    assert (gears[31:] == -1).all()
+    gears = driven_along(backing, -0.1 * np.arange(60), begin=4.0)
+    assert (gears[:41] == -1).all()
+    assert (gears[41:] == 1).all()
+
+
+def test_backing_out_that_does_not_move_it_ends_and_is_given_up():
+    backing, gears = BackingOut(SETTINGS), []
+    for step in range(300):
+        if backing.update(0.1 * step, np.zeros(2), driven=True):
+            backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
+        gears.append(backing.gear)
+    changes = np.flatnonzero(np.diff(gears)) + 1
+    # 3 s stuck, 6 s in reverse, twice; 3 s more, and it gives up.
+    np.testing.assert_allclose(0.1 * changes, [3.1, 9.2, 12.3, 18.4], atol=0.15)
+    assert backing.gave_up
+    driven_along(backing, np.zeros(100), begin=40.0)
+    assert backing.gave_up, "it stands where it stood"
+    assert (driven_along(backing, np.full(20, 1.0), begin=50.0) == 1).all(), "something has moved it"
+    assert not backing.gave_up
+
+
+def test_places_that_are_apart_are_counted_apart():
+    backing = BackingOut(SETTINGS)
+    for number in range(4):
+        driven_along(backing, np.full(32, 10.0 * number), begin=20.0 * number)
+        assert backing.gear == -1
+        backing.choose_side(np.array((10.0 * number, 0.0)), STRAIGHT, no_hazard)
+        driven_along(backing, 10.0 * number - 0.2 * np.arange(30), begin=20.0 * number + 5)
+        assert backing.gear == 1
+    assert len(backing.places) == 4
+
+
+def test_a_clock_that_goes_back_begins_anew():
+    backing = BackingOut(SETTINGS)
+    assert driven_along(backing, np.zeros(40), begin=100.0)[-1] == -1
+    assert (driven_along(backing, np.zeros(30)) == 1).all()
+
+
+def test_in_reverse_the_course_is_followed_backwards():
+    backing = BackingOut(SETTINGS)
+    assert backing.course(STRAIGHT) is STRAIGHT
+    driven_along(backing, np.zeros(40))
+    assert (backing.course(STRAIGHT).speed == -SETTINGS.speed).all()
+    np.testing.assert_array_equal(backing.course(STRAIGHT).path, STRAIGHT.path)
+
+
+def test_the_place_is_passed_where_the_ground_is_better_and_the_next_time_on_the_other_side():
+    for better in (1, -1):
+        backing, place = BackingOut(SETTINGS), np.array((10.0, 0.5))
+        backing.choose_side(place, STRAIGHT, lambda places, better=better: (better * places[:, 1] < 0).astype(float))
+        for times, side in enumerate((better, -better)):
+            path = backing.course(STRAIGHT).path
+            assert path[30, 1] == pytest.approx(0.5 + side * SETTINGS.aside), "beside the place"
+            near = np.abs(STRAIGHT.path[:, 0] - 10.0) < SETTINGS.reach
+            np.testing.assert_allclose(path[~near], STRAIGHT.path[~near], atol=1e-12)
+            np.testing.assert_array_equal(path[:, 0], STRAIGHT.path[:, 0])
+            assert [one.times for one in backing.places] == [times + 1]
+            backing.choose_side(place, STRAIGHT, no_hazard)
+
+
+def test_a_course_that_leads_past_a_place_stays_and_bends_are_left_at_right_angles():
+    backing = BackingOut(SETTINGS)
+    backing.choose_side(np.array((10.0, 3.0)), STRAIGHT, no_hazard)
+    assert backing.course(STRAIGHT) is STRAIGHT, "3 m aside"
+    angle = np.linspace(0, np.pi, 200)
+    bend = Course(15 * np.stack((np.cos(angle), np.sin(angle)), axis=1), np.full(200, 5.0))
+    backing = BackingOut(SETTINGS)
+    backing.choose_side(np.array((0.0, 15.0)), bend, lambda places: (places[:, 1] > 15.0).astype(float))
+    path = backing.course(bend).path
+    np.testing.assert_allclose(path[100], (0.0, 15 - SETTINGS.aside), atol=0.15)
+
+
+@pytest.mark.parametrize("name", list(vars(SETTINGS)))
+def test_numbers_that_mean_nothing_are_refused(name):
+    with pytest.raises(PlanningError, match=name):
+        BackingOutSettings(**{name: -1 if name == "attempts" else -1.0})
+
+
+class Mud(Held):
+    """Holds a geared vehicle between x = 6 and 8 m unless it reverses."""
+
+    def __init__(self):
+        self.free, self.gears = geared(), []
+
+    def step(self, model_state, command, terrain):
+        self.gears.append(float(command[0, 3]))
+        x, y = model_state.state[0, :2].tolist()
+        if 6.0 < x < 8.0 and abs(y) < 1.0 and self.gears[-1] > 0:
+            held = model_state.state.clone()
+            held[:, 3:] = 0.0
+            return replace(model_state, state=held)
+        return self.free.step(model_state, command, terrain)
+
+
+def test_a_stuck_vehicle_backs_out_and_goes_around():
+    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": Mud()})
+    stream.run(19.0)
+    x, y = np.array([state[:2] for state in stream.states]).T
+    stuck = int(np.flatnonzero(x > 6.0)[0])
+    behind = stuck + int(np.argmin(x[stuck:]))
+    assert ("driving", "backing out") in stream.modes()
+    assert x[behind] < x[stuck] - 3.0, "it reverses out of the mud"
+    assert x[-1] > 9.0, "and passes it"
+    assert np.abs(y[behind:][np.abs(x[behind:] - 7.0) < 1.0]).min() > 1.0, "beside it"
+    gears = np.array(stream.truth.gears)
+    (changes,) = np.nonzero(np.diff(gears))
+    speeds = np.abs([stream.states[row + 1][3] for row in changes])
+    assert len(changes) == 2
+    assert (speeds < 0.3).all(), "gears are changed at a standstill"
+
+
+def test_what_holds_it_for_good_is_given_up_and_said():
+    class Wall(Held):
+        def step(self, model_state, command, terrain):
+            return model_state
+
+    changed = BackingOutSettings(after=0.6, longest=0.6, attempts=1)
+    stream = straight_drive(dynamics=geared(), stream={"truth": Wall()}, backing_out=changed)
+    stream.run(3.0)
+    assert stream.modes()[-1] == ("stopped", "stuck")
+    assert stream.controls[-1].command[1] == pytest.approx(0.5)
+
+
+def test_a_model_without_a_gear_never_reverses():
+    changed = BackingOutSettings(after=0.4, longest=0.4)
+    stream = straight_drive(stream={"truth": Held()}, backing_out=changed)
+    stream.run(2.0)
+    assert all(controls.gear == 1.0 for controls in stream.controls)
+    assert ("stopped", "stuck") not in stream.modes()
+
+
+def test_committed_controls_brake_until_the_gear_is_engaged():
+    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()})
+    stream.run(2.0)
+    follower, now = stream.runtime.follower, 2.0
+    latest = follower.schedule.latest
+    reverse = latest.__class__(now, now, torch.full((250, 3), 0.25), -1.0)
+    follower.schedule.add(reverse)
+    rows = stream.runtime._track.rows(now - DT)
+    committed = follower.committed(now, now + 0.2, rows)
+    np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (len(committed), 1)))
