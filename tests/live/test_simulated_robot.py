@@ -72,14 +72,21 @@ def test_it_sends_readings_sensors_clock_and_course_and_takes_commands(place):
     assert threads() == before
 
 
-@pytest.mark.parametrize("axes", [(), (0.1,), (np.nan, 0.0, 0.0)])
+@pytest.mark.parametrize(("axes", "gear"), [((0.4, 0.0, 0.1), 1.0), ((0.4, 0.0, 0.1, -1.0), -1.0)])
+def test_a_fourth_axis_is_the_gear(axes, gear, place):
+    commands = RemoteCommands()
+    commands.received(np.array(axes))
+    np.testing.assert_allclose(commands.command(None), (0.4, 0.0, 0.1, gear))
+
+
+@pytest.mark.parametrize("axes", [(), (0.1,), (np.nan, 0.0, 0.0), (0.1, 0.0, 0.0, np.nan)])
 def test_what_is_no_command_is_left_out(axes, place):
     commands = RemoteCommands()
     commands.received(np.array(axes))
     robot = SimulatedRobot(Recorded(), *place, "light", 0)
     robot.commands = commands
     robot.drive(0.02)
-    np.testing.assert_allclose(commands.given, [(0.0, 1.0, 0.0)])
+    np.testing.assert_allclose(commands.given, [(0.0, 1.0, 0.0, 1.0)])
 
 
 def test_an_interrupted_drive_leaves_no_thread_behind(place, monkeypatch):
