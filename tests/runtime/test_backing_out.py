@@ -9,6 +9,7 @@ import torch
 from offpiste.conventions import CONTROL, DT
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.errors import PlanningError
+from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
 from runtime.stream import Held, straight_drive
@@ -31,7 +32,7 @@ def driven_along(backing, places, *, begin=0.0, driven=True):
     """Gears while the vehicle is at places [x], one every 0.1 s."""
     gears = []
     for step, x in enumerate(places):
-        backing.update(begin + 0.1 * step, np.array((x, 0.0)), driven=driven)
+        backing.update(begin + 0.1 * step, np.array((x, 0.0, 0.0)), driven=driven)
         gears.append(backing.gear)
     return np.array(gears)
 
@@ -56,7 +57,7 @@ def test_it_backs_out_after_the_time_and_as_far_as_set():
 def test_backing_out_that_does_not_move_it_ends_and_is_given_up():
     backing, gears = BackingOut(SETTINGS), []
     for step in range(300):
-        if backing.update(0.1 * step, np.zeros(2), driven=True):
+        if backing.update(0.1 * step, np.zeros(3), driven=True):
             backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
         gears.append(backing.gear)
     changes = np.flatnonzero(np.diff(gears)) + 1
@@ -86,12 +87,18 @@ def test_a_clock_that_goes_back_begins_anew():
     assert (driven_along(backing, np.zeros(30)) == 1).all()
 
 
-def test_in_reverse_the_course_is_followed_backwards():
+def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
     backing = BackingOut(SETTINGS)
     assert backing.course(STRAIGHT) is STRAIGHT
-    driven_along(backing, np.zeros(40))
-    assert (backing.course(STRAIGHT).speed == -SETTINGS.speed).all()
-    np.testing.assert_array_equal(backing.course(STRAIGHT).path, STRAIGHT.path)
+    assert backing.hazards(Hazards()) == Hazards()
+    for step in range(40):
+        backing.update(0.1 * step, np.array((1.0, 2.0, np.pi / 2)), driven=True)
+    assert backing.hazards(Hazards()).obstacle == SETTINGS.obstacles * Hazards().obstacle
+    back = backing.course(STRAIGHT)
+    assert (back.speed == -SETTINGS.speed).all()
+    np.testing.assert_allclose(back.path[:, 0], 1.0)
+    assert back.path[0, 1] < 2.0 - SETTINGS.distance
+    assert back.path[-1, 1] > 2.0
 
 
 def test_the_place_is_passed_where_the_ground_is_better_and_the_next_time_on_the_other_side():

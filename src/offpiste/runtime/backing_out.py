@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import PlanningError
+from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 
 FORWARD, REVERSE = 1.0, -1.0
@@ -30,6 +31,8 @@ class BackingOutSettings:
         distance: that it backs out [m].
         longest: time for it [s].
         speed: wanted in reverse [m/s].
+        obstacles: share of their cost that counts in reverse, at that speed: among bushes, which a LiDAR does not tell
+            from rocks, every way leads through some.
         attempts: to back out of one place; 0: the gear is never changed, and nothing is given up.
         apart: places that are closer together count as one [m].
         aside: distance at which such a place is passed [m].
@@ -44,6 +47,7 @@ class BackingOutSettings:
     distance: float = 5.0
     longest: float = 6.0
     speed: float = 2.0
+    obstacles: float = 0.05
     attempts: int = 2
     apart: float = 6.0
     aside: float = 2.5
@@ -83,38 +87,38 @@ class BackingOut:
         self._settings = settings
         self.gear, self.gave_up = FORWARD, False
         self.places: list[StuckPlace] = []
-        self._from = (-np.inf, np.full(2, np.nan))
+        self._since, self._start = -np.inf, np.full(3, np.nan)
 
-    def update(self, now: float, place: Float[np.ndarray, " 2"], *, driven: bool) -> bool:
+    def update(self, now: float, pose: Float[np.ndarray, " 3"], *, driven: bool) -> bool:
         """Take notice of where the vehicle is; returns whether it is found stuck at this moment.
 
         Args:
             now: time [s].
-            place: x, y [m].
+            pose: x, y [m], yaw [rad].
             driven: whether plans are followed: a vehicle that is stopped is not stuck.
         """
-        settings, (since, start) = self._settings, self._from
-        away = float(np.linalg.norm(place - start))
+        settings, since = self._settings, self._since
+        away = float(np.linalg.norm(pose[:2] - self._start[:2]))
         if now < since or not since > -np.inf:
-            self._begin(now, place)
+            self._begin(now, pose)
         elif self.gave_up:
             if away > settings.moved:
                 self.gave_up = False
-                self._begin(now, place)
+                self._begin(now, pose)
         elif self.gear == REVERSE:
             if away > settings.distance or now - since > settings.longest:
-                self._begin(now, place)
+                self._begin(now, pose)
         elif not driven or away > settings.moved:
-            self._begin(now, place)
+            self._begin(now, pose)
         elif settings.attempts and now - since > settings.after:
-            before = self._before(place)
+            before = self._before(pose[:2])
             self.gave_up = before is not None and before.times >= settings.attempts
-            self._begin(now, place, FORWARD if self.gave_up else REVERSE)
+            self._begin(now, pose, FORWARD if self.gave_up else REVERSE)
             return not self.gave_up
         return False
 
-    def _begin(self, now: float, place: Float[np.ndarray, " 2"], gear: float = FORWARD) -> None:
-        self.gear, self._from = gear, (now, np.array(place, float))
+    def _begin(self, now: float, pose: Float[np.ndarray, " 3"], gear: float = FORWARD) -> None:
+        self.gear, self._since, self._start = gear, now, np.array(pose, float)
 
     def _before(self, place: Float[np.ndarray, " 2"]) -> StuckPlace | None:
         """The place that counts as this one."""
@@ -136,13 +140,25 @@ class BackingOut:
             again = StuckPlace(np.array(place, float), -before.side, before.times + 1)
             self.places = [again if one is before else one for one in self.places]
 
+    def hazards(self, hazards: Hazards) -> Hazards:
+        """Hazards as they count in the next plan."""
+        if self.gear == FORWARD:
+            return hazards
+        return replace(hazards, obstacle=self._settings.obstacles * hazards.obstacle)
+
     def course(self, course: Course) -> Course:
-        """The course as the next plan is to follow it: in reverse, backwards along it; else beside the places."""
+        """The course of the next plan: straight back in reverse, else the one given, beside the places."""
         if self.gear == REVERSE:
-            return replace(course, speed=np.full_like(course.speed, -self._settings.speed))
+            return self._straight_back()
         for place in self.places:
             course = self._passing(course, place)
         return course
+
+    def _straight_back(self) -> Course:
+        """Backwards where the vehicle came from; whichever way the course leads, it may stand across it."""
+        x, y, yaw = self._start
+        along = self._settings.distance * np.array((-3.0, 1.0))[:, None] * np.array((np.cos(yaw), np.sin(yaw)))
+        return Course(np.array((x, y)) + along, np.full(2, -self._settings.speed))
 
     def _passing(self, course: Course, stuck: StuckPlace) -> Course:
         """The course, displaced sideways near a place where it comes close to it."""

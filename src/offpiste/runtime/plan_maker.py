@@ -102,7 +102,7 @@ class PlanMaker:
         """
         settings, state = self._settings, rows.state[-1]
         driven = not follower.stopping and follower.tracker.target > settings.standstill
-        found_stuck = self._backing_out.update(now, state[:2], driven=driven)
+        found_stuck = self._backing_out.update(now, state[:3], driven=driven)
         if self.stuck:
             return None
         near = self._reachable(layers, state, follower.tracker.target)
@@ -113,7 +113,8 @@ class PlanMaker:
             area = coded_area(near, self._dynamics.encoder, self._ground)
         with self._watch.of("cost map"):
             stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
-            costs = cost_map(near, self._backing_out.course(stretch), settings.hazards)
+            hazards = self._backing_out.hazards(settings.hazards)
+            costs = cost_map(near, self._backing_out.course(stretch), hazards)
             if found_stuck:
                 self._backing_out.choose_side(state[:2], stretch, partial(_hazard, costs))
         with self._watch.of("start"):
