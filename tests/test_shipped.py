@@ -29,7 +29,7 @@ def test_each_is_the_model_that_its_name_says(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_each_drives_without_further_files(name):
     planner = load_planner(Path(f"{PREFIX}{name}"))
-    assert planner.dynamics.vehicle.control == ("throttle", "brake", "steer")
+    assert planner.dynamics.vehicle.control == ("throttle", "brake", "steer", "gear")
     assert (planner.extractor is not None) == (Path(name).name == "dc")
 
 
