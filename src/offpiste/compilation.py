@@ -210,6 +210,7 @@ PLANNING: Final = Compiler(
     ("dynamics/kernels", "planning", "mapping/terrain_map.py", "uncertainty/spread.py"),
     FUSED,
     loops_make_arrays=False,
+    wide=True,
     part="the planner's kernels",
     seconds=20,
 )

@@ -40,9 +40,13 @@ def parametric_cost(wanted):
 @pytest.mark.parametrize(("wanted", "gear"), [(2.0, 1.0), (-2.0, -1.0)])
 def test_it_drives_forward_to_what_is_ahead_and_backs_out_to_what_is_behind(wanted, gear):
     cost_of, seen = parametric_cost(wanted)
-    found = improve_with_gears(torch.zeros(STEPS, 2), 1.0, cost_of, SETTINGS, torch.Generator().manual_seed(0))
-    assert float(found.gear[-1]) == gear
-    assert float(cost_of(found.plan.controls[None], found.gear)[0]) < 0.5 * wanted**2
+    last = []
+    for seed in range(9):
+        seen.clear()
+        found = improve_with_gears(torch.zeros(STEPS, 2), 1.0, cost_of, SETTINGS, torch.Generator().manual_seed(seed))
+        last.append(float(found.gear[-1]))
+        assert float(cost_of(found.plan.controls[None], found.gear)[0]) < 0.5 * wanted**2
+    assert last.count(gear) > len(last) / 2, "some of so few samples coast forward in the other gear"
     sampled = [controls for controls in seen if len(controls) > 1]
     assert sum(map(len, sampled)) == SETTINGS.iterations * SETTINGS.samples, "as many as without changes"
     assert {tuple(controls[0, [0, -1], 3].tolist()) for controls in sampled} == {(1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)}

@@ -23,6 +23,16 @@ def test_a_seed_repeats_and_another_does_not(noise):
     assert not torch.allclose(drawn(noise, shape), drawn(noise, shape, seed=1))
 
 
+def test_samples_are_the_same_on_any_number_of_threads():
+    draws, threads = [], torch.get_num_threads()
+    for count in (1, 3):
+        torch.set_num_threads(count)
+        draws.append(drawn(coloured, (100, 12, 2)))
+    torch.set_num_threads(threads)
+    assert torch.equal(*draws)
+    assert len(draws[0].flatten().unique()) == draws[0].numel(), "no part repeats another"
+
+
 @pytest.mark.parametrize("noise", [gaussian, log_normal, coloured])
 def test_every_step_has_mean_0_and_variance_1(noise):
     values = drawn(noise, (40_000, 16, 1))[..., 0]

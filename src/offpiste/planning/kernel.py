@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from offpiste.compilation import spread_kernel
 from offpiste.conventions import ACTUATORS, CONTROL
@@ -186,11 +187,11 @@ def _bind(
 
 
 def _ground_cells(situation: Situation, codes: Codes) -> GroundCells:
-    maps = situation.ground
+    maps, slope = situation.ground, situation.ground.slope[0]
     cells, missing = codes
     return GroundCells(
         _grid(situation.offset - maps.origin[0], maps.resolution, cells),
-        _flat(maps.slope[0]),
+        _flat(slope.expand(-1, 2, -1) if slope.shape[1] == 1 else slope),
         _flat(cells),
         *(part.float().contiguous().numpy() for part in (missing, situation.wheels)),
     )
@@ -198,10 +199,11 @@ def _ground_cells(situation: Situation, codes: Codes) -> GroundCells:
 
 def _cost_cells(situation: Situation) -> CostCells:
     costs = situation.costs
+    more = max(0, 4 - len(costs.outside))
     return CostCells(
         _grid(situation.offset - costs.origin, costs.resolution, costs.layers),
-        _flat(costs.layers),
-        np.array(costs.outside, np.float32),
+        _flat(pad(costs.layers, (0, more)) if more else costs.layers),
+        np.array((*costs.outside, *[0] * more), np.float32),
     )
 
 

@@ -21,6 +21,7 @@ from offpiste.dynamics.kernels import elementary
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import NORMAL_ROW
+from offpiste.dynamics.kernels.vectors import read_fours
 from offpiste.planning.costs.declaration import (
     CONSTANTS,
     ELEMENTARY,
@@ -41,7 +42,8 @@ from offpiste.planning.kernel_terrain import (
     FIRST_LAYER,
     POSE_POINT,
     SIN,
-    find_cost_numbers,
+    find_border_numbers,
+    find_numbers,
     sample_terrain,
 )
 
@@ -150,36 +152,43 @@ def _control_cost(terms: list[CostTerm], numbers: Numbers) -> str:
 
 
 def _read_layers(layers: Layers) -> str:
-    """Code that reads the layers under a wheel, or at the pose point."""
+    """Code that reads the layers under a wheel, or at the pose point, four neighbours at a time."""
     first, wheel, pose = [], [], []
     for row, (_, read, border) in enumerate(layers):
         values = f"_values[{(FIRST_LAYER + row) * LANES} + _i]"
-        load = f"_number = _layers[uint64(_index[_i] + {row})]"
-        number = "_number" if border else f"(_number if _cells[_i] >= 0 else _outside_{row})"
         if read == "pose point":
-            pose += [f"for _i in range({LANES}):", f"    {load}", f"    {values} = {number}"]
+            pose.append((row, border, f"{values} = _number"))
         elif read == "mean of wheels":
             first.append(f"{values} = f4(0)")
-            wheel += [load, f"{values} += f4(0.25) * {number}"]
+            wheel.append((row, border, f"{values} += f4(0.25) * _number"))
         else:
             first.append(f"{values} = f4(inf)")
-            wheel += [load, f"{values} = least({number}, {values})"]
+            wheel.append((row, border, f"{values} = least(_number, {values})"))
     return "\n".join(
         (
-            "def read_layers(_k, _cost_cells, _cells, _index, _values):",
-            "    _layers = _cost_cells.layers",
-            *(f"    _outside_{row} = _cost_cells.outside[{row}]" for row in range(len(layers))),
+            "def read_layers(_k, _cost_cells, _cells, _index, _read, _values):",
             "    if _k == 0:",
             f"        for _i in range({LANES}):",
             *(f"            {line}" for line in first or ["pass"]),
-            f"    find_cost_numbers(_cells, {len(layers)}, _index)",
             f"    if _k < {POSE_POINT}:",
-            f"        for _i in range({LANES}):",
-            *(f"            {line}" for line in wheel or ["pass"]),
+            *(f"        {line}" for line in _reading(wheel, len(layers)) or ["pass"]),
             "    else:",
-            *(f"        {line}" for line in pose or ["pass"]),
+            *(f"        {line}" for line in _reading(pose, len(layers)) or ["pass"]),
         )
     )
+
+
+def _reading(uses: list[tuple[int, bool, str]], layers: int) -> list[str]:
+    """Lines that read layers, and what is done with each: its row, whether the nearest cell counts off the map, how."""
+    lines: list[str] = []
+    start, found = 0, None
+    for row, border, use in uses:
+        if found != border or row >= start + 4:
+            start, found = min(row, max(layers - 4, 0)), border
+            lines.append(f"find_{'border_' if border else ''}numbers(_cells, {max(layers, 4)}, _index)")
+            lines.append(f"read_fours(_cost_cells.layers, _index, {start}, _cost_cells.outside, _read)")
+        lines += [f"for _i in range({LANES}):", f"    _number = _read[{(row - start) * LANES} + _i]", f"    {use}"]
+    return lines
 
 
 @PLANNING.inlined
@@ -247,7 +256,14 @@ def _derived(name: str) -> str:
 def _function(text: str, name: str, functions: dict[str, Function]) -> Callable[..., None]:
     """A loop, compiled from its code and inlined: see `kernel_terrain`."""
     names: dict[str, Any] = {name: getattr(elementary, name) for name in ELEMENTARY}
-    names |= {"f4": f4, "inf": np.inf, "uint64": np.uint64, "least": least, "find_cost_numbers": find_cost_numbers}
+    names |= {
+        "f4": f4,
+        "inf": np.inf,
+        "least": least,
+        "read_fours": read_fours,
+        "find_numbers": find_numbers,
+        "find_border_numbers": find_border_numbers,
+    }
     names |= {known: PLANNING.inlined(function) for known, function in functions.items() if f"{known}(" in text}
     exec(text, names)
     return PLANNING.inlined(names[name])

@@ -8,8 +8,8 @@ import numpy as np
 
 from offpiste.compilation import PLANNING
 from offpiste.conventions import CONTROL
-from offpiste.dynamics.kernels.elementary import f4
-from offpiste.dynamics.kernels.lanes import ACTUATED, COMMANDED
+from offpiste.dynamics.kernels.elementary import copy, f4
+from offpiste.dynamics.kernels.lanes import ACTUATED
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import (
     CONTROL_ROW,
@@ -20,6 +20,7 @@ from offpiste.dynamics.kernels.rollout import (
     make_buffer_sets,
     make_workspace,
 )
+from offpiste.dynamics.kernels.vectors import read_fours
 from offpiste.planning.kernel_stray import EVERY, StrayWeights, begin_stray, make_stray, move_stray, sense_stray
 from offpiste.planning.kernel_terrain import CostCells, GroundCells, make_samples, sample_terrain
 
@@ -37,24 +38,44 @@ def motion_cost(
     raise NotImplementedError
 
 
-@PLANNING.loop
-def load_controls(
-    w: np.ndarray, controls: np.ndarray, recorded: np.ndarray, block: int, t: int, command: np.ndarray
-) -> None:
-    """Controls of step t, into `command` and the workspace; lanes behind the samples repeat the last one."""
+@PLANNING.inlined
+def find_controls(controls: np.ndarray, block: int, index: np.ndarray) -> None:
+    """Find where the controls of a block's samples begin; lanes behind the samples repeat the last one."""
+    samples, steps, columns = controls.shape
     for i in range(LANES):
-        sample = np.uint64(min(block * LANES + i, len(controls) - 1))
-        for k in range(len(CONTROL)):
-            command[k * LANES + i] = controls[sample, np.uint64(t), k]
-    for k in range(len(CONTROL)):
-        if recorded[ACTUATED + k]:
-            for i in range(k * LANES, (k + 1) * LANES):
-                w[CONTROL_ROW * LANES + i] = command[i]
-    for k in range(len(CONTROL), COMMANDED):  # optional ones, which cost nothing
-        if recorded[ACTUATED + k]:
+        index[i] = np.int32(min(block * LANES + i, samples - 1) * steps * columns)
+
+
+@PLANNING.inlined
+def load_controls(
+    w: np.ndarray,
+    controls: np.ndarray,
+    recorded: np.ndarray,
+    t: int,
+    index: np.ndarray,
+    read: np.ndarray,
+    command: np.ndarray,
+) -> None:
+    """Controls of step t, into `command` and the workspace.
+
+    Args:
+        index: from `find_controls`.
+        read: for what is read [4 * LANES].
+    """
+    _, steps, columns = controls.shape
+    numbers = controls.reshape(-1)
+    first = max(min(t * columns, steps * columns - 4), 0)  # four numbers lie within a sample
+    if steps * columns >= 4:
+        read_fours(numbers, index, first, numbers, read)
+    else:
+        for k in range(columns):
             for i in range(LANES):
-                sample = np.uint64(min(block * LANES + i, len(controls) - 1))
-                w[(CONTROL_ROW + k) * LANES + i] = controls[sample, np.uint64(t), k]
+                read[k * LANES + i] = numbers[index[i] + k]
+    row = t * columns - first
+    copy(read[row * LANES :], command)
+    for k in range(columns):  # optional ones behind the command cost nothing
+        if recorded[ACTUATED + k]:
+            copy(read[(row + k) * LANES :], w[(CONTROL_ROW + k) * LANES : (CONTROL_ROW + k + 1) * LANES])
 
 
 def roll_out(
@@ -97,8 +118,10 @@ def roll_out(
     commands = np.zeros((2, len(CONTROL) * LANES), f4)
     terrain, total = make_samples(len(cost_cells.outside)), np.zeros(LANES, f4)
     stray, cautious = make_stray(unsure), len(unsure.bias) > 0
+    index, read = np.zeros(LANES, np.int32), np.zeros(4 * LANES, f4)
     for block in range(first, last):
         total[:] = f4(0)
+        find_controls(controls, block, index)
         for k in range(len(CONTROL)):
             commands[0, k * LANES : (k + 1) * LANES] = control[k]
         for k in range(len(start)):
@@ -109,7 +132,7 @@ def roll_out(
         for t in range(steps):
             now, then = t % 2, (t + 1) % 2
             before, after = model_states[now], model_states[then]
-            load_controls(w, controls, recorded, block, t, commands[then])
+            load_controls(w, controls, recorded, t, index, read, commands[then])
             if cautious and t % EVERY == 0:
                 sense_stray(unsure, stray, w, before, terrain.values, len(ground.missing))
             advance_block(w, c, networks, buffer_sets, before, after)

@@ -1,7 +1,7 @@
 """Terrain and cost map under a block of lanes: cells are found for all lanes at once, numbers gathered, then computed.
 
-Without branches and with one index a lane, reading becomes the processor's gathering instructions: lanes off the map
-read a cell of its border, and take something else where that does not count.
+There are no branches: lanes off the map read a cell of its border, and take something else where that does not count.
+Four numbers are read at once (`vectors.read_fours`), in a quarter of the time that gathering instructions take.
 
 The loops are inlined: a call passes seven words for each array through the stack, which took as long as the reading.
 """
@@ -14,6 +14,7 @@ from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW, UNKNOWN_ROW
+from offpiste.dynamics.kernels.vectors import read_fours
 from offpiste.mapping import terrain_map
 
 on_map = PLANNING.inlined(terrain_map.on_map)
@@ -45,7 +46,7 @@ class GroundCells(NamedTuple):
     """Cells that the model reads.
 
     Attributes:
-        slope: [ny * nx * 2], NaN where unknown.
+        slope: [ny * max(nx, 2) * 2], NaN where unknown.
         codes: [ny * nx * E], the code for missing ones where there are no features.
         missing: code off the map [E].
         wheels: in the body frame [4, 2].
@@ -62,8 +63,8 @@ class CostCells(NamedTuple):
     """Cells that the cost reads: `cost_map.CostMap`.
 
     Attributes:
-        layers: [ny * nx * C].
-        outside: value of each layer off the map [C].
+        layers: [ny * nx * max(C, 4)].
+        outside: value of each layer off the map [max(C, 4)].
     """
 
     grid: Grid
@@ -81,7 +82,7 @@ class TerrainSamples(NamedTuple):
         corner: of the four cells of the ground around the wheel.
         first: index of the first number that is read.
         u, v: from the corner, in cells.
-        slope: at the four cells, towards +x and +y, rows of lanes.
+        read: what was just gathered, rows of lanes: the slope at the four cells, towards +x and +y, or layers.
     """
 
     values: np.ndarray
@@ -91,7 +92,7 @@ class TerrainSamples(NamedTuple):
     first: np.ndarray
     u: np.ndarray
     v: np.ndarray
-    slope: np.ndarray
+    read: np.ndarray
 
 
 @PLANNING.maker
@@ -118,6 +119,12 @@ def cell_at(grid: Grid, px: Lane, py: Lane) -> tuple[Lane, Lane, bool]:
 
 
 @PLANNING.inlined
+def slope_columns(grid: Grid) -> int:
+    """Columns of the slope: a single one is there twice."""
+    return max(grid.columns, 2)
+
+
+@PLANNING.inlined
 def nearest_cell(grid: Grid, x: Lane, y: Lane) -> np.int32:
     """Index of the cell nearest to a fractional cell on the map."""
     return np.int32(np.rint(y)) * np.int32(grid.columns) + np.int32(np.rint(x))
@@ -130,7 +137,7 @@ def find_cells(
 ) -> None:  # fmt: skip
     """Find the cells under a wheel; given arrays instead of `TerrainSamples`, LLVM makes vector code of it."""
     wx, wy, zero = wheel[0], wheel[1], f4(0)
-    # A map of one row or column has no cell beyond the corner: `read_slope` takes the same one twice.
+    # A map of one row or column has no cell beyond the corner: the same one is taken twice.
     corner_x, corner_y = max(f4(grid.columns - 2), zero), max(f4(grid.rows - 2), zero)
     for i in range(LANES):
         c, s = heading[COS * LANES + i], heading[SIN * LANES + i]
@@ -139,7 +146,7 @@ def find_cells(
         cell[i] = nearest_cell(grid, x, y) if inside else -1
         x0, y0 = np.floor(x), np.floor(y)
         x0, y0 = x0 if x0 < corner_x else corner_x, y0 if y0 < corner_y else corner_y
-        corner[i] = np.int32(y0) * np.int32(grid.columns) + np.int32(x0)
+        corner[i] = np.int32(y0) * np.int32(slope_columns(grid)) + np.int32(x0)
         u[i], v[i] = x - x0, y - y0
         x, y, inside = cell_at(cost_grid, px, py)
         nearest = nearest_cell(cost_grid, x, y)
@@ -157,9 +164,9 @@ def find_pose_cells(model_state: np.ndarray, cost_cell: np.ndarray, cost_grid: G
 
 @PLANNING.inlined
 def find_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
-    """Find where the numbers of cells begin that have so many each."""
+    """Find where the numbers of cells begin that have so many each; negative off the map."""
     for i in range(LANES):
-        index[i] = max(cells[i], np.int32(0)) * np.int32(size)
+        index[i] = cells[i] * np.int32(size)
 
 
 @PLANNING.inlined
@@ -167,23 +174,22 @@ def read_codes(w: np.ndarray, samples: TerrainSamples, ground: GroundCells, k: i
     """Gather the codes under wheel k into the workspace."""
     size = len(ground.missing)
     find_numbers(samples.cell, size, samples.first)
-    for e in range(size):
-        row, missing = w[(CODES + k * size + e) * LANES : (CODES + k * size + e + 1) * LANES], ground.missing[e]
+    rows = w[(CODES + k * size) * LANES : (CODES + (k + 1) * size) * LANES]
+    for e in range(0, size - 3, 4):
+        read_fours(ground.codes, samples.first, e, ground.missing, rows[e * LANES :])
+    for e in range(size - size % 4, size):
         for i in range(LANES):
-            code = ground.codes[np.uint64(samples.first[i] + e)]
-            row[i] = code if samples.cell[i] >= 0 else missing
+            code = ground.codes[np.uint64(max(samples.first[i], np.int32(0)) + e)]
+            rows[e * LANES + i] = code if samples.first[i] >= 0 else ground.missing[e]
 
 
 @PLANNING.inlined
 def read_slope(grid: Grid, slope: np.ndarray, corner: np.ndarray, index: np.ndarray, corners: np.ndarray) -> None:
-    """Gather the slope of the four cells around a wheel."""
-    right, up = min(grid.columns - 1, 1), min(grid.rows - 1, 1) * grid.columns
+    """Gather the slope of the four cells around a wheel: of the corner, its right neighbour, and both above."""
     find_numbers(corner, 2, index)
-    for n in range(8):
-        shift = np.int32(n % 2 + 2 * (right * (n // 2 % 2) + up * (n // 4)))
-        row = corners[n * LANES : (n + 1) * LANES]
-        for i in range(LANES):
-            row[i] = slope[np.uint64(index[i] + shift)]
+    up = 2 * slope_columns(grid) * min(grid.rows - 1, 1)
+    read_fours(slope, index, 0, slope, corners)
+    read_fours(slope, index, up, slope, corners[4 * LANES :])
 
 
 @PLANNING.inlined
@@ -209,14 +215,16 @@ def add_normal(
 
 
 @PLANNING.inlined
-def find_cost_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
-    """Find where the numbers of cells of the cost map begin, on the map and off it."""
+def find_border_numbers(cells: np.ndarray, size: int, index: np.ndarray) -> None:
+    """Find where the numbers of cells of the cost map begin; off the map those of the nearest cell."""
     for i in range(LANES):
         cell = cells[i]
         index[i] = (cell if cell >= 0 else np.int32(-1) - cell) * np.int32(size)
 
 
-def read_layers(k: int, cost_cells: CostCells, cells: np.ndarray, index: np.ndarray, values: np.ndarray) -> None:
+def read_layers(
+    k: int, cost_cells: CostCells, cells: np.ndarray, index: np.ndarray, read: np.ndarray, values: np.ndarray
+) -> None:
     """Read the layers under wheel k, or at the pose point; `kernel_costs` puts compiled code in its place."""
     raise NotImplementedError
 
@@ -242,11 +250,10 @@ def sample_terrain(
             model_state, samples.values, ground.wheels[k], ground.grid, cost_cells.grid, samples.cell, samples.corner,
             samples.u, samples.v, samples.cost_cell,
         )  # fmt: skip
-        read_slope(ground.grid, ground.slope, samples.corner, samples.first, samples.slope)
-        # Between slopes and normals: vectors are not loaded at once that were just stored number by number.
-        read_layers(k, cost_cells, cost_cell, samples.first, samples.values)
+        read_slope(ground.grid, ground.slope, samples.corner, samples.first, samples.read)
+        add_normal(normal, unknown, samples.read, samples.u, samples.v, samples.cell)
+        read_layers(k, cost_cells, cost_cell, samples.first, samples.read, samples.values)
         if codes:
             read_codes(w, samples, ground, k)
-        add_normal(normal, unknown, samples.slope, samples.u, samples.v, samples.cell)
     find_pose_cells(model_state, cost_cell, cost_cells.grid)
-    read_layers(POSE_POINT, cost_cells, cost_cell, samples.first, samples.values)
+    read_layers(POSE_POINT, cost_cells, cost_cell, samples.first, samples.read, samples.values)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.signal import savgol_coeffs
 from torch import Generator, Tensor
 
+from offpiste.compilation import single_threaded_torch
 from offpiste.conventions import DT
 from offpiste.errors import PlanningError
 from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within
@@ -115,11 +116,14 @@ def improve(
         PlanningError: no sample has a finite cost.
     """
     for _ in range(settings.iterations):
-        draws = sample(controls, settings, generator)
-        samples = limited(draws, settings, previous)
-        costs = cost_of(samples).double() + control_costs(draws, controls, settings)
-        weights = weigh(costs, settings.temperature)
-        controls = torch.einsum("k,ktu->tu", weights.to(samples.dtype), samples)
+        with single_threaded_torch():  # threads that are woken for so little spin for longer than it takes
+            draws = sample(controls, settings, generator)
+            samples = limited(draws, settings, previous)
+        costs = cost_of(samples).double()
+        with single_threaded_torch():
+            costs += control_costs(draws, controls, settings)
+            weights = weigh(costs, settings.temperature)
+            controls = torch.einsum("k,ktu->tu", weights.to(samples.dtype), samples)
     # A mean of sequences within limits is within them, up to rounding; smoothing may leave them.
     controls = limited(smoothed(controls, settings.smoothing)[None], settings, previous)[0]
     return Plan(controls, costs, weights)

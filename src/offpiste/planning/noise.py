@@ -13,8 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
+from offpiste.compilation import single_threaded_torch, spread_kernel
+
 Shape = tuple[int, int, int]
 """Samples K, steps T, controls U."""
+
+PART: Final = 32
+"""Samples that have a generator of their own, so that noise does not depend on the number of threads."""
 
 Noise = Callable[[Shape, Generator, torch.dtype], Tensor]
 """Type of the functions below, their options bound by `functools.partial`."""
@@ -88,7 +93,28 @@ def coefficient_sizes(
 def from_coefficients(
     shape: Shape, generator: Generator, size: Float[Tensor, " frequencies"], period: int
 ) -> Float[Tensor, "K T U"]:
-    """Noise from random coefficients of these sizes."""
+    """Noise from random coefficients of these sizes.
+
+    On the CPU in several threads: each part has a generator of its own, seeded by the one that is given.
+    """
+    if generator.device.type != "cpu":
+        return _drawn(shape, generator, size, period)
+    samples, steps, controls = shape
+    seeds = torch.randint(2**62, (-(-samples // PART),), generator=generator).tolist()
+    noise = torch.empty(samples, controls, steps, dtype=size.dtype).transpose(1, 2)
+
+    def draw(first: int, last: int) -> None:
+        for seed, part in zip(seeds[first:last], noise.split(PART)[first:last], strict=True):
+            part.copy_(_drawn((len(part), steps, controls), Generator().manual_seed(seed), size, period))
+
+    with single_threaded_torch():
+        spread_kernel(len(seeds), draw)
+    return noise
+
+
+def _drawn(
+    shape: Shape, generator: Generator, size: Float[Tensor, " frequencies"], period: int
+) -> Float[Tensor, "K T U"]:
     samples, steps, controls = shape
     drawn = (samples, controls, len(size))
     parts = torch.randn(drawn, generator=generator, dtype=size.dtype.to_complex(), device=generator.device)

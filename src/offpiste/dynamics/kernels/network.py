@@ -15,6 +15,7 @@ from offpiste.compilation import KERNELS
 from offpiste.dynamics.kernels.elementary import Lane, add_outer, add_product, copy, f4, tanh
 from offpiste.dynamics.kernels.generated import cell, cell_adjoint
 from offpiste.dynamics.kernels.layout import CELL_ROW, CELL_ROWS, HIDDEN, LANES
+from offpiste.dynamics.kernels.vectors import WIDTH, clamp, load, store
 from offpiste.dynamics.lstm import FADE, Compensator
 
 
@@ -174,7 +175,7 @@ def make_buffers(network: Network, one: Lane) -> Buffers:
     return Buffers(seen, np.zeros(CELL, f4), layer, np.zeros(LANES, f4), np.zeros(network.terms * LANES, f4))
 
 
-@KERNELS.loop
+@KERNELS.inlined
 def _begin(terms: np.ndarray, sums: np.ndarray) -> None:
     """Sums begin with the terms from elsewhere, or with 0."""
     if len(terms) > 0:
@@ -183,7 +184,21 @@ def _begin(terms: np.ndarray, sums: np.ndarray) -> None:
         sums[:] = f4(0)
 
 
-@KERNELS.loop
+@KERNELS.inlined
+def standardise(network: Network, w: np.ndarray, standardised: np.ndarray, trust: np.ndarray) -> None:
+    """Bring a network's inputs into their ranges; trust is the smaller the further they were outside."""
+    zero, one = f4(0), f4(1)
+    for i in range(0, LANES, WIDTH):
+        beyond = zero
+        for k in range(len(network.inputs)):
+            z = (load(w, network.inputs[k] * LANES + i) - network.mean[k]) * network.inverse_scale[k]
+            within = clamp(z, network.low[k], network.high[k])
+            beyond += (z - within) * (z - within)
+            store(standardised, k * LANES + i, within)
+        store(trust, i, one / (one + f4(FADE) * beyond))
+
+
+@KERNELS.inlined
 def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, after: np.ndarray, units: int) -> None:
     """One step of a network: its outputs into the workspace, its recurrent state from one model state to the next.
 
@@ -197,17 +212,7 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
     hidden = network.first_hidden * LANES
     memory = hidden + units * LANES
     copy(before[hidden : hidden + UNITS], s.seen[:inputs])
-    s.trust[:] = f4(0)
-    for k in range(len(network.inputs)):
-        row = w[network.inputs[k] * LANES : (network.inputs[k] + 1) * LANES]
-        standardised = s.seen[inputs + k * LANES : inputs + (k + 1) * LANES]
-        mean, scale, low, high = network.mean[k], network.inverse_scale[k], network.low[k], network.high[k]
-        for i in range(LANES):
-            z = (row[i] - mean) * scale
-            standardised[i] = min(max(z, low), high)
-            s.trust[i] += (z - standardised[i]) * (z - standardised[i])
-    for i in range(LANES):
-        s.trust[i] = f4(1) / (f4(1) + f4(FADE) * s.trust[i])
+    standardise(network, w, s.seen[inputs:], s.trust)
 
     _begin(s.terms[:GATES], s.cell[:GATES])
     add_product(network.gates, s.seen, s.cell)

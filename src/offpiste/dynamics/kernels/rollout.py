@@ -92,8 +92,9 @@ def advance_block(
     units = (len(before) - MOVED) // (2 * LANES)
     copy(before, w[:MOVED])
     sense(w, c)
-    for k in range(len(networks)):
-        compensate(networks[k], buffer_sets[k], w, before[MOVED:], after[MOVED:], units)
+    compensate(networks[0], buffer_sets[0], w, before[MOVED:], after[MOVED:], units)
+    compensate(networks[1], buffer_sets[1], w, before[MOVED:], after[MOVED:], units)
+    compensate(networks[2], buffer_sets[2], w, before[MOVED:], after[MOVED:], units)
     advance(w, c)
     copy(w[NEXT : NEXT + MOVED], after[:MOVED])
 
