@@ -18,7 +18,7 @@ from offpiste.planning.pedal import controls_of
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.perception import Stopwatch
-from offpiste.runtime.plan_improvement import PlanImprover
+from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
@@ -52,6 +52,7 @@ class PlanMaker:
         spread: of the model's predictions, for risks that need one.
         seed: of the sampled controls.
         watch: times of the stages.
+        improver: makes what improves the plans.
 
     Attributes:
         map_empty: whether the map held no ground within reach of the last plan.
@@ -71,11 +72,12 @@ class PlanMaker:
         spread: Spread | None = None,
         seed: int = 0,
         watch: Stopwatch | None = None,
+        improver: MakeImprover = PlanImprover,
     ) -> None:
         self._dynamics, self._settings, self._ground = dynamics, settings, ground
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._caution = caution_of(settings.risk, spread)
-        self._improver = PlanImprover(dynamics, settings, seed)
+        self._improver = improver(dynamics, settings, seed)
         self._watch = watch or Stopwatch()
         self.map_empty = False
         self.failures: list[str] = []
