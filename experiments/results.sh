@@ -91,7 +91,7 @@ closed_loop() {
     local runs=("$out"/laptop/runs/{parametric,b,dc}-{0,1,2} "$out"/controls/oracle/runs/df-{0,1,2})
     step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
     step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
-        --courses 20 --test --out "$out/closed-loop"
+        --test --out "$out/closed-loop"
     step faults python -m experiments.closed_loop_table --runs "$out/laptop/runs/dc-0" --pca "$out/laptop/pca.safetensors" \
         --faults --courses 1 --out "$out/faults"
 }

@@ -4,38 +4,41 @@ import logging
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from experiments.closed_loop_table.cards import write_driving
-from experiments.closed_loop_table.drives import DEVELOPMENT, TEST, drive_all, entries, places
+from experiments.closed_loop_table.drives import DEVELOPMENT, PYTORCH_MPPI, TEST, drive_all, entries, places
+from experiments.closed_loop_table.pictures import draw_choices
+from experiments.closed_loop_table.pytorch_mppi_planner import check_installed
 from experiments.closed_loop_table.table import write_table
 from experiments.command import run
+from offpiste.closed_loop.courses import KINDS as KINDS_OF_COURSE
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings
 from offpiste.closed_loop.faults import KINDS, Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import OffpisteError
 from offpiste.parallel import usable_cores
-from offpiste.planning.caution import risk_of
-from offpiste.runtime.settings import RuntimeSettings
 
 logger = logging.getLogger("experiments")
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Drive seeded courses with every given run: a result per course and planner, then table.md. Resumes."""
+    """Drive seeded courses with every given run: a result per course and planner, then a table. Resumes."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")]
     """Run folders, one or more seeds each: parametric, b, dc, and a `df` on ground-truth features (the ceiling)."""
     pca: Path | None = None
     """PCA of runs with visual features."""
-    courses: int = 20
+    courses: int = 60
     """Number of courses."""
+    kinds: tuple[str, ...] = ("bends", "choices", "passages")
+    """Kinds of courses, in turn."""
     test: bool = False
-    """Courses of the test seeds (from 201) instead of those for development (from 1)."""
+    """Courses of the test seeds (from 401) instead of those for development (from 1)."""
     out: Path = Path("closed-loop")
     """Folder of all outputs."""
     seconds: float = 40.0
@@ -44,8 +47,11 @@ class ClosedLoop:
     """Target speed along the courses [m/s]."""
     latencies: tuple[float, ...] = (0.0, 0.3)
     """Latencies of the first dc and the first ceiling, beside 0.1 [s]."""
-    risk: str = "none"
-    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE; all runs then need a spread."""
+    risks: tuple[str, ...] = ()
+    """What counts in plans beside the prediction (spread:TIMES or cvar:SHARE), as rows of their own for the runs that
+    have a spread."""
+    planners: tuple[Literal["offpiste", "pytorch-mppi"], ...] = ("offpiste",)
+    """What plans; pytorch-mppi (`pip install pytorch-mppi`) makes a row of its own of every run."""
     keep_logs: bool = False
     """Keep the log of every drive: 150 MB each."""
     cards: bool = False
@@ -66,17 +72,24 @@ class ClosedLoop:
             raise OffpisteError("no run is given", where="--runs", how="give one run folder or more")
         if self.courses < 1:
             raise OffpisteError(f"{self.courses} courses", where="--courses", how="give 1 or more")
+        for kind in self.kinds:
+            KINDS_OF_COURSE[kind]  # complains itself
+        if not self.kinds:
+            raise OffpisteError("no kind of course", where="--kinds", how=f"give {', '.join(KINDS_OF_COURSE)}")
+        if PYTORCH_MPPI in self.planners:
+            check_installed()
         planners = [load_planner(run, self.pca) for run in self.runs]
         settings = CourseDriveSettings(
             seconds=self.seconds,
             course=CourseSettings(speed=self.speed),
-            runtime=RuntimeSettings(risk=risk_of(self.risk)),
             keep_log=self.keep_logs,
         )
-        worlds = places(TEST if self.test else DEVELOPMENT, self.courses)
+        rows = entries(planners, self.latencies, self.risks, self.planners)
+        worlds = places(TEST if self.test else DEVELOPMENT, self.courses, self.kinds)
         drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores())
         if not self.faults:
-            results = drive(entries(planners, self.latencies), out=self.out, settings=settings)
+            results = drive(rows, out=self.out, settings=settings)
+            draw_choices(results, worlds, self.out)
             logger.info(write_table(results, self.out, self.seconds))
             if self.cards:
                 write_driving(planners, results, self.seconds)

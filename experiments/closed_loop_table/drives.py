@@ -8,9 +8,11 @@ from contextlib import redirect_stderr
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+from experiments.closed_loop_table.pytorch_mppi_planner import PytorchMppi
 from experiments.closed_loop_table.table import COUNTED, MEASURES
+from offpiste.closed_loop.courses import course_world
 from offpiste.closed_loop.drive_course import (
     CourseDriveSettings,
     check_settings,
@@ -22,17 +24,23 @@ from offpiste.closed_loop.planner import Planner
 from offpiste.errors import OffpisteError, RunError
 from offpiste.files import check_folder
 from offpiste.parallel import run_all
+from offpiste.planning.caution import AsPredicted, risk_of
+from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.simulation.rendering.scene import Scene, world_scene
-from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 
-DEVELOPMENT, TEST = 1, 201
+DEVELOPMENT, TEST = 1, 401
 """First seeds of the courses: everything is chosen on the first, and evaluated on the second."""
 
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 """Course after course."""
 
-NEEDED: Final = ("world", "seed", "modes", "final_speed_mps", *MEASURES, *COUNTED)
+OFFPISTE, PYTORCH_MPPI = "offpiste", "pytorch-mppi"
+
+PLANNERS: Final[dict[str, MakeImprover]] = {OFFPISTE: PlanImprover, PYTORCH_MPPI: PytorchMppi}
+"""What improves plans, by name."""
+
+NEEDED: Final = ("world", "seed", "course", "firm_way", "driven_xy", "modes", "final_speed_mps", *MEASURES, *COUNTED)
 """What is read from results."""
 
 NEWER: Final = ("fault_start", "sensors", "weights_sha256", "novelty")
@@ -41,15 +49,18 @@ NEWER: Final = ("fault_start", "sensors", "weights_sha256", "novelty")
 
 @dataclass(frozen=True)
 class Entry:
-    """A planner at a latency [s]."""
+    """A model that plans at a latency [s], with a risk, by one of `PLANNERS`."""
 
     planner: Planner
     latency: float = 0.1
+    risk: str = "none"
+    by: str = OFFPISTE
 
     @property
     def row(self) -> str:
         """What its row is called, which the runs of all seeds share."""
-        return f"{self.planner.name}-{round(1000 * self.latency)}ms"
+        more = [self.risk.replace(":", "-")] * (self.risk != "none") + [self.by] * (self.by != OFFPISTE)
+        return f"{'+'.join((self.planner.name, *more))}-{round(1000 * self.latency)}ms"
 
     @property
     def name(self) -> str:
@@ -57,11 +68,21 @@ class Entry:
         return f"{self.row}-{self.planner.seed}"
 
 
-def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)) -> list[Entry]:
+def entries(
+    planners: Sequence[Planner],
+    latencies: Sequence[float] = (0.0, 0.3),
+    risks: Sequence[str] = ("none",),
+    others: Sequence[str] = (),
+) -> list[Entry]:
     """All at 0.1 s; of those that know the ground ahead, the first run at other latencies too, each once.
 
+    Args:
+        risks: of plans; other ones than none are driven by the runs that have a spread.
+        others: of `PLANNERS` beside offpiste's, for all runs at 0.1 s.
+
     Raises:
-        OffpisteError: two planners have one name and one seed, and so one folder.
+        OffpisteError: two planners have one name and one seed, and so one folder; or no run has the spread that a risk
+            needs.
     """
     named: dict[tuple[str, int], Planner] = {}
     for planner in planners:
@@ -71,21 +92,40 @@ def entries(planners: Sequence[Planner], latencies: Sequence[float] = (0.0, 0.3)
                 where=f"{first.folder} and {planner.folder}",
                 how="give one run of a model and seed, and the other in a command of its own with another --out",
             )
-    others = dict.fromkeys(round(latency, 6) for latency in latencies)
-    others.pop(Entry.latency, None)
+    wanted = dict.fromkeys(round(latency, 6) for latency in latencies)
+    wanted.pop(Entry.latency, None)
     firsts = {p.name: p for p in reversed(planners) if p.name in ("dc", "ceiling")}
-    wide = [Entry(p, latency) for p in planners if firsts.get(p.name) is p for latency in others]
-    return [*(Entry(p) for p in planners), *wide]
+    wide = [Entry(p, latency) for p in planners if firsts.get(p.name) is p for latency in wanted]
+    for risk in risks:
+        if risk_of(risk) != AsPredicted() and not any(planner.spread for planner in planners):
+            how = "`offpiste calibrate` makes one for a run"
+            raise OffpisteError(f"none of the runs has a spread for {risk}", where="--risks", how=how)
+    wary = [Entry(p, risk=risk) for risk in dict.fromkeys(risks) if risk != "none" for p in planners if p.spread]
+    by_others = [Entry(p, by=other) for other in dict.fromkeys(others) if other != OFFPISTE for p in planners]
+    return [*(Entry(p) for p in planners), *wide, *wary, *by_others]
 
 
-def places(first: int, courses: int) -> list[WorldSettings]:
-    """Worlds of so many courses, of seeds from `first` on."""
-    return [WorldSettings(WORLDS[number % len(WORLDS)], first + number) for number in range(courses)]
+class Place(NamedTuple):
+    """Where a course lies, and of which kind it is."""
+
+    world: WorldSettings
+    kind: str
+
+    @property
+    def name(self) -> str:
+        """What the folder of a drive on it is called."""
+        return f"{self.kind}-{self.world.preset}-{self.world.seed}"
+
+
+def places(first: int, courses: int, kinds: Sequence[str] = ("bends",)) -> list[Place]:
+    """Worlds and kinds of so many courses, of seeds from `first` on; kinds and worlds in turn."""
+    numbers = range(courses)
+    return [Place(WorldSettings(WORLDS[n % len(WORLDS)], first + n), kinds[n % len(kinds)]) for n in numbers]
 
 
 def drive_all(
     rows: Sequence[Entry],
-    worlds: Sequence[WorldSettings],
+    worlds: Sequence[Place],
     out: Path,
     settings: CourseDriveSettings | None = None,
     *,
@@ -104,7 +144,7 @@ def drive_all(
     settings = settings or CourseDriveSettings()
     check_folder(out)
     for row in rows:
-        check_settings(_at_latency(settings, row))
+        check_settings(_of_entry(settings, row))
     courses = [
         (world, [row for row in rows if _finished_result(row, world, out, settings) is None]) for world in worlds
     ]
@@ -118,7 +158,7 @@ def drive_all(
 
 
 def _drive_rows(
-    course: tuple[WorldSettings, list[Entry]],
+    course: tuple[Place, list[Entry]],
     report: Callable[[float], None],
     *,
     out: Path,
@@ -126,10 +166,10 @@ def _drive_rows(
 ) -> str:
     """Drive a course with several planners, one after the other."""
     (place, rows), message = course, []
-    world = make_world(place)
+    world = course_world(*place)
     scene = world_scene(world)
     for number, row in enumerate(rows):
-        drive = replace(_at_latency(settings, row), world=place)
+        drive = _on_course(_of_entry(settings, row), place)
         message.append(_driven(row, drive, _folder(row, place, out), world, scene))
         report((number + 1) / len(rows))
     return "\n".join(message)
@@ -138,27 +178,29 @@ def _drive_rows(
 def _driven(row: Entry, drive: CourseDriveSettings, folder: Path, world: World, scene: Scene) -> str:
     shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
     with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
+        result = drive_course(row.planner, drive, folder, world=world, scene=scene, improver=PLANNERS[row.by]).result
     return f"{row.name}: {described(result)}"
 
 
-def _at_latency(settings: CourseDriveSettings, row: Entry) -> CourseDriveSettings:
-    return replace(settings, runtime=replace(settings.runtime, latency=row.latency))
+def _of_entry(settings: CourseDriveSettings, row: Entry) -> CourseDriveSettings:
+    return replace(settings, runtime=replace(settings.runtime, latency=row.latency, risk=risk_of(row.risk)))
 
 
-def _folder(row: Entry, place: WorldSettings, out: Path) -> Path:
-    return out / row.name / f"{place.preset}-{place.seed}"
+def _on_course(settings: CourseDriveSettings, place: Place) -> CourseDriveSettings:
+    return replace(settings, world=place.world, course=replace(settings.course, kind=place.kind))
 
 
-def _finished_result(
-    row: Entry, place: WorldSettings, out: Path, settings: CourseDriveSettings
-) -> dict[str, Any] | None:
+def _folder(row: Entry, place: Place, out: Path) -> Path:
+    return out / row.name / place.name
+
+
+def _finished_result(row: Entry, place: Place, out: Path, settings: CourseDriveSettings) -> dict[str, Any] | None:
     """The result of a drive that is there already."""
     folder = _folder(row, place, out)
     path = folder / "result.json"
     if not path.exists():
         return None
-    wanted = settings_of(row.planner, _at_latency(settings, row))
+    wanted = settings_of(row.planner, _on_course(_of_entry(settings, row), place))
     result = _read(path, [*NEEDED, *(name for name in wanted if name not in NEWER)])
     if other := [name for name, value in wanted.items() if name in result and not _agree(result[name], value)]:
         raise RunError(f"a drive with another {other[0]}", where=folder, how="give another --out")

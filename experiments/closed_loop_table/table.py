@@ -19,6 +19,8 @@ MEASURES: Final = {
     "worst_path_error_m": "worst path error [m]",
     "mean_speed_error_mps": "mean speed error [m/s]",
     "plan_error_5s_m": "plan's error after 5 s [m]",
+    "energy_kj": "energy where it finishes [kJ]",
+    "interventions": "interventions",
 }
 RELATIVE: Final = ("driven_cost",)
 """Spread over orders of magnitude, so their logarithms are averaged: geometric means, and differences in percent."""
@@ -27,11 +29,12 @@ COUNTED: Final = {
     "finished": "finished",
     "rollover": "rolled over",
     "collision": "collided",
+    "damage": "damaged",
     "stuck": "stuck",
     "left_world": "left the world",
 }
 BOTH_FINISH: Final = "driven cost where both finish (pairs)"
-ORDER: Final = ("parametric", "b", "dc", "ceiling")
+ORDER: Final = ("parametric", "b", "cf", "dc", "ceiling")
 """Each knows more than those before."""
 
 RESAMPLES: Final = 10_000
@@ -77,13 +80,52 @@ def paired(first: Float[np.ndarray, "S n"], second: Float[np.ndarray, "S n"], se
 
 
 def table(results: Sequence[dict[str, Any]], limit: float) -> str:
-    """Markdown: every row's means and counts, and paired differences between rows.
+    """Markdown: every row's means and counts, and paired differences between rows; of several kinds also by kind.
 
     Args:
         limit: of a drive's time: what did not finish counts with that [s].
     """
+    kinds = list(dict.fromkeys(r["course"]["kind"] for r in results))
+    parts = [("All courses", list(results))] if len(kinds) > 1 else []
+    parts += [(kind.capitalize(), [r for r in results if r["course"]["kind"] == kind]) for kind in kinds]
+    lines = [line for title, of_kind in parts for line in (f"## {title}", "", *_part(of_kind, limit), "")]
+    return "\n".join(lines[:-1]) + "\n"
+
+
+def _part(results: Sequence[dict[str, Any]], limit: float) -> list[str]:
     drives = by_row(results)
-    return "\n".join([*_means(drives, limit), "", *_differences(drives, limit)]) + "\n"
+    choices = any(r["firm_way"] is not None for r in results)
+    firm = ["", *_firm_ways(drives)] if choices else []
+    return [*_means(drives, limit), *firm, "", *_differences(drives, limit)]
+
+
+def _firm_ways(drives: Drives) -> list[str]:
+    """How often each planner took the firm one of two ways, and paired differences of these shares."""
+    lines = [
+        "The firm one of two ways, of the drives that got to their middle; differences in percentage points.",
+        "",
+        _line(["planner", "firm way", "share", "difference"]),
+        _rule(4),
+    ]
+    for row, runs in drives.items():
+        taken = _firm(list(runs.values()))
+        known = np.isfinite(taken)
+        share = f"{100 * np.nanmean(taken):.0f} %" if known.any() else "–"
+        against = []
+        for other in (o for o in drives if o != row and _compared(row, o)):
+            mine, its = _paired_runs(runs, drives[other])
+            if mine and (found := paired(_firm(mine), _firm(its))) is not None:
+                mean, low, high = (100 * value for value in (found.mean, found.low, found.high))
+                against.append(f"− {other}: {mean:+.0f} [{low:+.0f}, {high:+.0f}]")
+        counted = f"{int(np.nansum(taken))} of {known.sum()}"
+        lines.append(_line([row, counted, share, "; ".join(against) or "–"]))
+    return lines
+
+
+def _firm(runs: Runs) -> Float[np.ndarray, "S n"]:
+    """1 where the firm way was taken, 0 where the other, NaN where neither is known."""
+    taken = [[drive["firm_way"] if drive else None for drive in courses] for courses in runs]
+    return np.array([[np.nan if way is None else float(way) for way in courses] for courses in taken])
 
 
 def by_row(results: Sequence[dict[str, Any]]) -> Drives:
@@ -111,7 +153,9 @@ def _means(drives: Drives, limit: float) -> list[str]:
         f"{_courses(drives)} courses; means over them and the runs of all seeds. A drive that does not finish counts"
         f" with {limit:g} s, and in its driven cost as standing on its course until then; errors are of what was"
         " driven. Driven cost: the terms of path and speed of what planners minimise (squared errors, over time), of"
-        " what was driven; geometric means, so that each course counts alike.",
+        " what was driven; geometric means, so that each course counts alike. Interventions: stops by the run time"
+        " while it drove, and each rollover, collision, being stuck and leaving the world. Damaged: rolled over or"
+        " collided.",
         "",
         _line(["planner", "runs", *MEASURES.values(), "drives", *COUNTED.values()]),
         _rule(3 + len(MEASURES) + len(COUNTED)),
@@ -167,7 +211,7 @@ def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> s
     """Write table.md and results.json; returns the table."""
     text = table(results, limit)
     write_text(out / "table.md", text)
-    kept = [{k: v for k, v in r.items() if k not in ("stages", "runtime")} for r in results]
+    kept = [{k: v for k, v in r.items() if k not in ("stages", "runtime", "driven_xy")} for r in results]
     write_text(out / "results.json", json.dumps(kept, indent=1, allow_nan=False) + "\n")
     return text
 
@@ -177,6 +221,10 @@ def _compared(row: str, other: str) -> bool:
     (name, latency), (base, at) = row.rsplit("-", 1), other.rsplit("-", 1)
     if name == base:
         return at == "100ms" and latency != at
+    if "+" in name:  # with a risk or by another planner: with what it is like otherwise
+        return latency == at and base == name.split("+")[0]
+    if "+" in base:
+        return False
     known = name in ORDER and base in ORDER
     return latency == at and (ORDER.index(base) < ORDER.index(name) if known else base == "b")
 
@@ -194,6 +242,8 @@ def _value(result: Drive, key: str, limit: float) -> float:
         return np.nan
     if key == "time_s" and not result["finished"]:
         return limit
+    if key == "energy_kj" and not result["finished"]:
+        return np.nan
     value = result[key]["mean"] if key == "plan_error_5s_m" else result[key]
     if value is None:
         return np.nan

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from experiments.closed_loop_table.drives import NEEDED
-from offpiste.closed_loop.courses import CourseSettings, choose_course, surprise_along, traction_along
+from offpiste.closed_loop.courses import CourseSettings, choose_course
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
+from offpiste.closed_loop.stretches import surprise_along, traction_along
 from offpiste.errors import OffpisteError, RunError
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES

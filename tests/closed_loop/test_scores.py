@@ -6,15 +6,26 @@ import numpy as np
 import pytest
 
 from offpiste.closed_loop.lockstep import Driving, time_of
-from offpiste.closed_loop.scores import Trace, driven_cost, prediction_errors, summary, trace_of
+from offpiste.closed_loop.scores import (
+    Trace,
+    driven_cost,
+    engine_energy,
+    firm_way,
+    interventions,
+    prediction_errors,
+    summary,
+    trace_of,
+)
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.prediction import Prediction
+from offpiste.simulation.vehicle.parameters import load_vehicle
 from synthetic_drive import samples
 
 WEIGHTS = CostWeights(path=3.0, speed=1.0)
+VEHICLE = load_vehicle()
 COURSE = Course(np.stack((np.arange(11.0), np.zeros(11)), axis=1), np.full(11, 7.0))
 """10 m along x, at 7 m/s."""
 
@@ -85,7 +96,7 @@ def test_the_trace_by_hand():
 
 def test_the_summary_counts_until_the_course_is_driven():
     driving = hand_made()
-    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS)
+    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
     assert found["finished"], "from row 7 on it is less than 3 m to the end"
     assert found["time_s"] == pytest.approx(8 * 0.02)
     assert found["progress_m"] == 7.0
@@ -97,14 +108,54 @@ def test_the_summary_counts_until_the_course_is_driven():
     assert found["share_of_time"] == {"driving": 7 / 8, "stopped": 1 / 8}
     assert found["vehicle_events"] == [(0.08, "collision with a tree")]
     assert found["collision"]
+    assert found["damage"]
+    assert found["interventions"] == 1
     assert not any(found[name] for name in ("rollover", "stuck", "left_world"))
 
 
 def test_a_drive_that_does_not_finish_counts_as_standstill_in_its_cost_alone():
     driving = hand_made(rows=3)
-    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS)
+    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
     assert not found["finished"]
     assert (found["time_s"], found["progress_m"]) == (pytest.approx(0.06), 2.0)
     assert found["driven_cost"] == pytest.approx(0.06 * (3 * 0.25 + 4) + (2.0 - 0.06) * 49)
     assert found["mean_path_error_m"] == pytest.approx(0.5)
     assert found["mean_speed_error_mps"] == pytest.approx(2.0)
+
+
+def test_the_engines_energy_by_hand():
+    like = samples(1.0)[0]
+    bend = lambda rpm: (rpm / 60 * 2 * np.pi / VEHICLE.engine_torque_speed - 1) ** 2  # noqa: E731
+    full = VEHICLE.engine_torque * (1 - VEHICLE.engine_torque_bend * bend(4000.0))
+    assert full > 0
+    driven = [replace(like, engine_speed=4000.0, command=np.array((1.0, 0.0, 0.0)))] * 50
+    coasted = [replace(like, engine_speed=4000.0, command=np.zeros(3))] * 50  # it brakes, and gives nothing back
+    second = full * 4000 / 60 * 2 * np.pi
+    assert engine_energy(driven + coasted, VEHICLE) == pytest.approx(second)
+
+
+def test_interventions_are_stops_and_what_happens_to_the_vehicle():
+    begins = ["stopped", "stopped", "driving"]
+    assert interventions(begins, set()) == 0, "at the beginning it is at a standstill"
+    stops = [*begins, "degraded", "stopping", "stopped", "driving", "stopping"]
+    assert interventions(stops, set()) == 2
+    assert interventions(stops, {"rollover", "stuck"}) == 4
+
+
+def test_the_way_is_the_nearer_one_in_the_middle():
+    x = np.arange(21.0)
+    ways = [np.stack((x, side * 4 * np.sin(np.pi * x / 20) ** 2), axis=1) for side in (1, -1)]
+    course = Course(ways[0], np.full(21, 7.0), alternative=ways[1])
+    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(ways[0], axis=0), axis=1))))
+
+    def driven(place):
+        zeros = np.zeros(len(place))
+        return Trace(place, zeros, zeros, zeros, length[: len(place)], zeros)
+
+    assert firm_way(driven(ways[0]), course, 0)
+    assert firm_way(driven(ways[1]), course, 0) is False
+    assert firm_way(driven(ways[1]), course, 1)
+    crosses = np.where((x < 10)[:, None], ways[1], ways[0])
+    assert firm_way(driven(crosses), course, 0), "where they are farthest apart, it is on the first"
+    assert firm_way(driven(ways[0][:10]), course, 0) is None
+    assert firm_way(driven(ways[0]), COURSE, None) is None

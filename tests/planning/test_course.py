@@ -96,3 +96,16 @@ def test_a_path_of_two_points_and_hardly_any_cells():
     found = along_path(path, values, np.array([4.0]), np.array([3.0]))
     np.testing.assert_allclose(found, [[[5.0, 1.0]]])
     np.testing.assert_allclose(along_path(path, values, np.array([4.0, 6.0]), np.array([4.0]))[0, 1], [5.0, 2.0])
+
+
+def test_of_two_ways_the_nearer_one_counts():
+    x = np.arange(-10.0, 11.0)
+    upper, lower = (np.stack((x, side * 4 * np.cos(np.pi * x / 20) ** 2), axis=1) for side in (1, -1))
+    speed = np.linspace(3.0, 7.0, 21)
+    course, ground = Course(upper, speed, alternative=lower), layers(41, 0.5)
+    found = course.layers(ground)
+    one, other = Course(upper, speed).layers(ground), Course(lower, speed).layers(ground)
+    nearer = one[..., :1] <= other[..., :1]
+    np.testing.assert_array_equal(found, np.where(nearer, one, other))
+    assert 0.2 < nearer.mean() < 0.8
+    np.testing.assert_allclose(course.densified(0.5).alternative, Course(lower, speed).densified(0.5).path, atol=1e-9)

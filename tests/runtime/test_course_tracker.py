@@ -73,3 +73,21 @@ def test_beyond_its_end_a_course_follows_its_path():
     assert tracker.stretch().path[-1] == pytest.approx((50.0, 10.0), abs=0.3), "round the corner, not straight on"
     np.testing.assert_array_equal(course.driven, path[:1])
     np.testing.assert_array_equal(Course(path, np.full(3, 5.0)).driven, path)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_on_either_of_two_ways_the_vehicle_is_on_its_course(side):
+    x = np.linspace(0.0, 60.0, 121)
+    upper, lower = (np.stack((x, s * 8 * np.sin(np.pi * x / 60) ** 2), axis=1) for s in (1, -1))
+    tracker = CourseTracker(Course(upper, np.full(121, 5.0), 50.0, lower), TrackerRange(back=5.0, ahead=20.0))
+    driven = upper if side == 1 else lower
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(upper, axis=0), axis=1))))
+    for place, length in zip(driven, arc, strict=True):
+        assert tracker.move(place) < 0.15
+        assert tracker.progress == pytest.approx(min(length, 50.0), abs=0.3)
+        if length > 49:
+            break
+    assert tracker.move(np.array((40.0, 0.0))) > 2.0, "between the ways it is off the course"
+    section = tracker.stretch()
+    assert len(section.alternative) == len(section.path)
+    np.testing.assert_allclose(section.alternative, section.path * (1, -1), atol=1e-9)

@@ -28,6 +28,8 @@ class Drive:
     """Folder of drive.mcap, result.json and drive.png."""
     pca: Path | None = None
     """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""
+    course: str = "bends"
+    """Kind of course: bends, choices or passages; an unknown kind lists those there are."""
     speed: float = 7.0
     """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
     latency: float = PERCEPTION_LATENCY
@@ -54,6 +56,7 @@ class Drive:
             seed=self.seed,
             seconds=self.seconds,
             pca=self.pca,
+            course=self.course,
             speed=self.speed,
             latency=self.latency,
             risk=self.risk,

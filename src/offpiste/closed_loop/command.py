@@ -27,6 +27,7 @@ def run_drive(
     seed: int,
     seconds: float,
     pca: Path | None,
+    course: str,
     speed: float,
     latency: float,
     risk: str,
@@ -46,7 +47,7 @@ def run_drive(
     settings = CourseDriveSettings(
         WorldSettings(world, seed),
         seconds,
-        course=CourseSettings(speed=speed),
+        course=CourseSettings(course, speed),
         runtime=RuntimeSettings(latency=latency, risk=caution),
         fault=fault,
         fault_start=fault_start,

@@ -1,58 +1,18 @@
-"""Courses along the trails of a world, through bends where friction differs from its mean."""
+"""Courses on the proving ground, by kind (`closed_loop.kinds`): how one is declared, and the choice of the best."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, NamedTuple
 
-import numpy as np
-from jaxtyping import Float
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
-
-from offpiste.conventions import GRAVITY
+from offpiste.closed_loop.stretches import CourseSettings
 from offpiste.errors import OffpisteError
-from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.course import Course
-from offpiste.simulation.driver.lookahead import VisibleTerrain
+from offpiste.registry import Registry
 from offpiste.simulation.simulate import Start
-from offpiste.simulation.world.surface import read_grid
-from offpiste.simulation.world.world import World
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import World, WorldSettings
 
-STEP = 1.0
-"""Spacing of the points of a course [m]."""
-
-SMOOTH = 1.5
-"""Standard deviation of the smoothing of friction and curvature, about a vehicle's length [m]."""
-
-APART = 20.0
-"""Shortest gap between the end of a path and its beginning on a closed trail [m]."""
-
-RUN_OUT = 60.0
-"""Length of path beyond the end of a course [m]; straight ahead there may be a tree, and plans would brake."""
-
-SHORTEST_SHARE = 0.7
-"""Smallest share of a path that is course, where the trail is short."""
-
-
-@dataclass(frozen=True)
-class CourseSettings:
-    """Requirements on a course.
-
-    Attributes:
-        speed: target speed [m/s]; the sharpest bends allow it only on ground of high friction.
-        length: longest course [m].
-        clearance: smallest distance from a trunk [m].
-        steepest: largest slope along or across (rise over run).
-        radius: smallest radius of a bend [m].
-        traction: smallest traction (`traction_along`); below it, a vehicle at a standstill is stuck.
-        candidates: number of stretches of trail that are compared; the one with the greatest `surprise` is chosen.
-    """
-
-    speed: float = 7.0
-    length: float = 180.0
-    clearance: float = 1.7
-    steepest: float = 0.3
-    radius: float = 5.0
-    traction: float = 0.02
-    candidates: int = 100
+__all__ = ["KINDS", "Candidate", "ChosenCourse", "CourseKind", "CourseSettings", "choose_course", "course_world"]
 
 
 @dataclass(frozen=True)
@@ -60,89 +20,59 @@ class ChosenCourse:
     """A course and the vehicle's start on it.
 
     Attributes:
-        surprise: error of the allowed speed without knowledge of the ground [m/s] (`surprise_along`).
+        surprise: error of the allowed speed without knowledge of the ground [m/s] (`stretches.surprise_along`).
+        firm: index of the firm way (`Course.ways`); None where there is one way.
     """
 
     course: Course
     start: Start
     surprise: float
+    firm: int | None = None
+
+
+class Candidate(NamedTuple):
+    """A course that could be chosen; the one with the greatest score is."""
+
+    score: float
+    chosen: ChosenCourse
+
+
+@dataclass(frozen=True)
+class CourseKind:
+    """A kind of course.
+
+    Attributes:
+        candidates: courses in a world by a seed that meet the settings, with their scores.
+        world: settings of worlds that have such courses, where they are not those of any world.
+    """
+
+    candidates: Callable[[World, int, CourseSettings], Iterator[Candidate]]
+    world: dict[str, Any] = field(default_factory=dict)
+
+
+KINDS: Final[Registry[CourseKind]] = Registry("kind of course", package="offpiste.closed_loop.kinds")
+
+
+def course_world(settings: WorldSettings, kind: str) -> World:
+    """World for a kind of course.
+
+    Raises:
+        OffpisteError: no such kind or preset, or a setting out of range.
+    """
+    return make_world(replace(settings, **KINDS[kind].world))
 
 
 def choose_course(world: World, seed: int, settings: CourseSettings | None = None) -> ChosenCourse:
-    """Course with the greatest surprise among stretches of the world's trails; the same seed gives the same course.
+    """Best course of the wanted kind in a world (of `course_world`); the same seed gives the same course.
 
     Raises:
-        OffpisteError: none of the stretches can be driven.
+        OffpisteError: no such kind, or no candidate can be driven.
     """
-    settings, terrain = settings or CourseSettings(), VisibleTerrain.of(world)
-    candidates: list[ChosenCourse] = []
-    for number in range(settings.candidates):
-        path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
-        length = (len(path) - 1) * STEP  # a closed trail may be shorter than wanted
-        end = min(settings.length, max(length - RUN_OUT, SHORTEST_SHARE * length))
-        course = Course(path, np.full(len(path), settings.speed), end)
-        enough_traction = traction_along(world, course.driven).min() >= settings.traction
-        if enough_traction and _drivable(world, terrain, path, settings):
-            heading = np.arctan2(*(path[2] - path[0])[::-1])
-            start = Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
-            candidates.append(ChosenCourse(course, start, surprise_along(world, course.driven, settings.speed)))
+    settings = settings or CourseSettings()
+    candidates = list(KINDS[settings.kind].candidates(world, seed, settings))
     if not candidates:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
-        raise OffpisteError("no stretch of its trails makes a course", where=place, how="take another seed")
-    return max(candidates, key=lambda candidate: candidate.surprise)
-
-
-def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
-    """Mean difference between the speed that friction allows and the speed by the world's mean friction [m/s].
-
-    Args:
-        speed: target speed, which caps both [m/s].
-    """
-    column = GROUND_PROPERTIES.index("friction")
-    friction = world.properties[..., column]
-    under = gaussian_filter1d(read_grid(friction, world.origin, world.resolution, path), SMOOTH / STEP, mode="nearest")
-    bend = np.abs(gaussian_filter1d(_turn(path), SMOOTH / STEP, mode="nearest")) / STEP
-    bend = np.concatenate((bend[:1], bend, bend[-1:]))
-    allowed, expected = (
-        np.minimum(speed, np.sqrt(mu * GRAVITY / np.maximum(bend, 1e-6))) for mu in (under, friction.mean())
-    )
-    return float(np.abs(allowed - expected).mean())
-
-
-def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Force left to drive away with, over the weight: friction less rolling resistance, sinkage drag and climb."""
-    under = {
-        name: read_grid(world.properties[..., column], world.origin, world.resolution, path)
-        for column, name in enumerate(GROUND_PROPERTIES)
-    }
-    height = read_grid(world.elevation, world.origin, world.resolution, path)
-    climb = np.gradient(height) / np.linalg.norm(np.gradient(path, axis=0), axis=1)
-    left = under["friction"] - under["rolling_resistance"] - under["sinkage_drag"] - climb
-    return gaussian_filter1d(left, SMOOTH / STEP, mode="nearest")
-
-
-def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
-    """Change of heading from each piece of a path to the next [rad]."""
-    reading = np.diff(path, axis=0)
-    return np.diff(np.unwrap(np.arctan2(reading[:, 1], reading[:, 0])))
-
-
-def _stretch(
-    trails: tuple[Float[np.ndarray, "_ 2"], ...], rng: np.random.Generator, length: float
-) -> Float[np.ndarray, "P 2"]:
-    """Stretch of a random closed trail, in either direction; a shorter trail is used up to its last metres."""
-    trail = trails[int(rng.integers(len(trails)))]
-    turned = np.roll(trail, -int(rng.integers(len(trail))), axis=0)[:: int(rng.choice((-1, 1)))]
-    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(turned, axis=0), axis=1))))
-    at = np.arange(0.0, min(arc[-1] - APART, length), STEP)
-    return np.stack([np.interp(at, arc, axis) for axis in turned.T], axis=1)
-
-
-def _drivable(world: World, terrain: VisibleTerrain, path: Float[np.ndarray, "P 2"], settings: CourseSettings) -> bool:
-    if len(terrain.trees):
-        away, nearest = cKDTree(terrain.trees[:, :2]).query(path)
-        if (away - terrain.trees[nearest, 2]).min() < settings.clearance:
-            return False
-    if max(terrain.max_slope(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
-        return False
-    return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)
+        raise OffpisteError(
+            f"no stretch of its trails makes a course ({settings.kind})", where=place, how="take another seed"
+        )
+    return max(candidates, key=lambda candidate: candidate.score).chosen

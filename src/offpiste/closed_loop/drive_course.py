@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course
+from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
+from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
-from offpiste.closed_loop.scores import Trace, prediction_errors, summary, trace_of
+from offpiste.closed_loop.scores import Trace, firm_way, prediction_errors, summary, trace_of
 from offpiste.conventions import DT
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.errors import Progress
@@ -23,18 +24,21 @@ from offpiste.perception.camera import make_pinhole_camera
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.prediction import KnownGround
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
-from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.simulation.world.build import make_world
+from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World, WorldSettings
 from offpiste.training.fitness import differing_vehicle
 
 logger = logging.getLogger(__name__)
+
+EVERY = 10
+"""Rows from one place of the driven path in result.json to the next."""
 
 FASTEST = 30.0
 """Largest target speed [m/s]."""
@@ -95,6 +99,7 @@ def drive_course(
     world: World | None = None,
     scene: Scene | None = None,
     track: Progress = track,
+    improver: MakeImprover = PlanImprover,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
 
@@ -103,8 +108,9 @@ def drive_course(
         driven.result["mean_path_error_m"]
 
     Args:
-        world, scene: made from `settings.world`; None to make them here.
+        world, scene: of `courses.course_world`; None to make them here.
         track: shows progress over the steps.
+        improver: makes what improves the plans, MPPI unless another planner is tried.
 
     Raises:
         OffpisteError: a setting is out of range, or there is a drive in the folder already.
@@ -116,7 +122,8 @@ def drive_course(
         if (out / name).exists():
             raise OffpisteError("exists already", where=out / name, how="give another folder, or remove it")
     remember = max(settings.seconds, settings.runtime.remember)
-    rig, parameters, world = load_rig("proving_ground"), load_vehicle(), world or make_world(settings.world)
+    rig, parameters = load_rig("proving_ground"), load_vehicle()
+    world = world or course_world(settings.world, settings.course.kind)
     chosen, suite = choose_course(world, settings.world.seed, settings.course), sensor_suite(settings.sensors)
     if planner.extractor is None and not settings.keep_log:
         suite = SensorSuite((), suite.lidars)
@@ -132,6 +139,7 @@ def drive_course(
         ground=_truth(world) if planner.knows_ground else None,
         seed=settings.world.seed,
         spread=planner.spread,
+        improver=improver,
     )
     out.mkdir(parents=True, exist_ok=True)
     remove_partials(out)
@@ -140,7 +148,7 @@ def drive_course(
         seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene, track=track,
     )  # fmt: skip
     trace = trace_of(driving, chosen.course)
-    result = _result(planner, settings, chosen, runtime, driving, trace)
+    result = _result(planner, settings, chosen, runtime, driving, trace, parameters)
     title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
     scored = round(result["time_s"] / DT)
     figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)
@@ -185,7 +193,7 @@ def check_settings(settings: CourseDriveSettings) -> None:
     if not 0 <= settings.fault_start < (settings.seconds if settings.fault != "none" else math.inf):
         how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
         raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)
-    sensor_suite(settings.sensors)  # complains itself
+    COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # complain themselves
 
 
 def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:
@@ -217,6 +225,7 @@ def _result(
     runtime: Runtime,
     driving: Driving,
     trace: Trace,
+    parameters: VehicleParameters,
 ) -> dict[str, Any]:
     errors = prediction_errors(runtime.predictions, trace.place)
     began = runtime.events[0].time if runtime.events else 0.0
@@ -228,7 +237,11 @@ def _result(
         "latency_s": settings.runtime.latency,
         "target_mps": settings.course.speed,
         "surprise_mps": chosen.surprise,
-        **summary(driving, trace, runtime.course_tracker.length, settings.seconds, settings.runtime.weights),
+        **summary(
+            driving, trace, runtime.course_tracker.length, settings.seconds, settings.runtime.weights, parameters
+        ),
+        "firm_way": firm_way(trace, chosen.course, chosen.firm),
+        "driven_xy": [[round(float(value), 2) for value in xy] for xy in trace.place[::EVERY]],
         "plan_error_5s_m": {
             "mean": float(errors.mean()) if len(errors) else None,
             "median": float(np.median(errors)) if len(errors) else None,

@@ -39,14 +39,16 @@ def course_picture(
         scored: rows of the trace until the course was driven, or the drive ended; the vehicle stops in the others.
         every: one in this many plans is drawn.
     """
-    shown = np.concatenate((course.driven, trace.place))
+    shown = np.concatenate((*(way[course.before_end] for way in course.ways), trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
     wide = 6.6 * (right - left) / (top - bottom)
     figure = Figure(figsize=(min(max(wide, 3.5), 13.0) + 2.0, 8), dpi=130, layout="constrained")
     axes = figure.subplots()
     draw_top_view(world, axes)
     outlined = [Stroke(linewidth=3.0, foreground="#00000090"), Normal()]
-    axes.plot(*course.driven.T, color="white", linewidth=1.2, path_effects=outlined, label="course")
+    for number, way in enumerate(course.ways):
+        label = None if number else "course"
+        axes.plot(*way[course.before_end].T, color="white", linewidth=1.2, path_effects=outlined, label=label)
     for number, prediction in enumerate(predictions[::every]):
         label = "plans, 5 s" if not number else None
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)

@@ -96,8 +96,9 @@ def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
 
 def _add_paths(stream: Any, rr: Any, driven: Driven) -> None:
     """Add the course, and the driven path in colours of slip."""
-    course = rr.LineStrips3D([_lifted(driven, driven.chosen.course.driven)], radii=0.06, colors=[255, 255, 255])
-    stream.log("world/course", course, static=True)
+    course = driven.chosen.course
+    ways = [_lifted(driven, way[course.before_end]) for way in course.ways]
+    stream.log("world/course", rr.LineStrips3D(ways, radii=0.06, colors=[255, 255, 255]), static=True)
     trace = driven.trace
     places, slip = _lifted(driven, trace.place[::EVERY]), trace.slip[::EVERY][:-1]
     shade = (255 * colormaps[SLIP_COLOURS](slip / SLIP_LIMIT)[:, :3]).astype(np.uint8)

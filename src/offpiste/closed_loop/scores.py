@@ -1,6 +1,8 @@
-"""Scores of a drive along a course: time, errors of path and speed, cost, and errors of the plans."""
+"""Scores of a drive along a course: time, errors of path and speed, cost, energy, damage, and errors of the plans."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,14 @@ from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.runtime.modes import Mode
 from offpiste.runtime.prediction import Prediction
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.vehicle.drivetrain import engine_torque
+from offpiste.simulation.vehicle.parameters import VehicleParameters
+
+DAMAGE = {"rollover", "collision with a tree"}
+"""Events that damage the vehicle."""
 
 FINISH = 3.0
 """Distance from its end at which a course counts as driven [m]."""
@@ -50,13 +59,21 @@ def trace_of(driving: Driving, course: Course) -> Trace:
     return Trace(place, speed, off, target, progress, slip)
 
 
-def summary(driving: Driving, trace: Trace, length: float, limit: float, weights: CostWeights) -> dict[str, Any]:
+def summary(
+    driving: Driving,
+    trace: Trace,
+    length: float,
+    limit: float,
+    weights: CostWeights,
+    parameters: VehicleParameters,
+) -> dict[str, Any]:
     """Scores, with units in their names; means are over the time until the course was driven, or the drive ended.
 
     Args:
         length: length of the course [m].
         limit: time limit of the drive [s].
         weights: cost weights of the planner.
+        parameters: of the vehicle.
     """
     events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
     happened = {event for _, event in events}
@@ -70,6 +87,8 @@ def summary(driving: Driving, trace: Trace, length: float, limit: float, weights
         "driven_cost": driven_cost(trace, rows.stop, None if finished else limit, weights),
         "course_m": length,
         "progress_m": float(trace.progress[rows][-1]),
+        "energy_kj": 1e-3 * engine_energy(driving.samples[rows], parameters),
+        "interventions": interventions(modes, happened),
         "driven_m": float(np.linalg.norm(np.diff(trace.place[rows], axis=0), axis=1).sum()),
         "mean_path_error_m": float(trace.off[rows].mean()),
         "worst_path_error_m": float(trace.off[rows].max()),
@@ -78,12 +97,54 @@ def summary(driving: Driving, trace: Trace, length: float, limit: float, weights
         "mean_slip": float(trace.slip[rows].mean()),
         "rollover": "rollover" in happened,
         "collision": "collision with a tree" in happened,
+        "damage": bool(happened & DAMAGE),
         "stuck": "stuck" in happened,
         "left_world": "left the world" in happened,
         "final_speed_mps": float(trace.speed[-1]),
         "share_of_time": {mode: modes.count(mode) / len(modes) for mode in sorted(set(modes))},
         "vehicle_events": events,
     }
+
+
+def engine_energy(samples: Sequence[VehicleSample], parameters: VehicleParameters) -> float:
+    """Energy that the engine gives to clutch and wheels [J]: its torque times its speed, where it does not brake."""
+    record = parameters.as_record()
+    speed = np.array([sample.engine_speed for sample in samples]) * 2 * np.pi / 60
+    torque = [engine_torque(v, s.command[0], record) for v, s in zip(speed, samples, strict=True)]
+    return float(DT * np.maximum(torque * speed, 0.0).sum())
+
+
+def interventions(modes: Sequence[Mode], happened: set[str]) -> int:
+    """Number of times that a person would have had to see to the vehicle.
+
+    Counted are stops by the run time while it drove, and once each rollover, collision, being stuck and leaving the
+    world.
+
+    Args:
+        modes: row by row, until the course was driven or the drive ended.
+        happened: events of the vehicle.
+    """
+    drives = [mode in ("driving", "degraded") for mode in modes]
+    return sum(before and not now for before, now in pairwise(drives)) + len(happened)
+
+
+def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
+    """Whether the vehicle took the firm one of two ways; None if there is one, or it did not get to their middle.
+
+    The way is the nearer one where the vehicle passes the point at which they are farthest apart.
+
+    Args:
+        firm: index of the firm way.
+    """
+    if firm is None:
+        return None
+    apart = int(np.argmax(np.linalg.norm(np.diff(course.ways, axis=0)[0], axis=1)))
+    middle = float(np.linalg.norm(np.diff(course.path[: apart + 1], axis=0), axis=1).sum())
+    there = np.flatnonzero(trace.progress >= middle)
+    if not len(there):
+        return None
+    away = [np.linalg.norm(way - trace.place[there[0]], axis=1).min() for way in course.ways]
+    return bool(np.argmin(away) == firm)
 
 
 def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights) -> float:

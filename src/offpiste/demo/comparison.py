@@ -102,7 +102,8 @@ def closing_words(predictions: Predictions) -> Iterator[str]:
         yield (
             f"Usual is {-100 * figures.against_b.mean:.0f} % {interval((low, high), 0)} nearer (95 % interval):"
             f" {figures.windows} windows in {figures.levels.drives} worlds that no model had seen,"
-            f" {figures.levels.seeds} trainings each. A single drive may say otherwise."
+            f" {figures.levels.seeds} training{'s' * (figures.levels.seeds > 1)} each."
+            " A single drive may say otherwise."
         )
     if card.driving is not None:
         yield f"How dc drives: {driving_words(card.driving).replace('`', '')}"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 
 from offpiste.compilation import PLANNING, spread_kernel
 from offpiste.errors import PlanningError
@@ -108,12 +108,14 @@ SHORTEST: Final = 0.01
 
 @dataclass(frozen=True)
 class Course:
-    """A path to drive along, with target speeds.
+    """A path to drive along, with target speeds; it may part into two ways, of which either may be taken.
 
     Attributes:
         path: x, y of points along it [m].
         speed: target speed at each point [m/s].
         end: length of the path that is driven [m]; the rest shows plans how it continues.
+        alternative: x, y of the points of a second way, those of the path where there is one way [m]; None: there is
+            none. Lengths are those of the path.
 
     Raises:
         PlanningError: the path is shorter than `SHORTEST`, or not finite.
@@ -122,6 +124,7 @@ class Course:
     path: Float[np.ndarray, "P 2"]
     speed: Float[np.ndarray, " P"]
     end: float = math.inf
+    alternative: Float[np.ndarray, "P 2"] | None = None
 
     def __post_init__(self) -> None:
         if not np.linalg.norm(np.diff(self.path, axis=0), axis=-1).sum() > SHORTEST:
@@ -129,25 +132,42 @@ class Course:
             raise PlanningError(f"a path of {len(self.path)} points, not finite or shorter than {SHORTEST} m", how=how)
 
     @property
+    def ways(self) -> tuple[Float[np.ndarray, "P 2"], ...]:
+        """The path and, if there is one, the alternative."""
+        return (self.path,) if self.alternative is None else (self.path, self.alternative)
+
+    @property
     def driven(self) -> Float[np.ndarray, "_ 2"]:
         """Points of the path up to the end."""
+        return self.path[self.before_end]
+
+    @property
+    def before_end(self) -> Bool[np.ndarray, " P"]:
+        """Which points lie before the end."""
         step = np.linalg.norm(np.diff(self.path, axis=0), axis=-1)
-        return self.path[np.concatenate(([0.0], np.cumsum(step))) <= self.end]
+        return np.concatenate(([0.0], np.cumsum(step))) <= self.end
 
     def densified(self, spacing: float) -> "Course":
         """Same course with a point every `spacing` [m], interpolated linearly."""
         length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(self.path, axis=0), axis=-1))))
         at = np.linspace(0, length[-1], max(int(np.ceil(length[-1] / spacing)) + 1, 2))
-        x, y = (np.interp(at, length, column) for column in self.path.T)
-        return Course(np.stack((x, y), axis=-1), np.interp(at, length, self.speed), self.end)
+        ways = [np.stack([np.interp(at, length, column) for column in way.T], axis=-1) for way in self.ways]
+        return Course(ways[0], np.interp(at, length, self.speed), self.end, *ways[1:])
 
     def layers(self, ground: TerrainLayers) -> Float32[np.ndarray, "ny nx 4"]:
-        """Distance to the path, and its direction and speed at the point nearest to each cell."""
+        """Distance to the nearer way, and its direction and speed at the point nearest to each cell."""
         dense = self.densified(spacing=ground.resolution / 2)  # the distance is right to a quarter of a cell
-        step = np.gradient(dense.path, axis=0)
-        direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
-        values = np.concatenate((direction, dense.speed[:, None]), axis=-1, dtype=np.float32)
-        return along_path(dense.path, values, ground.centres[0, :, 0], ground.centres[:, 0, 1])
+        along = [_layers_along(way, dense.speed, ground) for way in dense.ways]
+        return along[0] if len(along) == 1 else np.where(along[1][..., :1] < along[0][..., :1], along[1], along[0])
+
+
+def _layers_along(
+    path: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], ground: TerrainLayers
+) -> Float32[np.ndarray, "ny nx 4"]:
+    step = np.gradient(path, axis=0)
+    direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
+    values = np.concatenate((direction, speed[:, None]), axis=-1, dtype=np.float32)
+    return along_path(path, values, ground.centres[0, :, 0], ground.centres[:, 0, 1])
 
 
 @dataclass(frozen=True)

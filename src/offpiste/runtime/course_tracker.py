@@ -1,7 +1,7 @@
 """Position of the vehicle along its course, and the section of the course around it.
 
 A course may cross itself: the position is searched only a little ahead of the last one, and only the section ahead
-enters the cost map.
+enters the cost map. Where it parts into two ways, the vehicle is on the nearer one.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,8 @@ class CourseTracker:
     def move(self, xy: Float[np.ndarray, " 2"]) -> float:
         """Advance to the point of the course nearest to the vehicle at `xy` [m]; returns their distance [m]."""
         last = min(int(np.searchsorted(self._arc, self.progress + self._limits.search)), self._end)
-        away = np.linalg.norm(self._course.path[self._next : last + 1] - xy, axis=1)
+        ahead = slice(self._next, last + 1)
+        away = np.min([np.linalg.norm(way[ahead] - xy, axis=1) for way in self._course.ways], axis=0)
         nearest = int(np.argmin(away))
         self._next += nearest
         return float(away[nearest])
@@ -82,13 +83,18 @@ class CourseTracker:
         first = int(np.searchsorted(self._arc, self.progress - self._limits.back))
         last = int(np.searchsorted(self._arc, self.progress + self._limits.ahead)) + 1
         chosen = slice(max(min(first, len(self._arc) - 2), 0), last)
-        return Course(self._course.path[chosen], np.minimum(self._course.speed[chosen], at_most))
+        path, *alternative = (way[chosen] for way in self._course.ways)
+        return Course(path, np.minimum(self._course.speed[chosen], at_most), np.inf, *alternative)
 
 
 def _prolonged(course: Course, length: float) -> Course:
     """A dense course, extended straight by `length` [m]."""
-    direction = course.path[-1] - course.path[-2]
     steps = SPACING * np.arange(1, round(length / SPACING) + 1)[:, None]
-    beyond = course.path[-1] + steps * direction / max(float(np.linalg.norm(direction)), 1e-9)
-    path = np.concatenate((course.path, beyond))
-    return Course(path, np.concatenate((course.speed, np.full(len(beyond), course.speed[-1]))))
+    path, *alternative = (_straight_on(way, steps) for way in course.ways)
+    speed = np.concatenate((course.speed, np.full(len(steps), course.speed[-1])))
+    return Course(path, speed, np.inf, *alternative)
+
+
+def _straight_on(way: Float[np.ndarray, "P 2"], steps: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "P+n 2"]:
+    direction = way[-1] - way[-2]
+    return np.concatenate((way, way[-1] + steps * direction / max(float(np.linalg.norm(direction)), 1e-9)))

@@ -1,5 +1,8 @@
 """One plan improved by MPPI, on the CPU or on a GPU, from what the run time knows at that moment."""
 
+from collections.abc import Callable
+from typing import Protocol
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -17,6 +20,21 @@ from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState
 
 CPU = torch.device("cpu")
+
+
+class Improver(Protocol):
+    """What improves plans of pedal and steering."""
+
+    def improve(self, controls: Float[Tensor, "T 3"], model_state: ModelState, area: Area, at: Situation) -> mppi.Plan:
+        """A plan of pedal and steering, from one of throttle, brake and steering.
+
+        Raises:
+            PlanningError: none can be made.
+        """
+
+
+MakeImprover = Callable[[Dynamics, RuntimeSettings, int], Improver]
+"""Makes what improves plans, for a model, settings and a seed of the sampled controls."""
 
 
 class PlanImprover:

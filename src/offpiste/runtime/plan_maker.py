@@ -20,7 +20,7 @@ from offpiste.runtime.backing_out import BackingOut
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.perception import Stopwatch
-from offpiste.runtime.plan_improvement import PlanImprover
+from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
@@ -55,6 +55,7 @@ class PlanMaker:
         seed: of the sampled controls.
         reverses: whether the vehicle's gear can be commanded; no model that does not know a gear backs out.
         watch: times of the stages.
+        improver: makes what improves the plans.
 
     Attributes:
         map_empty: whether the map held no ground within reach of the last plan.
@@ -75,11 +76,12 @@ class PlanMaker:
         seed: int = 0,
         reverses: bool = True,
         watch: Stopwatch | None = None,
+        improver: MakeImprover = PlanImprover,
     ) -> None:
         self._dynamics, self._settings, self._ground = dynamics, settings, ground
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._caution = caution_of(settings.risk, spread)
-        self._improver = PlanImprover(dynamics, settings, seed)
+        self._improver = improver(dynamics, settings, seed)
         self._watch = watch or Stopwatch()
         backs_out = reverses and "gear" in dynamics.vehicle.control_columns
         chosen = settings.backing_out

@@ -8,15 +8,18 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.closed_loop_table import drives
-from experiments.closed_loop_table.drives import NEEDED, NEWER, Entry, drive_all, entries, places
+from experiments.closed_loop_table.drives import NEEDED, NEWER, PYTORCH_MPPI, Entry, drive_all, entries, places
+from experiments.closed_loop_table.pytorch_mppi_planner import PytorchMppi
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, settings_of
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import OffpisteError, RunError
 from offpiste.planning.costs.layers import Hazards
+from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
+from offpiste.uncertainty.spread import Spread
 from runtime.stream import parametric
 
 B, DC = (Planner(name, Path(f"/runs/{name}"), parametric()) for name in ("b", "dc"))
@@ -25,13 +28,15 @@ B, DC = (Planner(name, Path(f"/runs/{name}"), parametric()) for name in ("b", "d
 @pytest.fixture
 def driven(monkeypatch):
     """Drives that only record their settings; `driven.bad` holds worlds without a course."""
-    done = SimpleNamespace(drives=[], bad=set())
+    done = SimpleNamespace(drives=[], improvers=[], kinds=[], bad=set())
 
-    def drive_course(planner, settings, folder, *, world, scene):
+    def drive_course(planner, settings, folder, *, world, scene, improver):
         if settings.world.seed in done.bad:
             raise OffpisteError("no stretch of its trails makes a course")
         assert not folder.exists(), "what an interrupted drive left"
         folder.mkdir(parents=True)
+        done.improvers.append(improver)
+        done.kinds.append(settings.course.kind)
         done.drives.append((planner.name, settings.world.preset, settings.world.seed, settings.runtime.latency))
         result = {**dict.fromkeys(NEEDED, 0), **settings_of(planner, settings)}
         (folder / "result.json").write_text(json.dumps(result))
@@ -39,14 +44,14 @@ def driven(monkeypatch):
 
     monkeypatch.setattr(drives, "drive_course", drive_course)
     small = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
-    monkeypatch.setattr(drives, "make_world", lambda place: small)
+    monkeypatch.setattr(drives, "course_world", lambda place, kind: small)
     monkeypatch.setattr(drives, "described", lambda result: "driven")
     return done
 
 
 def test_every_planner_drives_every_course_once(driven, tmp_path):
     rows, worlds = entries([B, DC], (0.3,)), places(1, 2)
-    (tmp_path / "b-100ms-0" / "mojave-1").mkdir(parents=True)  # interrupted
+    (tmp_path / "b-100ms-0" / "bends-mojave-1").mkdir(parents=True)  # interrupted
     found = drive_all(rows, worlds, tmp_path)
     courses = [("mojave", 1), ("halter-ranch", 2)]
     planned = [("b", 0.1), ("dc", 0.1), ("dc", 0.3)]
@@ -86,7 +91,7 @@ def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
 def test_older_drives_count_without_settings_that_they_do_not_record(driven, tmp_path):
     given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path}
     drive_all(**given)
-    path = tmp_path / "b-100ms-0" / "mojave-1" / "result.json"
+    path = tmp_path / "b-100ms-0" / "bends-mojave-1" / "result.json"
     older = {k: v for k, v in json.loads(path.read_text()).items() if k not in NEWER}
     del older["runtime"]["slow"], older["runtime"]["timeouts"]["plan"], older["course"]["traction"]
     path.write_text(json.dumps(older))
@@ -99,10 +104,10 @@ def test_older_drives_count_without_settings_that_they_do_not_record(driven, tmp
     [("", "cannot be read"), ('{"world": "moj', "cannot be read"), ("[]", "not the result"), ("{}", "lacks 'world'")],
 )
 def test_a_broken_result_is_named(driven, tmp_path, content, what):
-    path = tmp_path / "b-100ms-0" / "mojave-1" / "result.json"
+    path = tmp_path / "b-100ms-0" / "bends-mojave-1" / "result.json"
     path.parent.mkdir(parents=True)
     path.write_text(content)
-    with pytest.raises(OffpisteError, match=rf"mojave-1/result\.json: .*{what}.*; remove it"):
+    with pytest.raises(OffpisteError, match=rf"bends-mojave-1/result\.json: .*{what}.*; remove it"):
         drive_all([Entry(B)], places(1, 1), tmp_path)
 
 
@@ -142,3 +147,33 @@ def test_a_file_instead_of_a_folder_is_refused(driven, tmp_path, inside):
     with pytest.raises(OffpisteError, match="file: is a file"):
         drive_all([Entry(B)], places(1, 1), tmp_path / "file" / inside)
     assert not driven.drives
+
+
+def test_kinds_and_worlds_come_in_turn(driven, tmp_path):
+    wanted = places(1, 12, ("bends", "choices", "passages"))
+    assert [place.name for place in wanted[:4]] == [
+        "bends-mojave-1",
+        "choices-halter-ranch-2",
+        "passages-coastal-scrub-3",
+        "bends-dunes-4",
+    ]
+    assert len({(place.kind, place.world.preset) for place in wanted}) == 12, "every kind in every world"
+    drive_all([Entry(B)], wanted[:3], tmp_path)
+    assert driven.kinds == ["bends", "choices", "passages"]
+
+
+def test_another_planner_and_a_risk_are_rows_of_their_own(driven, tmp_path):
+    wary = replace(DC, spread=Spread(1))
+    rows = entries([B, wary], (0.3,), ("none", "spread:1"), ("offpiste", PYTORCH_MPPI))
+    assert [row.row for row in rows] == [
+        "b-100ms",
+        "dc-100ms",
+        "dc-300ms",
+        "dc+spread-1-100ms",
+        "b+pytorch-mppi-100ms",
+        "dc+pytorch-mppi-100ms",
+    ]
+    drive_all(rows, places(1, 1), tmp_path)
+    assert driven.improvers == [*4 * [PlanImprover], *2 * [PytorchMppi]]
+    with pytest.raises(OffpisteError, match=r"--risks: none of the runs has a spread for spread:1; .*calibrate"):
+        entries([B, DC], (), ("spread:1",))

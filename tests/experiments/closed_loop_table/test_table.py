@@ -32,7 +32,7 @@ def test_every_pair_counts_once_and_seeds_that_differ_widen_the_interval():
     assert apart.high - apart.low > 3 * (alike.high - alike.low)
 
 
-def result(row, seed, time, finished=True, run_seed=0):
+def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
     return {
         "row": row,
         "run_seed": run_seed,
@@ -44,6 +44,10 @@ def result(row, seed, time, finished=True, run_seed=0):
         "worst_path_error_m": 1.0,
         "mean_speed_error_mps": 2.0,
         "plan_error_5s_m": {"mean": None},
+        "energy_kj": 100.0 + 10 * seed,
+        "interventions": 1,
+        "firm_way": firm,
+        "course": {"kind": kind},
         **dict.fromkeys(COUNTED, False),
         "finished": finished,
     }
@@ -62,7 +66,7 @@ def test_the_table_counts_what_did_not_finish_with_the_limit():
     rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
     rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 1 | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 4 | 4 | 0 | 0 | 0 | 0 |" in text
+    assert "| b-100ms | 1 | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 115.00 | 1.00 | 4 | 4 | 0 | 0 | 0 | 0 | 0 |" in text
     assert "| dc-100ms | 1 | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
     lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
     assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
@@ -87,7 +91,7 @@ def test_each_is_compared_with_who_knows_less_at_its_latency():
 
 
 def test_the_header_says_what_counts_for_a_drive_that_does_not_finish():
-    head = table([result("b-100ms", 0, 20.0)], limit=40.0).splitlines()[0]
+    head = table([result("b-100ms", 0, 20.0)], limit=40.0).splitlines()[2]
     assert "counts with 40 s, and in its driven cost as standing on its course until then" in head
     assert "errors are of what was driven" in head
     assert "the terms of path and speed of what planners minimise" in head
@@ -98,9 +102,42 @@ def test_runs_are_compared_with_those_of_the_same_seed_or_alone():
     rows += [result("dc-100ms", seed, 10.0, run_seed=1, finished=seed > 0) for seed in range(3)]
     rows += [result("ceiling-100ms", seed, 10.0, run_seed=7) for seed in range(3)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 2 | 200 | 20.00 | 0.50 | 1.00 | 2.00 | – | 6 | 6 |" in text
-    assert "| dc-100ms | 1 | 100 | 20.00 | 0.50 | 1.00 | 2.00 | – | 3 | 2 |" in text
+    assert "| b-100ms | 2 | 200 | 20.00 | 0.50 | 1.00 | 2.00 | – | 110.00 | 1.00 | 6 | 6 |" in text
+    assert "| dc-100ms | 1 | 100 | 20.00 | 0.50 | 1.00 | 2.00 | – | 115.00 | 1.00 | 3 | 2 |" in text
     line, alone = (line for line in text.splitlines() if "−" in line and line.startswith("|"))
     assert line.startswith("| dc-100ms − b-100ms | -50 % [-50, -50] |")
     assert line.endswith("| – (2) |")
     assert alone.startswith("| ceiling-100ms − dc-100ms | +0 % [+0, +0] |")
+
+
+def test_each_kind_has_a_part_of_its_own_and_the_energy_is_of_finished_drives():
+    rows = [result("b-100ms", seed, 10.0, kind="bends") for seed in range(3)]
+    rows += [result("b-100ms", seed, 20.0, kind="passages", finished=seed < 5) for seed in range(3, 6)]
+    parts = table(rows, limit=40.0).split("## ")[1:]
+    assert [part.splitlines()[0] for part in parts] == ["All courses", "Bends", "Passages"]
+    shown = [next(line for line in part.splitlines() if line.startswith("| b-100ms")) for part in parts]
+    cells = [[cell.strip() for cell in line.split("|")][1:-1] for line in shown]
+    assert [row[3] for row in cells] == ["18.33", "10.00", "26.67"]
+    assert [row[8] for row in cells] == ["120.00", "110.00", "135.00"]
+    assert "firm way" not in "".join(parts)
+
+
+def test_how_often_the_firm_way_is_taken():
+    ways = {"b-100ms": [True, False, False, None], "dc-100ms": [True, True, False, True]}
+    rows = [
+        result(row, seed, 20.0, kind="choices", firm=firm)
+        for row, taken in ways.items()
+        for seed, firm in enumerate(taken)
+    ]
+    text = table(rows, limit=40.0)
+    assert "| b-100ms | 1 of 3 | 33 % | – |" in text
+    line = next(line for line in text.splitlines() if line.startswith("| dc-100ms | 3 of 4 | 75 % | − b-100ms: +33 ["))
+    low, high = (float(part) for part in line.split("[")[1].split("]")[0].split(", "))
+    assert 0 <= low < 33 < high <= 100
+
+
+def test_another_planner_and_a_risk_are_compared_with_the_same_model_without():
+    names = ("b-100ms", "dc-100ms", "dc+pytorch-mppi-100ms", "dc+spread-1-100ms", "dc+pytorch-mppi-300ms")
+    text = table([result(row, seed, 20.0) for row in names for seed in range(3)], limit=40.0)
+    pairs = [line.split("|")[1].strip() for line in text.splitlines() if "−" in line and line.startswith("|")]
+    assert pairs == ["dc-100ms − b-100ms", "dc+pytorch-mppi-100ms − dc-100ms", "dc+spread-1-100ms − dc-100ms"]

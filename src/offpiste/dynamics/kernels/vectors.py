@@ -28,6 +28,7 @@ _VECTOR, _FOUR = ir.VectorType(_FLOAT, WIDTH), ir.VectorType(_FLOAT, 4)
 _GROUP_INDEX: Final = ir.VectorType(_INT, GROUP)
 
 Emitter = Callable[..., Any]
+_intrinsic: Any = intrinsic  # what is compiled takes other arguments than its declaration
 
 
 class VectorType(types.Type):
@@ -76,7 +77,7 @@ _define(operator.mul, ir.IRBuilder.fmul)
 _define(operator.truediv, ir.IRBuilder.fdiv)
 
 
-@intrinsic  # type: ignore[misc]
+@_intrinsic
 def clamp(_context: Any, numbers: types.Type, low: types.Type, high: types.Type) -> tuple[Any, Emitter]:
     """Numbers of a vector, moved into a range; NaN becomes one of its ends."""
 
@@ -88,7 +89,7 @@ def clamp(_context: Any, numbers: types.Type, low: types.Type, high: types.Type)
     return vector(vector, vector, vector), emit
 
 
-@intrinsic  # type: ignore[misc]
+@_intrinsic
 def load(_context: Any, rows: types.Array, first: types.Integer) -> tuple[Any, Emitter]:
     """A vector from a flat float32 array, from a place on."""
 
@@ -98,7 +99,7 @@ def load(_context: Any, rows: types.Array, first: types.Integer) -> tuple[Any, E
     return vector(rows, types.intp), emit
 
 
-@intrinsic  # type: ignore[misc]
+@_intrinsic
 def store(_context: Any, rows: types.Array, first: types.Integer, numbers: types.Type) -> tuple[Any, Emitter]:
     """A vector into a flat float32 array, from a place on."""
 
@@ -122,7 +123,7 @@ def _address(
     return builder.bitcast(builder.gep(struct.data, [first]), read.as_pointer())
 
 
-@intrinsic  # type: ignore[misc]
+@_intrinsic
 def read_fours(
     _context: Any,
     numbers: types.Array,

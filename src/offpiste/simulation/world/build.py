@@ -5,15 +5,16 @@ import zlib
 import numpy as np
 
 from offpiste.errors import OffpisteError
+from offpiste.simulation.world.forks import fork_trails, lay_forks
 from offpiste.simulation.world.ground import lay_grounds, mix_properties
-from offpiste.simulation.world.terrain import carve_trails, make_hills, make_trails, trail_distance_grid
+from offpiste.simulation.world.terrain import SPACING, carve_trails, make_hills, make_trails, trail_distance_grid
 from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
-from offpiste.simulation.world.world import BareTerrain, World, WorldSettings, find_world_preset
+from offpiste.simulation.world.world import BareTerrain, Fork, World, WorldSettings, find_world_preset
 
 MIN_SIZE = 60.0
 """Smallest side of a world [m]: a smaller one has no room for a trail."""
 
-_PARTS = ("trails", "hills", "carving", "grounds", "trees", "bushes", "grass")
+_PARTS = ("trails", "hills", "carving", "grounds", "trees", "bushes", "grass", "forks")
 """Parts of a world; each draws from its own random stream, so that changing one leaves the others as they are."""
 
 
@@ -34,13 +35,17 @@ def make_world(settings: WorldSettings) -> World:
 
     # Trails and the heightfield.
     trails = make_trails(random["trails"], float(x[-1] - x[0]))
+    forks: tuple[Fork, ...] = ()
+    if settings.forks:
+        trails, forks = fork_trails(random["forks"], trails, SPACING)
     trail_distance = trail_distance_grid(trails, x, y)
-    hills = make_hills(random["hills"], preset, x, y)
+    hills = np.float32(settings.relief) * make_hills(random["hills"], preset, x, y)
     elevation = carve_trails(random["carving"], preset, x, y, hills, trails, trail_distance)
 
     # Kinds of ground, and their properties.
     bare = BareTerrain(x, y, elevation, trail_distance)
     kinds, wetness = lay_grounds(random["grounds"], preset, bare)
+    lay_forks(random["forks"], forks, trails, bare, (kinds, wetness))
     properties = mix_properties(kinds, wetness, settings.grip_contrast * preset.grip)
 
     # Plants.
@@ -56,6 +61,7 @@ def make_world(settings: WorldSettings) -> World:
         trees=plant_trees(random["trees"], preset, bare),
         bushes=plant_bushes(random["bushes"], preset, bare),
         trails=trails,
+        forks=forks,
     )
 
 
@@ -66,6 +72,7 @@ def _check(settings: WorldSettings) -> None:
         "size": (MIN_SIZE <= settings.size <= 2000, f"{MIN_SIZE:g} to 2000 m"),
         "resolution": (0.05 <= settings.resolution <= 2, "0.05 to 2 m"),
         "grip_contrast": (0 <= settings.grip_contrast <= 1, "0 to 1"),
+        "relief": (0 <= settings.relief <= 5, "0 to 5"),
         "appearance_noise": (0 <= settings.appearance_noise <= 10, "0 to 10"),
     }
     for name, (good, wanted) in allowed.items():

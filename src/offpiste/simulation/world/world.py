@@ -31,6 +31,8 @@ class WorldSettings:
         appearance_noise: how far light, shade, colour and texture vary for reasons that have nothing to do with grip.
         size: side of the square [m].
         resolution: distance between nodes [m].
+        relief: factor of the height of hills.
+        forks: whether trails part into two ways, one of them through mud (`world.forks`).
     """
 
     preset: str = "mojave"
@@ -39,6 +41,8 @@ class WorldSettings:
     appearance_noise: float = 1.0
     size: float = 320.0
     resolution: float = 0.25
+    relief: float = 1.0
+    forks: bool = False
 
     @property
     def name(self) -> str:
@@ -93,6 +97,22 @@ class Bushes:
 
 
 @dataclass(frozen=True)
+class Fork:
+    """Two ways of a trail between the same two points (`world.forks`).
+
+    Attributes:
+        loop: index of the trail that begins with the left way.
+        left, right: points of the ways, the first and the last in common [m].
+        muddy: the way through mud: 0 left, 1 right.
+    """
+
+    loop: int
+    left: Float[np.ndarray, "n 2"]
+    right: Float[np.ndarray, "n 2"]
+    muddy: int
+
+
+@dataclass(frozen=True)
 class World:
     """A square of ground; node [j, i] of its grids lies at (origin[0] + i resolution, origin[1] + j resolution).
 
@@ -105,6 +125,7 @@ class World:
         properties: values of `logs.ground_truth.GROUND_PROPERTIES`, mixed from kinds and wetness, contrast applied.
         grass_height: height of tall grass, 0 where there is none [m].
         trails: centre lines, in the order of driving [m].
+        forks: where trails part into two ways.
     """
 
     settings: WorldSettings
@@ -118,6 +139,7 @@ class World:
     trees: Trees
     bushes: Bushes
     trails: tuple[Float[np.ndarray, "_ 2"], ...]
+    forks: tuple[Fork, ...] = ()
 
 
 _RANGES: Final = {

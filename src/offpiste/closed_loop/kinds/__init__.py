@@ -1,0 +1,1 @@
+"""Kinds of courses; each registers where it is defined."""

@@ -1,0 +1,135 @@
+"""Forks: places where a trail parts into two ways that meet again, one of them through mud.
+
+The ways lie on either side of where the trail ran, around an island of open ground, and are about equally long. Which
+of them is muddy is drawn. The other way is firm, like the trail before and behind: of the ground, only the mud is hard
+to drive. Its look shows it, as that of any ground.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.world import BareTerrain, Fork
+
+LENGTH = 60.0
+"""Length of trail that becomes two ways [m]."""
+
+ASIDE = 8.0
+"""Distance of either way from where the trail ran, in the middle [m]."""
+
+FREE = 12.0
+"""Least distance of both ways from other trails [m]."""
+
+TIGHTEST = 10.0
+"""Smallest radius of a bend of either way [m]."""
+
+MUD = (0.22, 0.78)
+"""Part of the muddy way that is mud; before and behind it the ways are too near to each other."""
+
+FIRM = 45.0
+"""Length of trail before and behind a fork that is firm [m]."""
+
+HALF_WIDTH = 4.0
+"""Half the width of the mud, and of firm ground [m]."""
+
+KINDS = ("dirt_trail", "mud")
+"""Kinds of firm ground and of mud."""
+
+WETNESS = 0.6
+"""Wetness of the mud."""
+
+
+def fork_trails(
+    rng: np.random.Generator, trails: tuple[Float[np.ndarray, "_ 2"], ...], spacing: float
+) -> tuple[tuple[Float[np.ndarray, "_ 2"], ...], tuple[Fork, ...]]:
+    """Trails with a fork in each one, far from the others, where both ways are most nearly of the same length.
+
+    A trail without such a place stays as it is.
+
+    Args:
+        trails: closed loops.
+        spacing: of their points [m].
+
+    Returns:
+        the loops, which begin with the left ways, and behind them a closed loop of both ways for each fork.
+    """
+    count, forks = round(LENGTH / spacing), []
+    for number, loop in enumerate(trails):
+        others = [trail for k, trail in enumerate(trails) if k != number]
+        starts = range(0, len(loop), round(5.0 / spacing)) if len(loop) > 4 * count else ()
+        ways = {start: _ways(np.roll(loop, -start, axis=0)[: count + 1]) for start in starts}
+        ways = {start: pair for start, pair in ways.items() if max(map(_sharpest, pair)) < 1 / TIGHTEST}
+        if others:
+            far = cKDTree(np.concatenate(others))
+            ways = {start: pair for start, pair in ways.items() if far.query(np.concatenate(pair))[0].min() > FREE}
+        if ways:
+            start = min(ways, key=lambda k: abs(_length(ways[k][0]) - _length(ways[k][1])))
+            forks.append(Fork(number, *ways[start], muddy=int(rng.integers(2))))
+            trails = (
+                *trails[:number],
+                np.concatenate((ways[start][0], np.roll(loop, -start, axis=0)[count + 1 :])),
+                *trails[number + 1 :],
+            )
+    islands = (np.concatenate((fork.right, fork.left[-2:0:-1])) for fork in forks)
+    return (*trails, *islands), tuple(forks)
+
+
+def lay_forks(
+    rng: np.random.Generator,
+    forks: tuple[Fork, ...],
+    trails: tuple[Float[np.ndarray, "_ 2"], ...],
+    bare: BareTerrain,
+    ground: tuple[Float[np.ndarray, "K ny nx"], Float[np.ndarray, "ny nx"]],
+) -> None:
+    """Lay firm ground on both ways of each fork and around it, and mud on one of them, in place.
+
+    Args:
+        trails: of `fork_trails`.
+        ground: kinds and wetness.
+    """
+    kinds, wetness = ground
+    edge = 0.35 * smooth_noise(rng, bare.x, bare.y, 1.5) if forks else np.zeros(0)
+    for fork in forks:
+        trail, both = trails[fork.loop], (fork.left, fork.right)
+        arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(trail, axis=0), axis=1))))
+        around = trail[(arc < arc[len(fork.left) - 1] + FIRM) | (arc > arc[-1] - FIRM)]
+        mud = both[fork.muddy][slice(*(round(share * len(fork.left)) for share in MUD))]
+        for muddy, line in ((False, np.concatenate((around, fork.right))), (True, mud)):
+            near, nodes = _around(line, bare)
+            away = cKDTree(line).query(nodes)[0]
+            share = smooth_step(away + edge[near], HALF_WIDTH + 0.5, HALF_WIDTH - 0.5)  # a border about 1 m wide
+            if muddy:
+                share *= away <= cKDTree(both[1 - fork.muddy]).query(nodes)[0]
+                wetness[near] += share * (WETNESS - wetness[near])
+            kinds[(slice(None), *near)] *= 1 - share
+            kinds[(GROUND_KINDS.index(KINDS[muddy]), *near)] += share
+
+
+def _around(
+    line: Float[np.ndarray, "n 2"], bare: BareTerrain
+) -> tuple[tuple[slice, slice], Float[np.ndarray, "ny nx 2"]]:
+    """Rows and columns of the nodes around a line, and their places [m]."""
+    low, high = line.min(axis=0) - 2 * HALF_WIDTH, line.max(axis=0) + 2 * HALF_WIDTH
+    columns, rows = (slice(*np.searchsorted(at, (low[k], high[k]))) for k, at in enumerate((bare.x, bare.y)))
+    return (rows, columns), np.stack(np.meshgrid(bare.x[columns], bare.y[rows]), axis=-1)
+
+
+def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """The two ways beside a piece of trail: apart by a squared sine, so that they leave it without a bend."""
+    ahead = np.gradient(trail, axis=0)
+    left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
+    aside = (ASIDE * np.sin(np.pi * np.linspace(0, 1, len(trail))) ** 2)[:, None] * left
+    return trail + aside, trail - aside
+
+
+def _length(way: Float[np.ndarray, "n 2"]) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+def _sharpest(way: Float[np.ndarray, "n 2"]) -> float:
+    """Greatest curvature of a way [1/m]."""
+    ahead = np.diff(way, axis=0)
+    turn = np.diff(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
+    return float((np.abs(turn) / np.linalg.norm(ahead[1:], axis=1)).max())

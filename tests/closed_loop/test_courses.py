@@ -1,0 +1,94 @@
+"""Kinds of courses: made-up worlds in which the best course is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from offpiste.closed_loop.courses import KINDS, CourseSettings, choose_course, course_world
+from offpiste.closed_loop.kinds.passages import MARGIN, RELIEF
+from offpiste.closed_loop.stretches import RUN_OUT, traction_along
+from offpiste.errors import OffpisteError
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import Bushes, Trees, WorldSettings
+
+PLACE = WorldSettings("mojave", seed=5, resolution=0.5)
+
+
+def circle(x, radius=50.0):
+    angle = np.linspace(0, 2 * np.pi, 628, endpoint=False)
+    return radius * np.stack((np.cos(angle), np.sin(angle)), axis=1) + (x, 0.0)
+
+
+def made_up(sinkage):
+    """A plain with a circle of trail on either side: on ordinary ground where x > 0, and soft where x < 0."""
+    world = make_world(WorldSettings("mojave", size=240.0, resolution=1.0))
+    given = dict.fromkeys(GROUND_PROPERTIES, 0.0) | {"friction": 0.5, "rolling_resistance": 0.05}
+    properties = np.broadcast_to([given[name] for name in GROUND_PROPERTIES], world.properties.shape).copy()
+    properties[:, :120, GROUND_PROPERTIES.index("sinkage_drag")] = sinkage
+    none, feet = np.zeros(0), np.zeros((0, 3))
+    return replace(
+        world,
+        elevation=np.zeros_like(world.elevation),
+        properties=properties,
+        trees=Trees(feet, none, none, none),
+        bushes=Bushes(feet, none, none, none),
+        trails=(circle(-60.0), circle(60.0)),
+    )
+
+
+def test_a_passage_leads_through_the_softest_ground_that_can_be_driven():
+    settings = CourseSettings("passages")
+    soft = choose_course(made_up(sinkage=0.5 - 0.05 - MARGIN - 0.01), 1, settings).course
+    assert soft.path[:, 0].max() < 0
+    impassable = choose_course(made_up(sinkage=0.5 - 0.05 - MARGIN + 0.01), 1, settings).course
+    assert impassable.path[:, 0].min() > 0
+
+
+def test_passages_lie_in_hills_twice_as_high_and_are_the_same_for_a_seed():
+    world = course_world(PLACE, "passages")
+    assert world.settings == replace(PLACE, relief=RELIEF)
+    first, second = (choose_course(world, 5, CourseSettings("passages")).course for _ in range(2))
+    np.testing.assert_array_equal(first.path, second.path)
+    assert traction_along(world, first.driven).min() >= MARGIN
+
+
+def test_a_choice_has_two_ways_of_one_length_and_knows_the_firm_one():
+    world = course_world(PLACE, "choices")
+    chosen = choose_course(world, 5, CourseSettings("choices"))
+    course = chosen.course
+    np.testing.assert_array_equal(course.path, choose_course(world, 5, CourseSettings("choices")).course.path)
+    first, second = (way[course.before_end] for way in course.ways)
+    lengths = [np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in (first, second)]
+    assert lengths[0] == pytest.approx(lengths[1], abs=3.0)
+    apart = np.linalg.norm(course.path - course.alternative, axis=1)
+    assert apart.max() == pytest.approx(16.0, abs=0.1)
+    assert apart[:38].max() < 0.01, "before the fork"
+    assert apart[-round(RUN_OUT) - 25 :].max() < 0.01, "behind it"
+    least = [traction_along(world, way).min() for way in (first, second)]
+    assert least[chosen.firm] > least[1 - chosen.firm] >= CourseSettings().traction
+    trails = np.concatenate(world.trails)
+    for way in course.ways:
+        assert np.linalg.norm(way[:, None] - trails[None], axis=-1).min(axis=1).max() < 0.5
+        assert np.linalg.norm(np.diff(way, axis=0), axis=1) == pytest.approx(1.0, abs=0.35)
+    heading = np.array((np.cos(chosen.start.yaw), np.sin(chosen.start.yaw)))
+    assert (course.path[3] - course.path[0]) @ heading > 2.9
+
+
+def test_choices_go_both_ways_round():
+    world, both = course_world(PLACE, "choices"), []
+    for candidate in KINDS["choices"].candidates(world, 5, CourseSettings("choices", traction=-1.0)):
+        course = candidate.chosen.course
+        both.append((course.path[0], course.driven[-1], candidate.chosen.firm))
+    assert len(both) > 2
+    starts, ends = (np.array([one[k] for one in both]) for k in (0, 1))
+    back = np.linalg.norm(starts[:, None] - ends[None], axis=-1).min(axis=1)
+    assert (back < 15.0).all(), "each fork is driven from where the other direction ends"
+
+
+def test_a_world_without_forks_and_an_unknown_kind_are_one_line():
+    with pytest.raises(OffpisteError, match=r"'mojave', seed 0: no stretch of its trails makes a course \(choices\)"):
+        choose_course(made_up(0.0), 1, CourseSettings("choices"))
+    with pytest.raises(OffpisteError, match=r"'choice'.*choices"):
+        course_world(PLACE, "choice")
