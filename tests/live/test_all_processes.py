@@ -143,12 +143,12 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path):
         assert until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), 30)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
     said = tmp_path / "said.txt"
     with closing(Network()) as network, said.open("w") as file:
         options = ["--run", RUN, "--endpoint", network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]
-        heeding = ["env", "--default-signal=HUP"]  # also where the tests run under nohup
+        heeding = ["env", "--default-signal=HUP,INT"]  # also where the tests run under nohup
         command = [*heeding, sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), *options]
         live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
         assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()

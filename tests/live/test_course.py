@@ -43,8 +43,9 @@ def test_what_is_no_course_is_named(tmp_path, text, what):
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(LiveError, match="no course"):
+    with pytest.raises(LiveError, match="no course: No such file") as raised:
         read_course(tmp_path / "none.csv", 3.0)
+    assert str(raised.value).count("none.csv") == 1
 
 
 def test_a_path_message_and_a_goal():

@@ -94,15 +94,20 @@ def test_what_is_no_command_is_left_out(axes, place):
     np.testing.assert_allclose(commands.given, [(0.0, 1.0, 0.0, 1.0)])
 
 
-def test_an_interrupted_drive_leaves_no_thread_behind(place, monkeypatch):
+@pytest.mark.parametrize("after", [0, 7])
+def test_an_interrupted_drive_ends_there_and_leaves_no_thread_behind(after, place, monkeypatch):
     before = threads()
     robot = SimulatedRobot(Recorded(), *place, "light", 0)
 
-    def interrupted(*_, **__):
+    def interrupted(steps, _):
+        yield from steps[:after]
         raise KeyboardInterrupt
 
     monkeypatch.setattr(simulated_robot, "track", interrupted)
     assert threads() > before
-    with pytest.raises(KeyboardInterrupt):
-        robot.drive(1.0)
+    if after:
+        assert len(robot.drive(1.0).samples) == after
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            robot.drive(1.0)
     assert threads() == before

@@ -16,9 +16,12 @@ type = "geometry_msgs/msg/Twist"
 WRONG = {
     "no topic": (OUTPUT.replace('"/a"', '"a b"'), r"outputs\.a\.topic: 'a b' is no topic"),
     "no type": (OUTPUT.replace("/msg/", "/"), r"outputs\.a\.type: 'geometry_msgs/Twist' is no message type"),
+    "no quantity": (
+        OUTPUT.replace('"speed"', '"sped"'),
+        r'outputs\.a\.fields\."linear\.x" holds \'sped\'.*give one of throttle, brake, steer',
+    ),
     "no field": (OUTPUT.split('"linear')[0], r"outputs\.a\.fields is empty"),
     "no path": (OUTPUT.replace("linear.x", "linear x"), r"no path of a field"),
-    "unknown quantity": (OUTPUT.replace('"speed"', '"height"'), r"height"),
     "scale of zero": (OUTPUT.replace('"speed" }', '"speed", scale = 0 }'), r"scale is not zero"),
     "unit of another": (OUTPUT.replace('"speed" }', '"speed", unit = "rad" }'), r"'rad' does not measure"),
     "far ahead": (OUTPUT.replace('"speed" }', '"speed", ahead = 9 }'), r"ahead is 9"),

@@ -30,7 +30,9 @@ def read_course(path: Path, speed: float) -> Course:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = [row for _, row in zip(range(_LONGEST + 1), csv.DictReader(file), strict=False)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except OSError as error:
+        raise LiveError(f"no course: {error.strerror}", where=path, how=how) from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise LiveError(f"no course: {error}", where=path, how=how) from error
     try:
         xy = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)

@@ -141,7 +141,7 @@ class SimulatedRobot:
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
 
     def drive(self, seconds: float) -> Driving:
-        """Drive in real time until the course is driven, the vehicle cannot drive further, or the time is up."""
+        """Drive in real time until the course is driven, the vehicle cannot go on, the time is up, or Ctrl-C."""
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
         end, due = self.chosen.course.driven[-1], time.monotonic()
         steps = round(seconds / DT)
@@ -161,7 +161,10 @@ class SimulatedRobot:
                     slow += time.monotonic() - due
                     due = time.monotonic()
                 time.sleep(max(due - time.monotonic(), 0.0))
-        finally:  # also at Ctrl-C: what measures must not outlive the pools that it uses
+        except KeyboardInterrupt:
+            if len(samples) < 2:  # of less nothing can be said
+                raise
+        finally:  # what measures must not outlive the pools that it uses
             self._sensors.end()
         if slow > 0.05 * len(samples) * DT:
             logger.warning(f"this machine is too slow: simulated time fell behind by {slow:.1f} s")

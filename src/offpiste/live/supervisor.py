@@ -219,6 +219,8 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
                     looked = time.monotonic()
                     supervisor.report(parts)
                     table.add(looked - began, parts)
+        except KeyboardInterrupt:
+            logger.info("the vehicle is stopped" if settings.drive else "the drive ends")
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C would cut the stop short
             supervisor.end()

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -115,6 +115,25 @@ class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def beside(self, folder: Path) -> "Live":
         """The same with the files of definitions made absolute."""
         return replace(self, definitions=tuple(str(folder / name) for name in self.definitions))
+
+
+def check_quantities(rig: Mapping[str, Any]) -> None:
+    """Refuse fields that hold what there is not, by their names, which msgspec does not say.
+
+    Args:
+        rig: from TOML; what else is wrong with it is left to others.
+
+    Raises:
+        RigError: which field, and what there is.
+    """
+    outputs = rig.get("outputs")
+    for name, output in (outputs if isinstance(outputs, dict) else {}).items():
+        fields = output.get("fields") if isinstance(output, dict) else None
+        for path, field in (fields if isinstance(fields, dict) else {}).items():
+            held = field.get("of") if isinstance(field, dict) else None
+            if isinstance(held, str) and held not in get_args(Quantity):
+                what = f"outputs.{name}.fields.\"{path}\" holds '{held}'"
+                raise RigError(what, how=f"give one of {', '.join(get_args(Quantity))}")
 
 
 def can_reverse(outputs: Mapping[str, Output]) -> bool:

@@ -13,7 +13,7 @@ from offpiste.channels import Actuator, Control, actuator_columns, all_actuators
 from offpiste.errors import RigError, did_you_mean
 from offpiste.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
-from offpiste.rig.outputs import Live, Output, check_outputs
+from offpiste.rig.outputs import Live, Output, check_outputs, check_quantities
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
 
@@ -175,9 +175,13 @@ def parse_rig(text: str, *, where: str) -> Rig:
     """A rig from TOML text; `where` names it in errors (see `load_rig`)."""
     load_extensions()  # may declare channels
     try:
-        rig = msgspec.convert(tomllib.loads(text), type=Rig)
+        given = tomllib.loads(text)
+        check_quantities(given)
+        rig = msgspec.convert(given, type=Rig)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
+    except RigError as error:
+        raise RigError(error.what, where=where, how=error.how) from None
     except msgspec.ValidationError as error:
         raise RigError(str(error), where=where, how="see docs/rig.md for the keys of a rig") from error
     try:
