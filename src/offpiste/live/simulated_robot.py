@@ -205,7 +205,7 @@ def simulate_live(
         driving = simulated.drive(seconds)
     trace = trace_of(driving, chosen.course)
     length = float(np.linalg.norm(np.diff(chosen.course.driven, axis=0), axis=1).sum())
-    result = summary(driving, trace, length, seconds, CostWeights(path=5.0))
+    result = summary(driving, trace, length, seconds, CostWeights(path=5.0), load_vehicle())
     result["steps_without_command"] = simulated.commands.lost
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {length:.0f} m"
     logger.info(
