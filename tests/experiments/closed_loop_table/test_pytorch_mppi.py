@@ -21,7 +21,8 @@ SAMPLES, STEPS = 24, 60
 def problem(model):
     """2 m beside the path, at 4 m/s where 5 are wanted."""
     torch.manual_seed(0)
-    area = coded_area(layers(channels=3), model.encoder)
+    codes = len(model.encoder.missing()) if model.encoder else 0
+    area = coded_area(layers(channels=codes), model.encoder)
     at = replace(situation(state=(-5.0, 2.0, 0.0, 4.0, 0.0, 0.0)), ground=area.stack)
     size = sum(part.hidden for part in (model.compensator, model.actuators)) if model.encoder else 0
     start = ModelState(at.state[None], torch.full((1, 4), torch.nan), *torch.zeros(2, 1, size))
