@@ -16,7 +16,7 @@ SOURCES = sorted(
 SHARED_LINES = 6
 LONGEST_FILE = 300
 LONGEST_FUNCTION = 75
-MODULES = 448
+MODULES = 450
 
 BANNED = re.compile(
     r"\b(mend(s|ed|ing)?|judg(e|es|ed|ing|ement)|dear(er|est)?|told|tells? a person|soundness|"

@@ -119,6 +119,15 @@ def copy(x: np.ndarray, y: np.ndarray) -> None:
         y[i] = x[i]
 
 
+@KERNELS.inlined
+def copy_or_zero(x: np.ndarray, y: np.ndarray) -> None:
+    """As many numbers of x as fit into y, or 0 where x has none."""
+    if len(x) > 0:
+        copy(x, y)
+    else:
+        y[:] = f4(0)
+
+
 class MatrixProducts(NamedTuple):
     """Products of small matrices with blocks of lanes: y += W x, and W += g x^T summed over the lanes."""
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from offpiste.compilation import KERNELS
-from offpiste.dynamics.kernels.elementary import Lane, add_outer, add_product, copy, f4, tanh
+from offpiste.dynamics.kernels.elementary import Lane, add_outer, add_product, copy, copy_or_zero, f4, tanh
 from offpiste.dynamics.kernels.generated import cell, cell_adjoint
 from offpiste.dynamics.kernels.layout import CELL_ROW, CELL_ROWS, HIDDEN, LANES
 from offpiste.dynamics.kernels.vectors import WIDTH, clamp, load, store
@@ -176,15 +176,6 @@ def make_buffers(network: Network, one: Lane) -> Buffers:
 
 
 @KERNELS.inlined
-def _begin(terms: np.ndarray, sums: np.ndarray) -> None:
-    """Sums begin with the terms from elsewhere, or with 0."""
-    if len(terms) > 0:
-        copy(terms, sums)
-    else:
-        sums[:] = f4(0)
-
-
-@KERNELS.inlined
 def standardise(network: Network, w: np.ndarray, standardised: np.ndarray, trust: np.ndarray) -> None:
     """Bring a network's inputs into their ranges; trust is the smaller the further they were outside."""
     zero, one = f4(0), f4(1)
@@ -214,7 +205,7 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
     copy(before[hidden : hidden + UNITS], s.seen[:inputs])
     standardise(network, w, s.seen[inputs:], s.trust)
 
-    _begin(s.terms[:GATES], s.cell[:GATES])
+    copy_or_zero(s.terms[:GATES], s.cell[:GATES])
     add_product(network.gates, s.seen, s.cell)
     copy(before[memory : memory + UNITS], s.cell[MEMORY : MEMORY + UNITS])
     cell(s.cell)
@@ -223,7 +214,7 @@ def compensate(network: Network, s: Buffers, w: np.ndarray, before: np.ndarray, 
 
     copy(s.cell[NEXT_HIDDEN : NEXT_HIDDEN + UNITS], s.seen[len(s.seen) - UNITS :])
     width = network.inner.shape[0] * LANES
-    _begin(s.terms[GATES:], s.layer[:width])
+    copy_or_zero(s.terms[GATES:], s.layer[:width])
     add_product(network.inner, s.seen[inputs:], s.layer)
     for i in range(width):
         s.layer[i] = tanh(s.layer[i])

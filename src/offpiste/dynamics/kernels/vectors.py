@@ -10,7 +10,7 @@ from typing import Any, Final
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.typeconv import Conversion
+from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
@@ -28,7 +28,8 @@ _VECTOR, _FOUR = ir.VectorType(_FLOAT, WIDTH), ir.VectorType(_FLOAT, 4)
 _GROUP_INDEX: Final = ir.VectorType(_INT, GROUP)
 
 Emitter = Callable[..., Any]
-_intrinsic: Any = intrinsic  # what is compiled takes other arguments than its declaration
+emitted: Callable[[Callable[..., Any]], Callable[..., Any]] = intrinsic
+"""Numba's `intrinsic`: a function whose LLVM code is written by hand."""
 
 
 class VectorType(types.Type):
@@ -48,10 +49,10 @@ vector: Final = VectorType()
 @register_model(VectorType)
 class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _VECTOR)
+        super().__init__(manager, kind, _VECTOR)  # type: ignore[no-untyped-call]
 
 
-@lower_cast(types.float32, VectorType)
+@lower_cast(types.float32, VectorType)  # type: ignore[no-untyped-call, untyped-decorator]
 def _repeat(_context: Any, builder: ir.IRBuilder, _from: types.Type, _to: types.Type, number: ir.Value) -> ir.Value:
     nothing = ir.Constant(_VECTOR, ir.Undefined)
     first = builder.insert_element(nothing, number, ir.Constant(_INT, 0))
@@ -61,11 +62,11 @@ def _repeat(_context: Any, builder: ir.IRBuilder, _from: types.Type, _to: types.
 def _define(function: Callable[..., Any], emit: Callable[[ir.IRBuilder, ir.Value, ir.Value], ir.Value]) -> None:
     """Let an operator take two vectors."""
 
-    @infer_global(function)
+    @infer_global(function)  # type: ignore[no-untyped-call]
     class _Takes(ConcreteTemplate):  # type: ignore[misc]
-        cases = [signature(vector, vector, vector)]  # noqa: RUF012
+        cases = [signature(vector, vector, vector)]  # type: ignore[no-untyped-call]  # noqa: RUF012
 
-    @lower_builtin(function, VectorType, VectorType)
+    @lower_builtin(function, VectorType, VectorType)  # type: ignore[no-untyped-call, untyped-decorator]
     def _lower(_context: Any, builder: ir.IRBuilder, _signature: Any, values: tuple[ir.Value, ir.Value]) -> ir.Value:
         return emit(builder, *values)
 
@@ -77,7 +78,7 @@ _define(operator.mul, ir.IRBuilder.fmul)
 _define(operator.truediv, ir.IRBuilder.fdiv)
 
 
-@_intrinsic
+@emitted
 def clamp(_context: Any, numbers: types.Type, low: types.Type, high: types.Type) -> tuple[Any, Emitter]:
     """Numbers of a vector, moved into a range; NaN becomes one of its ends."""
 
@@ -89,17 +90,18 @@ def clamp(_context: Any, numbers: types.Type, low: types.Type, high: types.Type)
     return vector(vector, vector, vector), emit
 
 
-@_intrinsic
+@emitted
 def load(_context: Any, rows: types.Array, first: types.Integer) -> tuple[Any, Emitter]:
     """A vector from a flat float32 array, from a place on."""
 
     def emit(context: Any, builder: ir.IRBuilder, given: Any, values: tuple[ir.Value, ...]) -> ir.Value:
-        return builder.load(_address(context, builder, given.args[0], *values, _VECTOR), align=4)
+        rows, first = values
+        return builder.load(_address(context, builder, given.args[0], rows, first, _VECTOR), align=4)
 
     return vector(rows, types.intp), emit
 
 
-@_intrinsic
+@emitted
 def store(_context: Any, rows: types.Array, first: types.Integer, numbers: types.Type) -> tuple[Any, Emitter]:
     """A vector into a flat float32 array, from a place on."""
 
@@ -118,12 +120,13 @@ def _address(
     struct = context.make_array(kind)(context, builder, array)
     if context.enable_boundscheck:
         last = builder.add(first, ir.Constant(first.type, read.count - 1))
+        (length,) = cgutils.unpack_tuple(builder, struct.shape)  # type: ignore[no-untyped-call]
         for place in (first, last):
-            cgutils.do_boundscheck(context, builder, place, cgutils.unpack_tuple(builder, struct.shape)[0])
+            cgutils.do_boundscheck(context, builder, place, length)  # type: ignore[no-untyped-call]
     return builder.bitcast(builder.gep(struct.data, [first]), read.as_pointer())
 
 
-@_intrinsic
+@emitted
 def read_fours(
     _context: Any,
     numbers: types.Array,
