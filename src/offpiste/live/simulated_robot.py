@@ -141,7 +141,7 @@ class SimulatedRobot:
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
 
     def drive(self, seconds: float) -> Driving:
-        """Drive in real time until the course is driven, the vehicle cannot go on, the time is up, or Ctrl-C."""
+        """Drive in real time until the course is driven, the vehicle cannot drive further, time is up, or Ctrl-C."""
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
         end, due = self.chosen.course.driven[-1], time.monotonic()
         steps = round(seconds / DT)
