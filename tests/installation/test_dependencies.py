@@ -51,6 +51,7 @@ def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
         "dynamics/kernels/generate.py: sympy",
         "dynamics/kernels/tape.py: sympy",
         "compilation.py: llvmlite",  # Numba's own compiler, never without it
+        "dynamics/kernels/vectors.py: llvmlite",
     }
 
 

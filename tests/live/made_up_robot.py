@@ -10,6 +10,7 @@ from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vecto
 from offpiste.planning import mppi
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.rig.rig import parse_rig
+from offpiste.runtime.backing_out import BackingOutSettings
 from runtime.stream import parametric, settings
 
 ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
@@ -74,7 +75,8 @@ def planner():
 
 def small_settings():
     """Settings with which a plan takes a few milliseconds."""
-    return settings(sampling=mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=32, rest=(0.2, 0.0)))
+    sampling = mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=32, rest=(0.2, 0.0))
+    return settings(sampling=sampling, backing_out=BackingOutSettings(attempts=0))  # it never moves, and is not stuck
 
 
 def odometry(seconds, x=0.0, speed=0.0):

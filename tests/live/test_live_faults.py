@@ -48,7 +48,7 @@ class Moving(Drive):
         if plans:
             plan = TimedPlan(now, now, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1))
             states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
-            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False))
+            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False, stuck=False))
 
 
 @pytest.fixture

@@ -58,7 +58,7 @@ def test_courses_plans_and_layers():
     same(course, course_from(unpacked(pack_course(course))))
     plan = TimedPlan(1.0, 0.9, torch.rand(5, 3))
     prediction = Prediction(1.0, np.random.default_rng(0).normal(size=(5, 6)))
-    timed, predicted = plan_from(unpacked(pack_plan(plan, prediction, empty=False)))
+    timed, predicted = plan_from(unpacked(pack_plan(plan, prediction, empty=False, stuck=False)))
     assert torch.equal(timed.controls, plan.controls)
     assert (timed.start, timed.made) == (1.0, 0.9)
     same(prediction, predicted)

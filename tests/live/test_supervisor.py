@@ -67,7 +67,7 @@ class Drive:
             controls = torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1)
             plan = TimedPlan(now, now - 0.1, controls)
             states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
-            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False))
+            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False, stuck=False))
 
     def run(self, seconds, **options):
         """Feed and look after the processes for some time; their last states."""

@@ -79,7 +79,7 @@ def feed(session, now, plan=None):
     session.ring("readings").write(pack_measured(reading(now), control=None))
     session.ring("course").write(pack_course(Course(np.stack((X, 0 * X), axis=1), np.full(60, 4.0))))
     session.ring("map").write(pack_layers(layers(plane=(0.5, 0.0)), scan_time=now - 0.2, image_time=np.inf))
-    session.ring("plans").write(pack_plan(*(plan or plan_at(now)), empty=False))
+    session.ring("plans").write(pack_plan(*(plan or plan_at(now)), empty=False, stuck=False))
     session.ring("commands").write(packed({"time": now, "applied": np.array((0.4, 0.0, -0.2)), "mode": "driving"}))
     session.ring("images").write(pack_measured(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
     status = {"state": "stopping: no plan", "tick_p99_ms": 4.0, "map_age_p99_ms": np.nan, "speed_mps": 1.5}
