@@ -6,13 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
 from offpiste.demo.comparison import Predictions, closing_words, comparison_table
 from offpiste.demo.first_minute import FIRST_WORLD, MODELS, FirstMinuteSettings, run_first_minute, shipped
 from offpiste.errors import OffpisteError
-from offpiste.evaluation.model_card import load_card
+from offpiste.evaluation.intervals import PairedDifference
+from offpiste.evaluation.model_card import CourseFigures, load_card
 from offpiste.shipped import run_folder
 
 SMALL = FirstMinuteSettings(
@@ -79,13 +81,20 @@ def predictions(b: float, dc: float) -> Predictions:
 
 
 def test_the_words_say_who_was_nearer_here_and_what_is_usual() -> None:
-    here, usual, *driving = closing_words(predictions(4.0, 3.0))
+    here, usual, *_ = closing_words(predictions(4.0, 3.0))
     assert "dc's predictions end 25 % nearer to where" in here
     assert "3.00 m off after 5 s instead of 4.00 m" in here
     gain = load_card(run_folder(shipped("dc"))).over_seeds.against_b
     assert usual.startswith(f"Usual is {-100 * gain.mean:.0f} % [{-100 * gain.ci95[1]:.0f}, {-100 * gain.ci95[0]:.0f}]")
-    assert len(driving) == (load_card(run_folder(shipped("dc"))).driving is not None)
     assert "50 % farther from where" in next(iter(closing_words(predictions(2.0, 3.0))))
+
+
+def test_the_words_say_how_it_drives_where_the_card_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    card = load_card(run_folder(shipped("dc")))
+    driving = CourseFigures(20, PairedDifference(-0.2, (-0.5, 0.3)), "abc", "2026-11-23")
+    monkeypatch.setattr("offpiste.demo.comparison.load_card", lambda _: msgspec.structs.replace(card, driving=driving))
+    *_, drives = closing_words(predictions(4.0, 3.0))
+    assert drives.startswith("How dc drives: On 20 courses in worlds that no model had seen, its driven cost is -20 %")
 
 
 def test_the_table_has_both_models_side_by_side() -> None:

@@ -178,14 +178,11 @@ def parse_rig(text: str, *, where: str) -> Rig:
         given = tomllib.loads(text)
         check_quantities(given)
         rig = msgspec.convert(given, type=Rig)
+        check_rig(rig)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
-    except RigError as error:
-        raise RigError(error.what, where=where, how=error.how) from None
     except msgspec.ValidationError as error:
         raise RigError(str(error), where=where, how="see docs/rig.md for the keys of a rig") from error
-    try:
-        check_rig(rig)
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig
