@@ -35,7 +35,7 @@ from transport.routers import until
 class Moving(Drive):
     """A vehicle whose speed and clock are given."""
 
-    speed, clock = 0.0, staticmethod(time.time)
+    speed, gear, clock = 0.0, 1.0, staticmethod(time.time)
 
     def feed(self, *, reads=True, plans=True):
         now = self.clock()
@@ -46,7 +46,7 @@ class Moving(Drive):
             self.rings["readings"].write(pack_measured(reading, control=None, came=time.monotonic()))
         self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
         if plans:
-            plan = TimedPlan(now, now, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1))
+            plan = TimedPlan(now, now, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1), self.gear)
             states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
             self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False, stuck=False))
 
@@ -106,6 +106,25 @@ def test_a_stop_is_completed_by_the_control_that_comes_back(moving, blow):
     assert heard[0].steering_angle == pytest.approx(steer, abs=0.06), "no jump of the steering"
     speeds.speed = 0.0
     assert moving.drives(20), "from the standstill"
+
+
+def test_a_control_that_comes_back_keeps_the_gear_until_the_standstill(moving):
+    assert moving.drives(), moving.supervisor.look()
+
+    def gears():
+        return {unpacked(one.data)["gear"] for one in moving.rings["commands"].since(begun)}
+
+    begun, moving.gear = moving.rings["commands"].written, -1.0
+    assert until(lambda: (moving.run(0.1), -1.0 in gears())[1], 20)
+    os.kill(moving.pid("control"), signal.SIGKILL)
+    moving.speed, moving.gear = -3.0, 1.0
+    moving.run(0.3)
+    begun = moving.rings["commands"].written
+    assert until(lambda: "stopping" in moving.run(0.1)["control"][1], 30), moving.supervisor.look()
+    moving.run(0.5)
+    assert gears() == {-1.0}, "it still moves"
+    moving.speed = 0.0
+    assert until(lambda: (moving.run(0.1), 1.0 in gears())[1], 20)
 
 
 @pytest.mark.parametrize("first", ["", "control", "watchdog"])

@@ -81,10 +81,21 @@ def test_places_that_are_apart_are_counted_apart():
     assert len(backing.places) == 4
 
 
+def test_either_of_two_ways_is_left_beside_a_place():
+    other = STRAIGHT.path + np.array((0.0, 9.0))
+    backing, parted = BackingOut(SETTINGS), replace(STRAIGHT, alternative=other)
+    backing.choose_side(np.array((10.0, 9.0)), parted, lambda places: (places[:, 1] > 9.0).astype(float))
+    passing = backing.course(parted)
+    np.testing.assert_array_equal(passing.path, STRAIGHT.path)
+    np.testing.assert_allclose(passing.alternative[30], (10.0, 9.0 - SETTINGS.aside))
+
+
 def test_a_clock_that_goes_back_begins_anew():
     backing = BackingOut(SETTINGS)
     assert driven_along(backing, np.zeros(40), begin=100.0)[-1] == -1
+    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
     assert (driven_along(backing, np.zeros(30)) == 1).all()
+    assert not backing.places, "they may be in another frame"
 
 
 def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
@@ -118,7 +129,7 @@ def test_the_place_is_passed_where_the_ground_is_better_and_the_next_time_on_the
 def test_a_course_that_leads_past_a_place_stays_and_bends_are_left_at_right_angles():
     backing = BackingOut(SETTINGS)
     backing.choose_side(np.array((10.0, 3.0)), STRAIGHT, no_hazard)
-    assert backing.course(STRAIGHT) is STRAIGHT, "3 m aside"
+    np.testing.assert_array_equal(backing.course(STRAIGHT).path, STRAIGHT.path, "3 m aside")
     angle = np.linspace(0, np.pi, 200)
     bend = Course(15 * np.stack((np.cos(angle), np.sin(angle)), axis=1), np.full(200, 5.0))
     backing = BackingOut(SETTINGS)

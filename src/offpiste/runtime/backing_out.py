@@ -100,6 +100,7 @@ class BackingOut:
         settings, since = self._settings, self._since
         away = float(np.linalg.norm(pose[:2] - self._start[:2]))
         if now < since or not since > -np.inf:
+            self.places.clear()  # poses may be in another frame
             self._begin(now, pose)
         elif self.gave_up:
             if away > settings.moved:
@@ -132,8 +133,8 @@ class BackingOut:
             course: that it was following.
         """
         before = self._before(place)
-        sides = [self._passing(course, StuckPlace(np.array(place, float), side)) for side in (LEFT, RIGHT)]
-        left, right = (float(hazard(one.path).sum()) for one in sides)
+        found = [StuckPlace(np.array(place, float), side) for side in (LEFT, RIGHT)]
+        left, right = (float(sum(hazard(self._passing(way, one)).sum() for way in course.ways)) for one in found)
         if before is None:
             self.places.append(StuckPlace(np.array(place, float), LEFT if left <= right else RIGHT))
         else:
@@ -151,7 +152,8 @@ class BackingOut:
         if self.gear == REVERSE:
             return self._straight_back()
         for place in self.places:
-            course = self._passing(course, place)
+            ways = [self._passing(way, place) for way in course.ways]
+            course = replace(course, path=ways[0], alternative=None if len(ways) == 1 else ways[1])
         return course
 
     def _straight_back(self) -> Course:
@@ -160,13 +162,13 @@ class BackingOut:
         along = self._settings.distance * np.array((-3.0, 1.0))[:, None] * np.array((np.cos(yaw), np.sin(yaw)))
         return Course(np.array((x, y)) + along, np.full(2, -self._settings.speed))
 
-    def _passing(self, course: Course, stuck: StuckPlace) -> Course:
-        """The course, displaced sideways near a place where it comes close to it."""
-        settings, path = self._settings, course.path
+    def _passing(self, path: Float[np.ndarray, "P 2"], stuck: StuckPlace) -> Float[np.ndarray, "P 2"]:
+        """A way, displaced sideways near a place where it comes close to it."""
+        settings = self._settings
         away = np.linalg.norm(path - stuck.place, axis=1)
         nearest = int(np.argmin(away))
         if away[nearest] > settings.aside:
-            return course
+            return path
         step = np.gradient(path, axis=0)
         along = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
         arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
@@ -174,4 +176,4 @@ class BackingOut:
         # Beside the place, wherever the course led past it.
         left = np.stack((-along[nearest, 1], along[nearest, 0]))
         offset = stuck.side * settings.aside + float((stuck.place - path[nearest]) @ left)
-        return replace(course, path=path + offset * np.cos(0.5 * np.pi * phase)[:, None] ** 2 * left)
+        return path + offset * np.cos(0.5 * np.pi * phase)[:, None] ** 2 * left

@@ -49,6 +49,7 @@ class Controller:
         self._steady, self._since = SteadyAges(), -np.inf
         self._stops, self._sent_at = part.ring("stops").written, time.monotonic()
         self._why = "control was started again" if before else ""
+        self._gear = before.get("gear", settings.runtime.gear)
         self.transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
         self._outputs = CommandMessages(rig, self.transport.types)
         self._send = {}
@@ -169,6 +170,7 @@ class Controller:
         if self.follower is None:
             self.follower = Follower(self.part.settings.runtime, self._feed.track, tracker)
             self.follower.stopping = True  # whatever moves it is stopped before it is driven
+            self.follower.gear = self._gear  # as it was commanded: no gear is changed before
         self.follower.tracker = tracker
 
     def _take_plans(self, follower: Follower, now: float) -> None:
