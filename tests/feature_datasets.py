@@ -34,7 +34,14 @@ def rows_with_features(rows: int, rng: np.random.Generator, **circle: float) -> 
 
 
 def dataset_with_features(
-    path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0, yaw_rate: float = 0.5, cells: int = 100
+    path: Path,
+    parts: Sequence[str] = PARTS,
+    *,
+    rows: int = 900,
+    seed: int = 0,
+    yaw_rate: float = 0.5,
+    cells: int = 100,
+    speeds: tuple[float, float] = (3.0, 6.0),
 ) -> Dataset:
     """Some drives, each in one part, with a map of random looks, `cells` of 0.4 m wide."""
     rng = np.random.default_rng(seed)
@@ -44,7 +51,7 @@ def dataset_with_features(
     split = parse_split(f"drives:{listed}")
     create(path, small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
     for name in names:
-        driven = rows_with_features(rows, rng, speed=float(rng.uniform(3, 6)), yaw_rate=yaw_rate)
+        driven = rows_with_features(rows, rng, speed=float(rng.uniform(*speeds)), yaw_rate=yaw_rate)
         looks = rng.normal(size=(cells, cells, FEATURES)).astype(np.float32)
         terrain = TerrainMap(driven.origin - 0.2 * cells, 0.4, np.zeros((cells, cells), np.float32), looks)
         add_drive(path, name, driven, split, (), terrain)

@@ -41,7 +41,7 @@ class ClosedLoop:
     """Courses of the test seeds (from 401) instead of those for development (from 1)."""
     out: Path = Path("closed-loop")
     """Folder of all outputs."""
-    seconds: float = 40.0
+    seconds: float = 60.0
     """Longest duration of a drive [s]."""
     speed: float = 7.0
     """Target speed along the courses [m/s]."""

@@ -14,6 +14,7 @@ from offpiste.files import write_text
 
 MEASURES: Final = {
     "driven_cost": "driven cost",
+    "moving_cost": "driven cost behind the run-up",
     "time_s": "time [s]",
     "mean_path_error_m": "mean path error [m]",
     "worst_path_error_m": "worst path error [m]",
@@ -22,7 +23,7 @@ MEASURES: Final = {
     "energy_kj": "energy where it finishes [kJ]",
     "interventions": "interventions",
 }
-RELATIVE: Final = ("driven_cost",)
+RELATIVE: Final = ("driven_cost", "moving_cost")
 """Spread over orders of magnitude, so their logarithms are averaged: geometric means, and differences in percent."""
 
 COUNTED: Final = {

@@ -18,6 +18,7 @@ from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.selection import selection_control
 from experiments.control_experiments.shift import shift_control
 from experiments.control_experiments.snapshots import snapshots_control
+from experiments.control_experiments.standstill import standstill_control
 from experiments.control_experiments.strata import strata_control
 from experiments.control_experiments.sweep import Sweep, sweep_control
 from experiments.control_experiments.twins import twins_control
@@ -40,6 +41,7 @@ What = Literal[
     "ideas",
     "gap",
     "strata",
+    "standstill",
 ]
 
 
@@ -97,6 +99,7 @@ class ControlExperiment:
             "contrast": lambda: sweep_control(of, self.out, "contrast", self.sweep, self.seeds),
             "curve": lambda: curve_control(of, self.out, self.curve, self.seeds),
             "strata": lambda: strata_control(of, self.out),
+            "standstill": lambda: standstill_control(of, self.out),
             "gap": lambda: gap_control(of, self.out, self.seeds),
             "ideas": lambda: ideas_control(of, self.out, list(self.models), self.seeds),
             "appearance": lambda: sweep_control(of, self.out, "appearance", self.sweep, self.seeds),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from offpiste.closed_loop import scores
 from offpiste.closed_loop.lockstep import Driving, time_of
 from offpiste.closed_loop.scores import (
     Trace,
@@ -38,6 +39,7 @@ def test_the_driven_cost_by_hand():
     # Not at the end after 10 s: in the other eight it counts as at a standstill on the course.
     assert driven_cost(trace, n, 10.0, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0) + 8 * 49.0)
     assert driven_cost(trace, 50, None, WEIGHTS) == pytest.approx(0.75 + 4.0)
+    assert driven_cost(trace, n, 10.0, WEIGHTS, begin=n - 50) == pytest.approx(0.75 + 4.0 + 8 * 49.0)
 
 
 def prediction(place, first, aside=0.0):
@@ -119,6 +121,7 @@ def test_a_drive_that_does_not_finish_counts_as_standstill_in_its_cost_alone():
     assert not found["finished"]
     assert (found["time_s"], found["progress_m"]) == (pytest.approx(0.06), 2.0)
     assert found["driven_cost"] == pytest.approx(0.06 * (3 * 0.25 + 4) + (2.0 - 0.06) * 49)
+    assert found["moving_cost"] == found["driven_cost"], "it did not get through the run-up"
     assert found["mean_path_error_m"] == pytest.approx(0.5)
     assert found["mean_speed_error_mps"] == pytest.approx(2.0)
 
@@ -159,3 +162,10 @@ def test_the_way_is_the_nearer_one_in_the_middle():
     assert firm_way(driven(crosses), course, 0), "where they are farthest apart, it is on the first"
     assert firm_way(driven(ways[0][:10]), course, 0) is None
     assert firm_way(driven(ways[0]), COURSE, None) is None
+
+
+def test_behind_the_run_up_a_standing_start_does_not_count(monkeypatch):
+    monkeypatch.setattr(scores, "RUN_UP", 4.0)
+    driving = hand_made()
+    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+    assert found["moving_cost"] == pytest.approx(0.02 * 4 * (3 * 0.25 + 4)), "rows 4 to 7"

@@ -41,7 +41,7 @@ class Maker:
 
     def plan(self, now, *_, **__):
         states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
-        return Planned(TimedPlan(now + 0.2, now, torch.zeros(250, 3)), Prediction(now + 0.2, states))
+        return Planned(TimedPlan(now + 0.2, now, torch.zeros(250, 3)), Prediction(now + 0.2, states), 0.0)
 
 
 def test_it_keeps_no_plan_that_is_over_and_continues_a_course_where_control_is(tmp_path):

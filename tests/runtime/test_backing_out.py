@@ -1,4 +1,4 @@
-"""A vehicle that is stuck backs out, goes around the place, and gives up where that does not help."""
+"""A vehicle that is stuck backs out, turns round, goes around the place, and gives up where that does not help."""
 
 from dataclasses import replace
 
@@ -28,11 +28,11 @@ def no_hazard(places):
     return np.zeros(len(places))
 
 
-def driven_along(backing, places, *, begin=0.0, driven=True):
+def driven_along(backing, places, *, begin=0.0, driven=True, y=0.0, yaw=0.0):
     """Gears while the vehicle is at places [x], one every 0.1 s."""
     gears = []
     for step, x in enumerate(places):
-        backing.update(begin + 0.1 * step, np.array((x, 0.0, 0.0)), driven=driven)
+        backing.update(begin + 0.1 * step, np.array((x, y, yaw)), STRAIGHT, driven=driven)
         gears.append(backing.gear)
     return np.array(gears)
 
@@ -57,7 +57,7 @@ def test_it_backs_out_after_the_time_and_as_far_as_set():
 def test_backing_out_that_does_not_move_it_ends_and_is_given_up():
     backing, gears = BackingOut(SETTINGS), []
     for step in range(300):
-        if backing.update(0.1 * step, np.zeros(3), driven=True):
+        if backing.update(0.1 * step, np.zeros(3), STRAIGHT, driven=True):
             backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
         gears.append(backing.gear)
     changes = np.flatnonzero(np.diff(gears)) + 1
@@ -102,14 +102,66 @@ def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
     backing = BackingOut(SETTINGS)
     assert backing.course(STRAIGHT) is STRAIGHT
     assert backing.hazards(Hazards()) == Hazards()
-    for step in range(40):
-        backing.update(0.1 * step, np.array((1.0, 2.0, np.pi / 2)), driven=True)
+    driven_along(backing, np.full(40, 1.0), y=2.0, yaw=np.pi / 2)
     assert backing.hazards(Hazards()).obstacle == SETTINGS.obstacles * Hazards().obstacle
     back = backing.course(STRAIGHT)
     assert (back.speed == -SETTINGS.speed).all()
-    np.testing.assert_allclose(back.path[:, 0], 1.0)
+    np.testing.assert_allclose(back.path[:, 0], 1.0, atol=1e-9)
     assert back.path[0, 1] < 2.0 - SETTINGS.distance
     assert back.path[-1, 1] > 2.0
+
+
+def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
+    backing = BackingOut(SETTINGS)
+    driven_along(backing, np.zeros(40), y=9.0)
+    assert (driven_along(backing, -0.2 * np.arange(30), begin=4.0, y=9.0)[-5:] == 1).all()
+    returning = backing.course(STRAIGHT)
+    assert (returning.speed == SETTINGS.slow).all()
+    assert backing.hazards(Hazards()).obstacle < Hazards().obstacle
+    driven_along(backing, np.zeros(1), begin=8.0, y=1.5, yaw=1.2)
+    assert backing.away, "near it, and across it"
+    driven_along(backing, np.zeros(1), begin=8.1, y=1.5, yaw=0.9)
+    assert backing.course(STRAIGHT) is STRAIGHT
+    assert backing.hazards(Hazards()) == Hazards()
+
+
+def stretches(path):
+    """Lengths and headings of the pieces of a path, in its order."""
+    step = np.diff(path, axis=0)
+    return np.linalg.norm(step, axis=1), np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+
+
+@pytest.mark.parametrize("yaw", [2.5, -2.5])
+def test_against_its_course_it_turns_round_in_legs(yaw):
+    backing, gears = BackingOut(SETTINGS), []
+    x, y, time = 0.0, 0.0, 4.0
+    driven_along(backing, np.zeros(40), yaw=yaw)
+    while backing.leg and time < 60.0:  # a vehicle that follows the courses exactly, 1 m/s
+        path = backing.course(STRAIGHT).path
+        length, heading = stretches(path)
+        assert np.abs(np.diff(heading) / length[1:]).max() < 1.01 / SETTINGS.radius
+        at = int(np.argmin(np.hypot(path[:-1, 0] - x, path[:-1, 1] - y)))
+        at = min(max(at, 1), len(heading) - 1)
+        yaw = float(heading[at - (backing.gear < 0)])
+        x, y = x + 0.1 * backing.gear * np.cos(yaw), y + 0.1 * backing.gear * np.sin(yaw)
+        time += 0.1
+        backing.update(time, np.array((x, y, yaw)), STRAIGHT, driven=True)
+        gears.append(backing.gear)
+    assert abs(np.angle(np.exp(1j * yaw))) < SETTINGS.along + 0.1
+    assert gears[0] == -1
+    assert 1 in gears, "it needs a leg forwards"
+    assert backing.gear == 1
+
+
+def test_turning_round_ends_after_the_legs():
+    backing, legs = BackingOut(SETTINGS), set()
+    driven_along(backing, np.zeros(40), yaw=3.0)
+    for step in range(600):
+        backing.update(4.0 + 0.1 * step, np.array((0.0, 0.0, 3.0)), STRAIGHT, driven=True)
+        legs.add(backing.leg)
+        if not backing.leg:
+            break
+    assert legs == set(range(SETTINGS.legs + 1))
 
 
 def test_the_place_is_passed_where_the_ground_is_better_and_the_next_time_on_the_other_side():
@@ -141,7 +193,7 @@ def test_a_course_that_leads_past_a_place_stays_and_bends_are_left_at_right_angl
 @pytest.mark.parametrize("name", list(vars(SETTINGS)))
 def test_numbers_that_mean_nothing_are_refused(name):
     with pytest.raises(PlanningError, match=name):
-        BackingOutSettings(**{name: -1 if name == "attempts" else -1.0})
+        BackingOutSettings(**{name: -1 if name in ("attempts", "legs") else -1.0})
 
 
 class Mud(Held):

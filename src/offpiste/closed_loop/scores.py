@@ -22,6 +22,10 @@ from offpiste.simulation.vehicle.parameters import VehicleParameters
 DAMAGE = {"rollover", "collision with a tree"}
 """Events that damage the vehicle."""
 
+RUN_UP = 20.0
+"""Length of a course on which a vehicle gets up to its speed [m]: what a standing start costs is the same for all, and
+most of what a drive costs that goes well."""
+
 FINISH = 3.0
 """Distance from its end at which a course counts as driven [m]."""
 
@@ -85,6 +89,7 @@ def summary(
         "finished": finished,
         "time_s": float(rows.stop * DT),
         "driven_cost": driven_cost(trace, rows.stop, None if finished else limit, weights),
+        "moving_cost": driven_cost(trace, rows.stop, None if finished else limit, weights, begin=_run_up(trace, rows)),
         "course_m": length,
         "progress_m": float(trace.progress[rows][-1]),
         "energy_kj": 1e-3 * engine_energy(driving.samples[rows], parameters),
@@ -147,19 +152,25 @@ def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
     return bool(np.argmin(away) == firm)
 
 
-def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights) -> float:
+def _run_up(trace: Trace, rows: slice) -> int:
+    """The first row behind the run-up; 0 where the vehicle did not get there."""
+    return int(np.argmax(trace.progress[rows] >= RUN_UP))
+
+
+def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights, *, begin: int = 0) -> float:
     """Squared distance from the course and squared error of the speed, weighted and summed over time.
 
     These are the planners' path and speed terms, but with the vehicle's speed in any direction, where planners take
     its component along the course. Overspeed, hazard, rollover, effort and jerk are left out.
 
     Args:
-        rows: number of rows that count.
+        rows: end of the rows that count.
+        begin: the first of them.
         limit: where the end was not reached, the vehicle counts as at a standstill on the course from `rows` until
             this time [s]; None where it was.
     """
-    path = weights.path * trace.off[:rows] ** 2
-    speed = weights.speed * (trace.speed - trace.target)[:rows] ** 2
+    path = weights.path * trace.off[begin:rows] ** 2
+    speed = weights.speed * (trace.speed - trace.target)[begin:rows] ** 2
     standing = weights.speed * trace.target[rows - 1] ** 2 * max((limit or 0.0) - rows * DT, 0.0)
     return float(DT * (path + speed).sum() + standing)
 

@@ -95,6 +95,11 @@ class Plan:
         """Effective number of samples, 1 / sum of squared weights: from 1, if one has all weight, to K."""
         return 1 / float(self.weights.square().sum())
 
+    @property
+    def cost(self) -> float:
+        """Mean cost of the samples by their weights."""
+        return float((self.weights * self.costs.where(self.weights > 0, 0.0)).sum())
+
 
 @torch.no_grad()
 def improve(

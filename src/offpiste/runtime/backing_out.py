@@ -1,7 +1,8 @@
 """Backing out: a vehicle that is driven and does not move reverses, and passes the place beside it, or gives up.
 
 A plan covers five seconds, and a model that is wrong about a place is wrong about it again. So that a vehicle is stuck
-is not left to the model: it is seen from the poses.
+is not left to the model: it is seen from the poses. Nor do five seconds show what turning round is worth: a vehicle
+that has spun and stands against its course turns in legs, backwards and forwards, as a driver does.
 """
 
 from collections.abc import Callable
@@ -28,11 +29,17 @@ class BackingOutSettings:
     Attributes:
         after: time without moving while it is driven [s].
         moved: distance that counts as moving [m].
-        distance: that it backs out [m].
+        distance: that it backs out, and drives in each leg of a turn [m].
         longest: time for it [s].
-        speed: wanted in reverse [m/s].
-        obstacles: share of their cost that counts in reverse, at that speed: among bushes, which a LiDAR does not tell
-            from rocks, every way leads through some.
+        speed: wanted meanwhile [m/s]; more than is reached in that distance, so that no plan puts driving off.
+        obstacles: share of their cost that counts meanwhile, and until the vehicle is back on its course: among bushes,
+            which a LiDAR does not tell from rocks, every way leads through some.
+        slow: speed limit on the way back to the course [m/s].
+        back: distance from the course at which it is back [m].
+        against: angle to the course from which the vehicle turns round [rad].
+        along: angle to the course at which it has turned [rad].
+        radius: of the arcs on which it turns [m].
+        legs: of a turn at most.
         attempts: to back out of one place; 0: the gear is never changed, and nothing is given up.
         apart: places that are closer together count as one [m].
         aside: distance at which such a place is passed [m].
@@ -46,8 +53,14 @@ class BackingOutSettings:
     moved: float = 0.5
     distance: float = 5.0
     longest: float = 6.0
-    speed: float = 2.0
+    speed: float = 4.0
     obstacles: float = 0.05
+    slow: float = 3.0
+    back: float = 2.0
+    against: float = 1.75
+    along: float = 1.0
+    radius: float = 7.0
+    legs: int = 6
     attempts: int = 2
     apart: float = 6.0
     aside: float = 2.5
@@ -79,47 +92,73 @@ class BackingOut:
 
     Attributes:
         gear: 1 forward, -1 while it backs out.
+        leg: number of the leg of a manoeuvre, from 1 on; 0: the course is followed.
+        away: whether the vehicle was stuck and is not back on its course yet.
         gave_up: whether all attempts at this place have failed; until something else moves the vehicle.
         places: where it was stuck, oldest first.
     """
 
     def __init__(self, settings: BackingOutSettings) -> None:
         self._settings = settings
-        self.gear, self.gave_up = FORWARD, False
+        self.gear, self.leg, self.away, self.gave_up = FORWARD, 0, False, False
         self.places: list[StuckPlace] = []
-        self._since, self._start = -np.inf, np.full(3, np.nan)
+        self._since, self._start, self._turn = -np.inf, np.full(3, np.nan), 0.0
 
-    def update(self, now: float, pose: Float[np.ndarray, " 3"], *, driven: bool) -> bool:
+    def update(self, now: float, pose: Float[np.ndarray, " 3"], course: Course, *, driven: bool) -> bool:
         """Take notice of where the vehicle is; returns whether it is found stuck at this moment.
 
         Args:
             now: time [s].
             pose: x, y [m], yaw [rad].
+            course: around the vehicle.
             driven: whether plans are followed: a vehicle that is stopped is not stuck.
         """
         settings, since = self._settings, self._since
-        away = float(np.linalg.norm(pose[:2] - self._start[:2]))
+        moved = float(np.linalg.norm(pose[:2] - self._start[:2]))
+        distance, angle = _seen_from(course, pose)
+        self.away &= distance > settings.back or abs(angle) > settings.along
         if now < since or not since > -np.inf:
             self.places.clear()  # poses may be in another frame
-            self._begin(now, pose)
+            self._follow(now, pose)
         elif self.gave_up:
-            if away > settings.moved:
+            if moved > settings.moved:
                 self.gave_up = False
-                self._begin(now, pose)
-        elif self.gear == REVERSE:
-            if away > settings.distance or now - since > settings.longest:
-                self._begin(now, pose)
-        elif not driven or away > settings.moved:
-            self._begin(now, pose)
+                self._follow(now, pose)
+        elif self.leg:
+            self._manoeuvre(now, pose, moved, angle)
+        elif not driven or moved > settings.moved:
+            self._follow(now, pose)
         elif settings.attempts and now - since > settings.after:
             before = self._before(pose[:2])
             self.gave_up = before is not None and before.times >= settings.attempts
-            self._begin(now, pose, FORWARD if self.gave_up else REVERSE)
+            if self.gave_up:
+                self._follow(now, pose)
+            else:
+                self._begin_leg(now, pose, 1, angle)
             return not self.gave_up
         return False
 
-    def _begin(self, now: float, pose: Float[np.ndarray, " 3"], gear: float = FORWARD) -> None:
-        self.gear, self._since, self._start = gear, now, np.array(pose, float)
+    def _follow(self, now: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Follow the course from here on."""
+        self.gear, self.leg, self._since, self._start = FORWARD, 0, now, np.array(pose, float)
+
+    def _begin_leg(self, now: float, pose: Float[np.ndarray, " 3"], leg: int, angle: float) -> None:
+        """Odd legs lead backwards, and all turn towards the course if the vehicle stands against it; else straight."""
+        self._follow(now, pose)
+        self.gear, self.leg, self.away = (REVERSE if leg % 2 else FORWARD), leg, True
+        turning = abs(angle) > (self._settings.against if leg == 1 else self._settings.along)
+        self._turn = -float(np.sign(angle)) if turning else 0.0
+
+    def _manoeuvre(self, now: float, pose: Float[np.ndarray, " 3"], moved: float, angle: float) -> None:
+        """End a leg that has led far enough, and begin another where the vehicle is still turned away."""
+        settings, turning = self._settings, self._turn != 0
+        if turning and abs(angle) < settings.along:
+            self._follow(now, pose)
+        elif moved > settings.distance or now - self._since > settings.longest:
+            if turning and self.leg < settings.legs:
+                self._begin_leg(now, pose, self.leg + 1, angle)
+            else:
+                self._follow(now, pose)
 
     def _before(self, place: Float[np.ndarray, " 2"]) -> StuckPlace | None:
         """The place that counts as this one."""
@@ -143,24 +182,28 @@ class BackingOut:
 
     def hazards(self, hazards: Hazards) -> Hazards:
         """Hazards as they count in the next plan."""
-        if self.gear == FORWARD:
+        if not self.away:
             return hazards
         return replace(hazards, obstacle=self._settings.obstacles * hazards.obstacle)
 
     def course(self, course: Course) -> Course:
-        """The course of the next plan: straight back in reverse, else the one given, beside the places."""
-        if self.gear == REVERSE:
-            return self._straight_back()
+        """The course of the next plan: that of a leg, or the one given, beside the places."""
+        if self.leg:
+            return self._of_leg()
         for place in self.places:
             ways = [self._passing(way, place) for way in course.ways]
             course = replace(course, path=ways[0], alternative=None if len(ways) == 1 else ways[1])
-        return course
+        return replace(course, speed=np.minimum(course.speed, self._settings.slow)) if self.away else course
 
-    def _straight_back(self) -> Course:
-        """Backwards where the vehicle came from; whichever way the course leads, it may stand across it."""
-        x, y, yaw = self._start
-        along = self._settings.distance * np.array((-3.0, 1.0))[:, None] * np.array((np.cos(yaw), np.sin(yaw)))
-        return Course(np.array((x, y)) + along, np.full(2, -self._settings.speed))
+    def _of_leg(self) -> Course:
+        """From where the vehicle stood, straight back or on an arc, in the order of its headings."""
+        settings, (x, y, yaw) = self._settings, self._start
+        arc = self.gear * np.linspace(-settings.distance, 7 * settings.distance, 65)
+        turned = np.where(self.gear * arc > 0, self.gear * arc, 0.0) * self._turn / settings.radius
+        step = np.diff(arc)[:, None] * np.stack((np.cos(yaw + turned[1:]), np.sin(yaw + turned[1:])), axis=1)
+        path = np.concatenate((np.zeros((1, 2)), np.cumsum(step, axis=0)))
+        path += np.array((x, y)) - path[8]  # where the arc length is 0
+        return Course(path[:: int(self.gear)], np.full(len(path), self.gear * settings.speed))
 
     def _passing(self, path: Float[np.ndarray, "P 2"], stuck: StuckPlace) -> Float[np.ndarray, "P 2"]:
         """A way, displaced sideways near a place where it comes close to it."""
@@ -177,3 +220,12 @@ class BackingOut:
         left = np.stack((-along[nearest, 1], along[nearest, 0]))
         offset = stuck.side * settings.aside + float((stuck.place - path[nearest]) @ left)
         return path + offset * np.cos(0.5 * np.pi * phase)[:, None] ** 2 * left
+
+
+def _seen_from(course: Course, pose: Float[np.ndarray, " 3"]) -> tuple[float, float]:
+    """Distance from the course [m], and angle of the heading to it where it is nearest, above 0 to the left [rad]."""
+    way = min(course.ways, key=lambda path: float(np.linalg.norm(path - pose[:2], axis=1).min()))
+    away = np.linalg.norm(way - pose[:2], axis=1)
+    nearest = min(int(np.argmin(away)), len(way) - 2)
+    ahead = way[nearest + 1] - way[nearest]
+    return float(away.min()), float((pose[2] - np.arctan2(ahead[1], ahead[0]) + np.pi) % (2 * np.pi) - np.pi)

@@ -1,8 +1,9 @@
 """Plans on a map: from the vehicle's last rows and the committed controls to a plan and its prediction."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import torch
@@ -31,17 +32,22 @@ from offpiste.runtime.prediction import (
     model_state_of,
     predicted,
 )
-from offpiste.runtime.schedule import TimedPlan
+from offpiste.runtime.schedule import TimedPlan, continued
 from offpiste.runtime.settings import RuntimeSettings
+from offpiste.runtime.ways import Way, ways_from
 from offpiste.state import ModelState
 from offpiste.uncertainty.spread import Spread
 
+FRESH: Final = 0.5
+"""A plan along a way that was made longer ago than this is not continued [s]."""
+
 
 class Planned(NamedTuple):
-    """A plan, and where the model predicts that it leads."""
+    """A plan, where the model predicts that it leads, and what its samples cost."""
 
     plan: TimedPlan
     prediction: Prediction
+    cost: float
 
 
 class PlanMaker:
@@ -86,6 +92,8 @@ class PlanMaker:
         backs_out = reverses and "gear" in dynamics.vehicle.control_columns
         chosen = settings.backing_out
         self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
+        self._of_ways: dict[int, Planned] = {}
+        self._way = 0
         self.map_empty = False
         self.failures: list[str] = []
 
@@ -104,7 +112,8 @@ class PlanMaker:
         """
         settings, state = self._settings, rows.state[-1]
         driven = not follower.stopping and follower.tracker.target > settings.standstill
-        found_stuck = self._backing_out.update(now, state[:3], driven=driven)
+        stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
+        found_stuck = self._backing_out.update(now, state[:3], stretch, driven=driven)
         if self.stuck:
             return None
         near = self._reachable(layers, state, follower.tracker.target)
@@ -114,11 +123,11 @@ class PlanMaker:
         with self._watch.of("encode map"):
             area = coded_area(near, self._dynamics.encoder, self._ground)
         with self._watch.of("cost map"):
-            stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
             hazards = self._backing_out.hazards(settings.hazards)
-            costs = cost_map(near, self._backing_out.course(stretch), hazards)
+            ways = ways_from(self._backing_out.course(stretch), state[:2])
+            costs = [cost_map(near, way.course, hazards) for way in ways]
             if found_stuck:
-                self._backing_out.choose_side(state[:2], stretch, partial(_hazard, costs))
+                self._backing_out.choose_side(state[:2], stretch, partial(_hazard, costs[0]))
         with self._watch.of("start"):
             offset = torch.from_numpy(state[:2].copy())
             given = follower.committed(read, now + settings.latency, rows)
@@ -126,11 +135,36 @@ class PlanMaker:
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
             model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.gear)
             gear = self._backing_out.gear
-            at = Situation(area.stack, costs, self._wheels, offset, model_state.state[0], last, gear, self._caution)
+            at = Situation(area.stack, costs[0], self._wheels, offset, model_state.state[0], last, gear, self._caution)
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
             at = replace(at, state=model_state.state[0])
         with self._watch.of("plan"):
-            return self._improved(now, follower, area, model_state, at)
+            starts = self._continued(now, follower, ways, at.gear)
+            situations = [replace(at, costs=each) for each in costs]
+            plans = [self._improved(now, *each, area, model_state) for each in zip(starts, situations, strict=True)]
+            self._of_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
+            return self._chosen()
+
+    def _chosen(self) -> Planned | None:
+        """The cheapest plan; the way is kept where it costs no more than the temperature more, which is noise."""
+        margin = {self._way: self._settings.sampling.temperature}
+        if not self._of_ways:
+            return None
+        self._way = min(self._of_ways, key=lambda number: self._of_ways[number].cost - margin.get(number, 0.0))
+        return self._of_ways[self._way]
+
+    def _continued(
+        self, now: float, follower: Follower, ways: Sequence[Way], gear: float
+    ) -> list[Float[torch.Tensor, "T 3"]]:
+        """Where plans begin: at the last one along the same way, where there are two, or else at the last one."""
+        rest = controls_of(torch.tensor(self._settings.sampling.rest or (0.0, 0.0))).numpy()
+        start, last = now + self._settings.latency, follower.schedule.continued
+        starts = [last(start, HORIZON_STEPS, rest, gear) for _ in ways]
+        for number, way in enumerate(ways):
+            own = self._of_ways.get(way.number)
+            if len(ways) > 1 and own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
+                starts[number] = continued(own.plan, start)
+        return starts
 
     @property
     def stuck(self) -> bool:
@@ -144,13 +178,11 @@ class PlanMaker:
         return cropped(layers, state[:2] + half * heading, half + self._settings.margin)
 
     def _improved(
-        self, now: float, follower: Follower, area: Area, model_state: ModelState, at: Situation
+        self, now: float, before: Float[torch.Tensor, "T 3"], at: Situation, area: Area, model_state: ModelState
     ) -> Planned | None:
         """A new plan and its prediction; None where none is finite."""
         settings, model = self._settings, self._dynamics
-        rest = controls_of(torch.tensor(settings.sampling.rest or (0.0, 0.0))).numpy()
         start = now + settings.latency
-        before = follower.schedule.continued(start, HORIZON_STEPS, rest, at.gear)
         try:
             plan = self._improver.improve(before, model_state, area, at)
         except PlanningError as error:
@@ -161,7 +193,7 @@ class PlanMaker:
             return None
         controls = controls_of(plan.controls)
         states = predicted(model, model_state, controls, area, at, settings.weights)
-        return Planned(TimedPlan(start, now, controls, at.gear), Prediction(start, states))
+        return Planned(TimedPlan(start, now, controls, at.gear), Prediction(start, states), plan.cost)
 
 
 def _hazard(costs: CostMap, places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:

@@ -83,7 +83,12 @@ class Schedule:
         """
         if self.latest is None or self.latest.gear != gear:
             return torch.as_tensor(rest, dtype=torch.float32).repeat(steps, 1)
-        return shift(self.latest.controls, max(round((start - self.latest.start) / DT), 0))
+        return continued(self.latest, start)
+
+
+def continued(plan: TimedPlan, start: float) -> Float[Tensor, "T 3"]:
+    """A plan from a moment on [s], its last control held."""
+    return shift(plan.controls, max(round((start - plan.start) / DT), 0))
 
 
 def _step(plan: TimedPlan, time: float) -> int:

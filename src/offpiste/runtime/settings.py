@@ -56,7 +56,7 @@ class RuntimeSettings:
             rest=(0.4, 0.0),
         )
     )
-    weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0))
+    weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0, slide=3.0))
     hazards: Hazards = field(default_factory=Hazards)
     risk: Risk = field(default_factory=AsPredicted)
     replay: MapperSettings = field(default_factory=MapperSettings)

@@ -39,6 +39,7 @@ def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
         "world": "mojave",
         "seed": seed,
         "driven_cost": 10 * time,
+        "moving_cost": 10 * time,
         "time_s": time,
         "mean_path_error_m": 0.5,
         "worst_path_error_m": 1.0,
@@ -57,7 +58,7 @@ def test_costs_are_compared_course_by_course_in_percent():
     rows = [result("b-100ms", seed, 10.0 ** (seed + 1)) for seed in range(3)]
     rows += [result("dc-100ms", seed, 0.5 * 10.0 ** (seed + 1)) for seed in range(3)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 1 | 1000 |" in text, "the geometric mean of 100, 1000 and 10,000"
+    assert "| b-100ms | 1 | 1000 | 1000 |" in text, "the geometric mean of 100, 1000 and 10,000"
     assert "| dc-100ms − b-100ms | -50 % [-50, -50] |" in text
 
 
@@ -66,8 +67,11 @@ def test_the_table_counts_what_did_not_finish_with_the_limit():
     rows += [result("dc-100ms", seed, 20.0, finished=seed > 0) for seed in range(4)]
     rows += [result("dc-300ms", seed, 25.0) for seed in range(4)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 1 | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 115.00 | 1.00 | 4 | 4 | 0 | 0 | 0 | 0 | 0 |" in text
-    assert "| dc-100ms | 1 | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
+    assert (
+        "| b-100ms | 1 | 300 | 300 | 30.00 | 0.50 | 1.00 | 2.00 | – | 115.00 | 1.00 | 4 | 4 | 0 | 0 | 0 | 0 | 0 |"
+        in text
+    )
+    assert "| dc-100ms | 1 | 200 | 200 | 25.00 |" in text  # (40 + 3 * 20) / 4
     lines = [line for line in text.splitlines() if "−" in line and line.startswith("|")]
     assert [line.split("|")[1].strip() for line in lines] == ["dc-100ms − b-100ms", "dc-300ms − dc-100ms"]
     assert "| -33 % [-33, -33] |" in lines[0]
@@ -102,8 +106,8 @@ def test_runs_are_compared_with_those_of_the_same_seed_or_alone():
     rows += [result("dc-100ms", seed, 10.0, run_seed=1, finished=seed > 0) for seed in range(3)]
     rows += [result("ceiling-100ms", seed, 10.0, run_seed=7) for seed in range(3)]
     text = table(rows, limit=40.0)
-    assert "| b-100ms | 2 | 200 | 20.00 | 0.50 | 1.00 | 2.00 | – | 110.00 | 1.00 | 6 | 6 |" in text
-    assert "| dc-100ms | 1 | 100 | 20.00 | 0.50 | 1.00 | 2.00 | – | 115.00 | 1.00 | 3 | 2 |" in text
+    assert "| b-100ms | 2 | 200 | 200 | 20.00 | 0.50 | 1.00 | 2.00 | – | 110.00 | 1.00 | 6 | 6 |" in text
+    assert "| dc-100ms | 1 | 100 | 100 | 20.00 | 0.50 | 1.00 | 2.00 | – | 115.00 | 1.00 | 3 | 2 |" in text
     line, alone = (line for line in text.splitlines() if "−" in line and line.startswith("|"))
     assert line.startswith("| dc-100ms − b-100ms | -50 % [-50, -50] |")
     assert line.endswith("| – (2) |")
@@ -117,8 +121,8 @@ def test_each_kind_has_a_part_of_its_own_and_the_energy_is_of_finished_drives():
     assert [part.splitlines()[0] for part in parts] == ["All courses", "Bends", "Passages"]
     shown = [next(line for line in part.splitlines() if line.startswith("| b-100ms")) for part in parts]
     cells = [[cell.strip() for cell in line.split("|")][1:-1] for line in shown]
-    assert [row[3] for row in cells] == ["18.33", "10.00", "26.67"]
-    assert [row[8] for row in cells] == ["120.00", "110.00", "135.00"]
+    assert [row[4] for row in cells] == ["18.33", "10.00", "26.67"]
+    assert [row[9] for row in cells] == ["120.00", "110.00", "135.00"]
     assert "firm way" not in "".join(parts)
 
 

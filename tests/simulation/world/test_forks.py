@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.build import make_world
-from offpiste.simulation.world.forks import ASIDE, HALF_WIDTH, LENGTH, MUD, WETNESS, fork_trails
+from offpiste.simulation.world.forks import ASIDE, HALF_WIDTH, LENGTH, MUD, WAVE, WEAVE, WETNESS, fork_trails
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import WorldSettings
 
@@ -30,11 +30,13 @@ def test_the_ways_by_hand():
     loop = ring(30.0, straight=100.0)
     (forked, island), (fork,) = fork_trails(np.random.default_rng(0), (loop,), SPACING)
     middle = (fork.left + fork.right) / 2
-    assert np.ptp(middle[:, 1]) == pytest.approx(0, abs=1e-9), "on a straight piece: only there are both of one length"
-    assert np.linalg.norm(middle[-1] - middle[0]) == pytest.approx(LENGTH)
+    start = int(np.argmin(np.linalg.norm(loop - fork.left[0], axis=1)))
+    np.testing.assert_allclose(middle, np.roll(loop, -start, axis=0)[: len(middle)], atol=1e-9)
+    assert np.ptp(middle[:, 1]) == pytest.approx(0, abs=1e-9), "on a straight piece: only there are both alike"
     share = np.linspace(0, 1, len(middle))
     apart = np.linalg.norm(fork.left - fork.right, axis=1)
-    np.testing.assert_allclose(apart, 2 * ASIDE * np.sin(np.pi * share) ** 2, atol=1e-9)
+    beside = ASIDE + WEAVE * np.sin(2 * np.pi * LENGTH / WAVE * share)
+    np.testing.assert_allclose(apart, 2 * beside * np.sin(np.pi * share) ** 2, atol=1e-9)
     ahead, aside = middle[1] - middle[0], fork.left[60] - middle[60]
     assert ahead[0] * aside[1] - ahead[1] * aside[0] > 0, "to the left of the direction of driving"
     np.testing.assert_array_equal(forked[: len(fork.left)], fork.left)

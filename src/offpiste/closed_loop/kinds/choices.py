@@ -15,6 +15,7 @@ from offpiste.closed_loop.stretches import (
 )
 from offpiste.planning.course import Course
 from offpiste.simulation.driver.lookahead import VisibleTerrain
+from offpiste.simulation.world.forks import unevenness
 from offpiste.simulation.world.world import Fork, World
 
 RUN_IN = 40.0
@@ -25,7 +26,7 @@ BEHIND = 30.0
 
 
 def _candidates(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
-    """Both directions through each fork, scored by how little the lengths of the ways differ."""
+    """Both directions through each fork, scored by how alike its ways are."""
     terrain = VisibleTerrain.of(world)
     for fork in world.forks:
         for backwards in (False, True):
@@ -34,9 +35,8 @@ def _candidates(world: World, seed: int, settings: CourseSettings) -> Iterator[C
             enough_traction = min(traction_along(world, way).min() for way in driven) >= settings.traction
             if enough_traction and all(drivable(world, terrain, way, settings) for way in course.ways):
                 surprise = float(np.mean([surprise_along(world, way, settings.speed) for way in driven]))
-                first, second = (np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in driven)
                 chosen = ChosenCourse(course, start_of(course.path), surprise, 1 - fork.muddy)
-                yield Candidate(-abs(float(first - second)), chosen)
+                yield Candidate(-unevenness(*driven), chosen)
 
 
 def _course(world: World, fork: Fork, speed: float, *, backwards: bool) -> Course:

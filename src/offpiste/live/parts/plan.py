@@ -69,7 +69,9 @@ class Plans:
             return f"no plan: {self._maker.failures[-1]}"
         self._follower.schedule.add(planned.plan)
         self._follower.schedule.acting(now)  # those before it are forgotten
-        part.hand_on("plans", pack_plan(*planned, empty=False, stuck=False, scan_time=self._scan_time))
+        part.hand_on(
+            "plans", pack_plan(planned.plan, planned.prediction, empty=False, stuck=False, scan_time=self._scan_time)
+        )
         return "ready"
 
     def _take_over(self) -> None:

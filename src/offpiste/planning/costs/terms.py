@@ -1,4 +1,4 @@
-"""The cost terms that ship: path, speed, overspeed, hazard, rollover, effort, jerk (`costs.declaration`)."""
+"""The cost terms that ship: path, speed, overspeed, slide, hazard, rollover, effort, jerk (`costs.declaration`)."""
 
 from offpiste.planning.costs.declaration import Function, Parameter, Scalar, cost_term, quantity
 
@@ -127,6 +127,17 @@ def overspeed_term(vx: Scalar, speed_limit: Scalar, weight: Scalar, maximum: Fun
     """
     above = maximum(maximum(vx, -vx) - speed_limit, vx - vx)
     return weight * above * above
+
+
+@cost_term("slide", weight=1.0, unit="1/s per (m/s)^2")
+def slide_term(vy: Scalar, weight: Scalar) -> Scalar:
+    """Velocity to the side: weight vy^2. A vehicle that slides may spin, or trip over firm ground and roll over.
+
+    Args:
+        vy: [m/s]; in a bend that grips it is small.
+        weight: [1/s per (m/s)^2].
+    """
+    return weight * vy * vy
 
 
 @cost_term("hazard", unit="1/s")

@@ -1,8 +1,9 @@
 """Forks: places where a trail parts into two ways that meet again, one of them through mud.
 
-The ways lie on either side of where the trail ran, around an island of open ground, and are about equally long. Which
-of them is muddy is drawn. The other way is firm, like the trail before and behind: of the ground, only the mud is hard
-to drive. Its look shows it, as that of any ground.
+The ways lie on either side of where the trail ran, around an island of open ground, and are alike: about equally long,
+and winding as trails do. Which of them is muddy is drawn. The other way is firm, like the trail before and behind: of
+the ground, only the mud is hard to drive, since its bends hold half of the lateral acceleration. Its look shows it, as
+that of any ground.
 """
 
 import numpy as np
@@ -19,10 +20,16 @@ LENGTH = 60.0
 ASIDE = 8.0
 """Distance of either way from where the trail ran, in the middle [m]."""
 
+WEAVE = 1.2
+"""Amplitude of the bends of both ways, to either side [m]."""
+
+WAVE = 24.0
+"""Length of two of these bends [m]: their radii are down to 7 m, about as those of the trails' own bends."""
+
 FREE = 12.0
 """Least distance of both ways from other trails [m]."""
 
-TIGHTEST = 10.0
+TIGHTEST = 7.0
 """Smallest radius of a bend of either way [m]."""
 
 MUD = (0.22, 0.78)
@@ -44,7 +51,7 @@ WETNESS = 0.6
 def fork_trails(
     rng: np.random.Generator, trails: tuple[Float[np.ndarray, "_ 2"], ...], spacing: float
 ) -> tuple[tuple[Float[np.ndarray, "_ 2"], ...], tuple[Fork, ...]]:
-    """Trails with a fork in each one, far from the others, where both ways are most nearly of the same length.
+    """Trails with a fork in each one, far from the others, where both ways are most alike in length and bends.
 
     A trail without such a place stays as it is.
 
@@ -65,7 +72,7 @@ def fork_trails(
             far = cKDTree(np.concatenate(others))
             ways = {start: pair for start, pair in ways.items() if far.query(np.concatenate(pair))[0].min() > FREE}
         if ways:
-            start = min(ways, key=lambda k: abs(_length(ways[k][0]) - _length(ways[k][1])))
+            start = min(ways, key=lambda k: unevenness(*ways[k]))
             forks.append(Fork(number, *ways[start], muddy=int(rng.integers(2))))
             trails = (
                 *trails[:number],
@@ -117,15 +124,24 @@ def _around(
 
 
 def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """The two ways beside a piece of trail: apart by a squared sine, so that they leave it without a bend."""
+    """The two ways beside a piece of trail, mirror images where it is straight, winding, and leaving it gently."""
     ahead = np.gradient(trail, axis=0)
     left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
-    aside = (ASIDE * np.sin(np.pi * np.linspace(0, 1, len(trail))) ** 2)[:, None] * left
-    return trail + aside, trail - aside
+    share = np.linspace(0, 1, len(trail))
+    aside = ASIDE + WEAVE * np.sin(2 * np.pi * LENGTH / WAVE * share)
+    beside = (aside * np.sin(np.pi * share) ** 2)[:, None] * left
+    return trail + beside, trail - beside
 
 
-def _length(way: Float[np.ndarray, "n 2"]) -> float:
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+def unevenness(left: Float[np.ndarray, "n 2"], right: Float[np.ndarray, "n 2"]) -> float:
+    """How far two ways differ in length [m] and in how much they turn, a radian as 5 m."""
+    step, other = np.diff(left, axis=0), np.diff(right, axis=0)
+    longer = np.linalg.norm(step, axis=1).sum() - np.linalg.norm(other, axis=1).sum()
+    return float(abs(longer) + 5.0 * abs(_turning(step) - _turning(other)))
+
+
+def _turning(step: Float[np.ndarray, "n 2"]) -> float:
+    return float(np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0])))).sum())
 
 
 def _sharpest(way: Float[np.ndarray, "n 2"]) -> float:

@@ -1,0 +1,145 @@
+"""What models make of a vehicle at a standstill: where it is after 3 s, and whether it moves at all.
+
+By the kind of ground under the wheels, which the simulator knows, and by the slope along the vehicle; on the map as it
+was, at predicted places. A vehicle that is held by its brake tells nothing, so windows whose throttle stays shut are
+counted apart.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from experiments.control_experiments.data import true_ground
+from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.tables import write_control
+from experiments.novelty import kinds_of
+from offpiste.conventions import CONTROL, DT
+from offpiste.dataset.windows import Batch, Windows
+from offpiste.errors import DatasetError
+from offpiste.evaluation.errors import trajectories
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.report.text_table import TextTable, number
+from offpiste.reproduction.gains import MAP, evaluation_index, same_windows
+
+AT_REST: Final = 0.1
+"""Speed below which a window starts at a standstill [m/s]."""
+
+AFTER: Final = 3.0
+"""Time after which places are compared [s]."""
+
+MOVED: Final = 0.5
+"""Distance from which a vehicle has moved [m]."""
+
+OPEN: Final = 0.05
+"""Mean throttle over that time from which a window is driven."""
+
+STEEP: Final = 5.0
+"""Slope along the vehicle from which ground is not level [degrees]."""
+
+MIXED: Final = "mixed"
+
+ABOUT: Final = (
+    f"Windows that start below {AT_REST} m/s, on the map; after {AFTER:g} s. Moves: share of vehicles that are more "
+    f"than {MOVED} m away. Right: share of windows in which the model says so too. Throttle shut: below {OPEN} in the "
+    f"mean; in all other rows it is open. Up and down: more than {STEEP:g} degrees along the vehicle."
+)
+
+
+def standstill_control(of: Reproduced, out: Path) -> Path:
+    """Compare the reproduction's models on windows that start at a standstill.
+
+    Raises:
+        DatasetError: no window with a snapshot does.
+    """
+    windows = Windows(of.dataset, "test", min_speed=0.0)
+    index = at_rest(windows, evaluation_index(windows, MAP, of.size.stride))
+    batch, step = windows.gather(index), round(AFTER / DT) - 1
+    truth = Windows(true_ground(of, out / "oracle"), "test", min_speed=0.0)
+    groups = grouped(batch, kinds_under_wheels(truth, same_windows(windows, index, truth)), step)
+    driven = (batch.target[:, step, :2] - batch.state[:, :2]).numpy()
+    moves = _far(driven)
+    rows: list[dict[str, Any]] = [
+        {"group": name, "n": int(among.sum()), "moves": float(moves[among].mean()), "models": {}}
+        for name, among in groups.items()
+    ]
+    for model in (names := of.present(("parametric", "b", "dc"))):
+        predicted = [trajectories(run.dynamics, windows, index, lookup="map")[:, step, :2] for run in of.runs(model)]
+        missed = np.mean([np.linalg.norm(each - driven, axis=-1) for each in predicted], axis=0)
+        right = np.mean([_far(each) == moves for each in predicted], axis=0)
+        for row, among in zip(rows, groups.values(), strict=True):
+            row["models"][model] = {"error_m": float(missed[among].mean()), "right": float(right[among].mean())}
+    return write_control(out / "standstill", [standstill_table(rows, names)], {"control": "standstill", "rows": rows})
+
+
+def _far(moved: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    return np.asarray(np.linalg.norm(moved, axis=-1) > MOVED)
+
+
+def at_rest(windows: Windows, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+    """Those of some windows that start at a standstill.
+
+    Raises:
+        DatasetError: none does.
+    """
+    start = windows.gather(index).state
+    found = index[np.asarray(start[:, 3:5].norm(dim=-1) < AT_REST)]
+    if not len(found):
+        how = "extract it with `--snapshot-speed 0`"
+        raise DatasetError("no window with a snapshot starts at a standstill", where=windows.dataset.path, how=how)
+    return found
+
+
+def kinds_under_wheels(truth: Windows, index: Int[np.ndarray, " n"]) -> list[str]:
+    """The kind of ground under all four wheels at the start of windows."""
+    ground = truth.gather(index).ground
+    if ground is None:
+        raise DatasetError("has no true ground", where=truth.dataset.path, how="extract it with ground-truth features")
+    cells = ground.ahead[:, 0]  # [n, 4]
+    kind = kinds_of(ground.features[cells.flatten()].double().numpy()).reshape(cells.shape)
+    alike = (kind == kind[:, :1]).all(axis=1) & (kind[:, 0] >= 0)
+    return [GROUND_KINDS[first] if same else MIXED for first, same in zip(kind[:, 0], alike, strict=True)]
+
+
+def grouped(batch: Batch, kinds: list[str], step: int) -> dict[str, Bool[np.ndarray, " n"]]:
+    """Windows with an open throttle together, by kind of ground and by slope; and those whose throttle stays shut."""
+    throttle = batch.control[:, : step + 1, CONTROL.index("throttle")].mean(dim=1).numpy()
+    is_open, slope, kind = throttle >= OPEN, slope_along(batch), np.array(kinds)
+    groups = {"all": is_open}
+    groups |= {name: is_open & (kind == name) for name in (*GROUND_KINDS, MIXED)}
+    groups |= {
+        "down": is_open & (slope < -STEEP),
+        "level": is_open & (abs(slope) <= STEEP),
+        "up": is_open & (slope > STEEP),
+        "throttle shut": ~is_open,
+    }
+    return {name: among for name, among in groups.items() if among.any()}
+
+
+def slope_along(batch: Batch) -> Float[np.ndarray, " n"]:
+    """Slope of the ground ahead of windows' starts, up above 0, by the mean normal under the wheels [degrees]."""
+    normal, yaw = batch.terrain.normal[:, 0].mean(dim=1), batch.state[:, 2]
+    ahead = normal[:, 0] * yaw.cos() + normal[:, 1] * yaw.sin()
+    return np.asarray(torch.rad2deg(torch.atan2(-ahead, normal[:, 2])))
+
+
+def standstill_table(rows: list[dict[str, Any]], models: list[str]) -> TextTable:
+    """A line a group, with error and share of right answers of each model."""
+    of_models = (f"{model}: {what}" for model in models for what in ("[m]", "right [%]"))
+    names = ("ground", "windows", "moves [%]", *of_models)
+    lines = [
+        (
+            row["group"],
+            f"{row['n']}",
+            number(100 * row["moves"], 0),
+            *(
+                number(scale * row["models"][model][what], digits)
+                for model in models
+                for what, scale, digits in (("error_m", 1.0, 2), ("right", 100.0, 0))
+            ),
+        )
+        for row in rows
+    ]
+    return TextTable("From a standstill", names, tuple(lines), ABOUT)

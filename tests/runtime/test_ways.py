@@ -1,0 +1,82 @@
+"""Ways of a course: which can still be taken, and that the plan along the cheaper one acts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from offpiste.planning import mppi
+from offpiste.planning.course import Course
+from offpiste.runtime.runtime import Runtime
+from offpiste.runtime.ways import ASTRAY, ways_from
+from runtime.stream import WHEELS, Stream, course, parametric, sensor_setup, settings
+
+LINE = course()
+
+
+def parted(apart, begin=20.0):
+    """A straight course whose alternative lies to the left, from a distance on."""
+    away = apart * np.clip((LINE.path[:, 0] - begin) / 10.0, 0.0, 1.0)
+    return replace(LINE, alternative=LINE.path + np.stack((np.zeros_like(away), away), axis=1))
+
+
+def test_one_way_until_they_part_and_once_the_other_is_far():
+    assert [way.number for way in ways_from(LINE, np.zeros(2))] == [0]
+    assert [way.number for way in ways_from(parted(0.5), np.zeros(2))] == [0]
+    both = ways_from(parted(8.0), np.zeros(2))
+    assert [way.number for way in both] == [0, 1]
+    for way, path in zip(both, parted(8.0).ways, strict=True):
+        np.testing.assert_array_equal(way.course.path, path)
+        assert way.course.alternative is None
+    section = Course(LINE.path[35:], LINE.speed[35:], np.inf, LINE.path[35:] + np.array((0.0, 8.0)))
+    for y, numbers in ((0.0, [0]), (4.0 - 0.4 * ASTRAY, [0, 1]), (4.0, [0, 1]), (8.0, [1])):
+        assert [way.number for way in ways_from(section, np.array((36.0, y)))] == numbers
+
+
+class Priced:
+    """Plans of a fixed steering for each way; what they cost is given."""
+
+    prices = (9.0, 1.0)
+
+    def __init__(self, dynamics, chosen, seed):
+        self.begun = []
+
+    def improve(self, controls, model_state, area, at):
+        lane = at.costs.at(torch.tensor([[50.0, 0.0]]), torch.zeros(2, dtype=torch.float64))
+        number = int(lane[0, at.costs.names.index("distance")] > 1.0)
+        self.begun.append((number, float(controls[0, 2])))
+        plan = torch.tensor([0.0, (-0.2, 0.3)[number]]).expand(len(controls), 2).clone()
+        return mppi.Plan(plan, torch.full((4,), self.prices[number]).double(), torch.full((4,), 0.25).double())
+
+
+@pytest.mark.parametrize("cheaper", [0, 1])
+def test_the_cheaper_plan_acts_and_each_way_continues_its_own(cheaper, monkeypatch):
+    monkeypatch.setattr(Priced, "prices", (1.0, 9.0) if cheaper == 0 else (9.0, 1.0))
+    made = []
+
+    def make(*of):
+        made.append(Priced(*of))
+        return made[-1]
+
+    there = parted(8.0)
+    runtime = Runtime(parametric(), sensor_setup(), WHEELS, there, settings(), improver=make)
+    controls = Stream(runtime).run(0.6)
+    assert controls[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper])
+    later = made[0].begun[2:]
+    assert {number for number, _ in later} == {0, 1}
+    assert all(began == pytest.approx((-0.2, 0.3)[number]) for number, began in later)
+
+
+def test_a_way_is_kept_where_the_other_costs_hardly_less(monkeypatch):
+    monkeypatch.setattr(Priced, "prices", (9.0, 1.0))
+    runtime = Runtime(parametric(), sensor_setup(), WHEELS, parted(8.0), settings(), improver=Priced)
+    stream = Stream(runtime)
+    assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3)
+    monkeypatch.setattr(Priced, "prices", (0.5, 1.0))
+    assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3), "less than the temperature"
+
+
+def test_costs_of_plans_are_their_samples_by_weight():
+    costs, weights = torch.tensor([4.0, 1.0, torch.inf]).double(), torch.tensor([0.25, 0.75, 0.0]).double()
+    assert mppi.Plan(torch.zeros(2, 2), costs, weights).cost == pytest.approx(1.75)
