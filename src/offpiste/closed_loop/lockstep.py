@@ -47,7 +47,7 @@ class PlannerController:
 
     runtime: Runtime
     rng: np.random.Generator
-    timeout: float = 8.0
+    timeout: float = 12.0
     controls: list[Controls] = field(default_factory=list)
     _best: float = 0.0
     _since: float = 0.0
