@@ -96,6 +96,19 @@ def test_a_clock_that_goes_back_begins_anew():
     backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
     assert (driven_along(backing, np.zeros(30)) == 1).all()
     assert not backing.places, "they may be in another frame"
+    assert not backing.away
+
+
+def test_a_pose_that_jumps_begins_anew():
+    backing = BackingOut(SETTINGS)
+    driven_along(backing, np.zeros(40))
+    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
+    driven_along(backing, np.full(2, 2.5), begin=4.0)
+    assert backing.leg
+    assert backing.places, "25 m/s is no jump"
+    driven_along(backing, np.full(2, 12.0), begin=4.2)
+    assert not backing.places
+    assert (backing.leg, backing.gear, backing.away) == (0, 1, False)
 
 
 def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():

@@ -18,6 +18,10 @@ from offpiste.planning.course import Course
 FORWARD, REVERSE = 1.0, -1.0
 LEFT, RIGHT = 1.0, -1.0
 
+JUMP = 1.0
+FASTEST = 30.0
+"""A pose that is farther from the one before than `JUMP` [m], and the way at that speed [m/s], is in another frame."""
+
 Hazard = Callable[[Float[np.ndarray, "P 2"]], Float[np.ndarray, " P"]]
 """Hazard [1/s] of the ground at places x, y [m]."""
 
@@ -103,6 +107,7 @@ class BackingOut:
         self.gear, self.leg, self.away, self.gave_up = FORWARD, 0, False, False
         self.places: list[StuckPlace] = []
         self._since, self._start, self._turn = -np.inf, np.full(3, np.nan), 0.0
+        self._last, self._seen = -np.inf, np.full(3, np.nan)
 
     def update(self, now: float, pose: Float[np.ndarray, " 3"], course: Course, *, driven: bool) -> bool:
         """Take notice of where the vehicle is; returns whether it is found stuck at this moment.
@@ -117,8 +122,12 @@ class BackingOut:
         moved = float(np.linalg.norm(pose[:2] - self._start[:2]))
         distance, angle = _seen_from(course, pose)
         self.away &= distance > settings.back or abs(angle) > settings.along
-        if now < since or not since > -np.inf:
+        step = float(np.linalg.norm(pose[:2] - self._seen[:2]))
+        continues = now >= self._last and step <= JUMP + FASTEST * (now - self._last)
+        self._last, self._seen = now, np.array(pose, float)
+        if not continues:
             self.places.clear()  # poses may be in another frame
+            self.away = self.gave_up = False
             self._follow(now, pose)
         elif self.gave_up:
             if moved > settings.moved:
