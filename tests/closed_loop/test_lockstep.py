@@ -32,16 +32,16 @@ def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0, gear=1.0)
     return controller
 
 
-def test_a_vehicle_without_progress_for_8_s_is_stuck():
-    assert not commanded(7.9).stuck
-    assert commanded(8.1).stuck
+def test_a_vehicle_without_progress_for_12_s_is_stuck():
+    assert not commanded(11.9).stuck
+    assert commanded(12.1).stuck
 
 
 def test_progress_is_more_than_a_metre():
     assert commanded(20.0, progress=lambda t: 0.04 * t).stuck, "0.8 m in 20 s"
     assert not commanded(20.0, progress=lambda t: 0.2 * t).stuck
-    assert not commanded(15.0, progress=lambda t: 2.0 * (t > 7.5)).stuck
-    assert commanded(15.8, progress=lambda t: 2.0 * (t > 7.5)).stuck
+    assert not commanded(19.0, progress=lambda t: 2.0 * (t > 7.5)).stuck
+    assert commanded(19.8, progress=lambda t: 2.0 * (t > 7.5)).stuck
 
 
 def test_a_vehicle_that_waits_is_not_stuck():
