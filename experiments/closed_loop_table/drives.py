@@ -21,7 +21,7 @@ from offpiste.closed_loop.drive_course import (
     settings_of,
 )
 from offpiste.closed_loop.planner import Planner
-from offpiste.errors import OffpisteError, RunError
+from offpiste.errors import CourseError, OffpisteError, RunError
 from offpiste.files import check_folder
 from offpiste.parallel import run_all
 from offpiste.planning.caution import AsPredicted, risk_of
@@ -131,7 +131,7 @@ def drive_all(
     *,
     processes: int = 1,
 ) -> list[dict[str, Any]]:
-    """Drive what is not driven yet; returns all results.
+    """Drive what is not driven yet; returns all results. Worlds without a course of their kind are left out.
 
     Args:
         processes: courses that are driven at a time, each by all planners.
@@ -139,7 +139,7 @@ def drive_all(
     Raises:
         RunError: the folder holds drives of other settings or runs.
         OffpisteError: a setting is out of range, the folder is a file, or a result in it is broken: nothing is driven
-            then. Or a course cannot be driven; the others are.
+            then. Or a course cannot be driven, the others are; or no world has a course.
     """
     settings = settings or CourseDriveSettings()
     check_folder(out)
@@ -151,10 +151,11 @@ def drive_all(
     failed = run_all(
         partial(_drive_rows, out=out, settings=settings), [c for c in courses if c[1]], processes, "courses"
     )
-    if failed:
-        raise failed[0]
-    results = [(row, _finished_result(row, world, out, settings)) for world in worlds for row in rows]
-    return [{**result, "row": row.row, "run_seed": row.planner.seed} for row, result in results if result is not None]
+    found = [(row, _finished_result(row, world, out, settings)) for world in worlds for row in rows]
+    results = [{**result, "row": row.row, "run_seed": row.planner.seed} for row, result in found if result is not None]
+    if grave := [error for error in failed if not results or not isinstance(error, CourseError)]:
+        raise grave[0]
+    return results
 
 
 def _drive_rows(

@@ -126,3 +126,7 @@ def missing(name: str, module: str, otherwise: str = "") -> MissingExtra:
     """The error for an extra that is not installed."""
     how = f"pip install 'offpiste[{name}]'" + (f", or {otherwise}" if otherwise else "")
     return MissingExtra(f"this needs the extra '{name}' ({module} is not installed)", how=how)
+
+
+class CourseError(OffpisteError):
+    """No stretch of a world's trails makes a course of the wanted kind."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 from offpiste.closed_loop.stretches import CourseSettings
-from offpiste.errors import OffpisteError
+from offpiste.errors import CourseError, OffpisteError
 from offpiste.planning.course import Course
 from offpiste.registry import Registry
 from offpiste.simulation.simulate import Start
@@ -66,13 +66,14 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
     """Best course of the wanted kind in a world (of `course_world`); the same seed gives the same course.
 
     Raises:
-        OffpisteError: no such kind, or no candidate can be driven.
+        CourseError: no candidate can be driven.
+        OffpisteError: no such kind.
     """
     settings = settings or CourseSettings()
     candidates = list(KINDS[settings.kind].candidates(world, seed, settings))
     if not candidates:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
-        raise OffpisteError(
+        raise CourseError(
             f"no stretch of its trails makes a course ({settings.kind})", where=place, how="take another seed"
         )
     return max(candidates, key=lambda candidate: candidate.score).chosen

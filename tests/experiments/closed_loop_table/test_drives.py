@@ -13,7 +13,7 @@ from experiments.closed_loop_table.pytorch_mppi_planner import PytorchMppi
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, settings_of
 from offpiste.closed_loop.planner import Planner
-from offpiste.errors import OffpisteError, RunError
+from offpiste.errors import CourseError, OffpisteError, RunError
 from offpiste.planning.costs.layers import Hazards
 from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.runtime.settings import RuntimeSettings
@@ -32,7 +32,7 @@ def driven(monkeypatch):
 
     def drive_course(planner, settings, folder, *, world, scene, improver):
         if settings.world.seed in done.bad:
-            raise OffpisteError("no stretch of its trails makes a course")
+            raise CourseError("no stretch of its trails makes a course")
         assert not folder.exists(), "what an interrupted drive left"
         folder.mkdir(parents=True)
         done.improvers.append(improver)
@@ -61,11 +61,13 @@ def test_every_planner_drives_every_course_once(driven, tmp_path):
     assert len(driven.drives) == 6, "nothing is driven twice"
 
 
-def test_a_world_without_a_course_stops_no_other(driven, tmp_path):
+def test_a_world_without_a_course_is_left_out(driven, tmp_path):
     driven.bad.add(1)
-    with pytest.raises(OffpisteError, match="no stretch"):
-        drive_all([Entry(B)], places(1, 3), tmp_path)
+    found = drive_all([Entry(B)], places(1, 3), tmp_path)
     assert [seed for _, _, seed, _ in driven.drives] == [2, 3]
+    assert [result["seed"] for result in found] == [2, 3]
+    with pytest.raises(CourseError, match="no stretch"):
+        drive_all([Entry(B)], places(1, 1), tmp_path / "alone")
 
 
 @pytest.mark.parametrize(
