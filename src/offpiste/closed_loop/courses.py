@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 from offpiste.closed_loop.stretches import CourseSettings
-from offpiste.errors import CourseError, OffpisteError
+from offpiste.errors import CourseError
 from offpiste.planning.course import Course
 from offpiste.registry import Registry
 from offpiste.simulation.simulate import Start

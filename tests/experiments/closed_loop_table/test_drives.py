@@ -65,7 +65,7 @@ def test_a_world_without_a_course_is_left_out(driven, tmp_path):
     driven.bad.add(1)
     found = drive_all([Entry(B)], places(1, 3), tmp_path)
     assert [seed for _, _, seed, _ in driven.drives] == [2, 3]
-    assert [result["seed"] for result in found] == [2, 3]
+    assert len(found) == 2
     with pytest.raises(CourseError, match="no stretch"):
         drive_all([Entry(B)], places(1, 1), tmp_path / "alone")
 
