@@ -138,6 +138,42 @@ def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
     assert backing.hazards(Hazards()) == Hazards()
 
 
+def test_on_its_course_bushes_count_little_while_it_backs_out():
+    backing = BackingOut(SETTINGS)
+    driven_along(backing, np.zeros(40))
+    assert backing.leg == 1
+    assert backing.hazards(Hazards()).obstacle < Hazards().obstacle
+    driven_along(backing, -0.2 * np.arange(30), begin=4.0)
+    assert backing.hazards(Hazards()) == Hazards()
+
+
+def test_a_slower_course_limits_a_leg():
+    backing = BackingOut(SETTINGS)
+    driven_along(backing, np.zeros(40))
+    assert (backing.course(replace(STRAIGHT, speed=np.full(80, 3.0))).speed == -3.0).all()
+
+
+def test_time_at_which_it_is_stopped_or_not_seen_ends_no_leg():
+    backing = BackingOut(SETTINGS)
+    driven_along(backing, np.zeros(40))
+    driven_along(backing, np.zeros(200), begin=4.0, driven=False)
+    assert backing.leg == 1, "stopped by a fault"
+    driven_along(backing, np.zeros(1), begin=60.0)
+    assert backing.leg == 1, "not seen for long"
+    driven_along(backing, np.zeros(70), begin=60.1)
+    assert backing.leg == 0
+
+
+def test_what_is_told_to_be_forgotten_is():
+    backing = BackingOut(SETTINGS)
+    driven_along(backing, np.zeros(40))
+    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
+    backing.forget()
+    driven_along(backing, np.zeros(1), begin=4.0)
+    assert not backing.places
+    assert (backing.leg, backing.gear) == (0, 1)
+
+
 def stretches(path):
     """Lengths and headings of the pieces of a path, in its order."""
     step = np.diff(path, axis=0)

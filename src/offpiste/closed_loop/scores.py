@@ -161,7 +161,7 @@ def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeigh
     """Squared distance from the course and squared error of the speed, weighted and summed over time.
 
     These are the planners' path and speed terms, but with the vehicle's speed in any direction, where planners take
-    its component along the course. Overspeed, hazard, rollover, effort and jerk are left out.
+    its component along the course. Overspeed, slide, hazard, rollover, effort and jerk are left out.
 
     Args:
         rows: end of the rows that count.

@@ -18,6 +18,9 @@ from offpiste.planning.course import Course
 FORWARD, REVERSE = 1.0, -1.0
 LEFT, RIGHT = 1.0, -1.0
 
+GAP = 0.5
+"""Longest time between two looks at the vehicle that counts for a manoeuvre [s]."""
+
 JUMP = 1.0
 FASTEST = 30.0
 """A pose that is farther from the one before than `JUMP` [m], and the way at that speed [m/s], is in another frame."""
@@ -39,7 +42,7 @@ class BackingOutSettings:
         obstacles: share of their cost that counts meanwhile, and until the vehicle is back on its course: among bushes,
             which a LiDAR does not tell from rocks, every way leads through some.
         slow: speed limit on the way back to the course [m/s].
-        back: distance from the course at which it is back [m].
+        back: distance from the course at which it is back, once it is along it [m].
         against: angle to the course from which the vehicle turns round [rad].
         along: angle to the course at which it has turned [rad].
         radius: of the arcs on which it turns [m].
@@ -121,7 +124,10 @@ class BackingOut:
         settings, since = self._settings, self._since
         moved = float(np.linalg.norm(pose[:2] - self._start[:2]))
         distance, angle = _seen_from(course, pose)
-        self.away &= distance > settings.back or abs(angle) > settings.along
+        if not self.leg:
+            self.away &= distance > settings.back or abs(angle) > settings.along
+        elif np.isfinite(self._last):  # time in which it is stopped, or nothing is known, is no time for it
+            self._since += max(now - self._last - (GAP if driven else 0.0), 0.0)
         step = float(np.linalg.norm(pose[:2] - self._seen[:2]))
         continues = now >= self._last and step <= JUMP + FASTEST * (now - self._last)
         self._last, self._seen = now, np.array(pose, float)
@@ -146,6 +152,10 @@ class BackingOut:
                 self._begin_leg(now, pose, 1, angle)
             return not self.gave_up
         return False
+
+    def forget(self) -> None:
+        """Begin anew with the next pose, which is in another frame or by another clock."""
+        self._last = np.inf
 
     def _follow(self, now: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Follow the course from here on."""
@@ -198,13 +208,13 @@ class BackingOut:
     def course(self, course: Course) -> Course:
         """The course of the next plan: that of a leg, or the one given, beside the places."""
         if self.leg:
-            return self._of_leg()
+            return self._of_leg(min(self._settings.speed, float(course.speed.max())))
         for place in self.places:
             ways = [self._passing(way, place) for way in course.ways]
             course = replace(course, path=ways[0], alternative=None if len(ways) == 1 else ways[1])
         return replace(course, speed=np.minimum(course.speed, self._settings.slow)) if self.away else course
 
-    def _of_leg(self) -> Course:
+    def _of_leg(self, speed: float) -> Course:
         """From where the vehicle stood, straight back or on an arc, in the order of its headings."""
         settings, (x, y, yaw) = self._settings, self._start
         arc = self.gear * np.linspace(-settings.distance, 7 * settings.distance, 65)
@@ -212,7 +222,7 @@ class BackingOut:
         step = np.diff(arc)[:, None] * np.stack((np.cos(yaw + turned[1:]), np.sin(yaw + turned[1:])), axis=1)
         path = np.concatenate((np.zeros((1, 2)), np.cumsum(step, axis=0)))
         path += np.array((x, y)) - path[8]  # where the arc length is 0
-        return Course(path[:: int(self.gear)], np.full(len(path), self.gear * settings.speed))
+        return Course(path[:: int(self.gear)], np.full(len(path), self.gear * speed))
 
     def _passing(self, path: Float[np.ndarray, "P 2"], stuck: StuckPlace) -> Float[np.ndarray, "P 2"]:
         """A way, displaced sideways near a place where it comes close to it."""

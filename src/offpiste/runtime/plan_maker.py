@@ -127,7 +127,8 @@ class PlanMaker:
             ways = ways_from(self._backing_out.course(stretch), state[:2])
             costs = [cost_map(near, way.course, hazards) for way in ways]
             if found_stuck:
-                self._backing_out.choose_side(state[:2], stretch, partial(_hazard, costs[0]))
+                in_full = cost_map(near, stretch, settings.hazards)
+                self._backing_out.choose_side(state[:2], stretch, partial(_hazard, in_full))
         with self._watch.of("start"):
             offset = torch.from_numpy(state[:2].copy())
             given = follower.committed(read, now + settings.latency, rows)
@@ -142,6 +143,9 @@ class PlanMaker:
             starts = self._continued(now, follower, ways, at.gear)
             situations = [replace(at, costs=each) for each in costs]
             plans = [self._improved(now, *each, area, model_state) for each in zip(starts, situations, strict=True)]
+            if len(ways) == 1:
+                self._of_ways = {}
+                return plans[0]
             self._of_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
             return self._chosen()
 
@@ -165,6 +169,11 @@ class PlanMaker:
             if len(ways) > 1 and own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
                 starts[number] = continued(own.plan, start)
         return starts
+
+    def forget(self) -> None:
+        """Forget where the vehicle was stuck, and plans along ways: poses to come are in another frame."""
+        self._backing_out.forget()
+        self._of_ways = {}
 
     @property
     def stuck(self) -> bool:

@@ -118,6 +118,7 @@ class Runtime:
         taken = self._intake.vehicle(reading)
         if taken == "jumped":
             self._mapper.restart()
+            self._maker.forget()
         if taken != "dropped":
             self.course_tracker.move(reading.position[:2])
 
@@ -165,6 +166,7 @@ class Runtime:
         self._track.clear()
         self.follower.restart()
         self._mapper.restart()
+        self._maker.forget()
         self._plan_due = -np.inf
 
     def _current_mode(self, now: float) -> ModeDecision:

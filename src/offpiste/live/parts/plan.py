@@ -44,6 +44,7 @@ class Plans:
         part, now = self._part, self._part.now()
         if self._feed.update(now):
             self._layers = None
+            self._maker.forget()
         self._take_over()
         latest = self._feed.track.latest
         if self._follower is None:
