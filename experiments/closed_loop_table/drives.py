@@ -153,8 +153,9 @@ def drive_all(
     )
     found = [(row, _finished_result(row, world, out, settings)) for world in worlds for row in rows]
     results = [{**result, "row": row.row, "run_seed": row.planner.seed} for row, result in found if result is not None]
-    if grave := [error for error in failed if not results or not isinstance(error, CourseError)]:
-        raise grave[0]
+    fatal = [error for error in failed if not results or not isinstance(error, CourseError)]
+    if fatal:
+        raise fatal[0]
     return results
 
 

@@ -23,6 +23,7 @@ from offpiste.evaluation.errors import trajectories
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.report.text_table import TextTable, number
 from offpiste.reproduction.gains import MAP, evaluation_index, same_windows
+from offpiste.runtime.backing_out import BackingOutSettings
 
 AT_REST: Final = 0.1
 """Speed below which a window starts at a standstill [m/s]."""
@@ -30,8 +31,8 @@ AT_REST: Final = 0.1
 AFTER: Final = 3.0
 """Time after which places are compared [s]."""
 
-MOVED: Final = 0.5
-"""Distance from which a vehicle has moved [m]."""
+MOVED: Final = BackingOutSettings().moved
+"""Distance from which a vehicle has moved [m], as the run time counts."""
 
 OPEN: Final = 0.05
 """Mean throttle over that time from which a window is driven."""
@@ -93,7 +94,14 @@ def at_rest(windows: Windows, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, "
 
 
 def kinds_under_wheels(truth: Windows, index: Int[np.ndarray, " n"]) -> list[str]:
-    """The kind of ground under all four wheels at the start of windows."""
+    """The kind of ground under all four wheels at the start of windows, or `MIXED`.
+
+    Args:
+        truth: windows of the same drives, with the true ground properties as features.
+
+    Raises:
+        DatasetError: they have none.
+    """
     ground = truth.gather(index).ground
     if ground is None:
         raise DatasetError("has no true ground", where=truth.dataset.path, how="extract it with ground-truth features")
@@ -104,7 +112,12 @@ def kinds_under_wheels(truth: Windows, index: Int[np.ndarray, " n"]) -> list[str
 
 
 def grouped(batch: Batch, kinds: list[str], step: int) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Windows with an open throttle together, by kind of ground and by slope; and those whose throttle stays shut."""
+    """Windows with an open throttle together, by kind of ground and by slope; and those whose throttle stays shut.
+
+    Args:
+        kinds: of ground under each window's start.
+        step: last step [`conventions.DT`] of the time over which the throttle is averaged.
+    """
     throttle = batch.control[:, : step + 1, CONTROL.index("throttle")].mean(dim=1).numpy()
     is_open, slope, kind = throttle >= OPEN, slope_along(batch), np.array(kinds)
     groups = {"all": is_open}

@@ -78,6 +78,10 @@ class PlanningError(OffpisteError):
     """A plan cannot be made, e.g. no sampled trajectory has a finite cost."""
 
 
+class CourseError(OffpisteError):
+    """No stretch of a world's trails makes a course of the wanted kind."""
+
+
 class TransportError(OffpisteError):
     """A robot cannot be reached, or a message type is not known."""
 
@@ -126,7 +130,3 @@ def missing(name: str, module: str, otherwise: str = "") -> MissingExtra:
     """The error for an extra that is not installed."""
     how = f"pip install 'offpiste[{name}]'" + (f", or {otherwise}" if otherwise else "")
     return MissingExtra(f"this needs the extra '{name}' ({module} is not installed)", how=how)
-
-
-class CourseError(OffpisteError):
-    """No stretch of a world's trails makes a course of the wanted kind."""

@@ -110,7 +110,7 @@ class BackingOut:
         self.gear, self.leg, self.away, self.gave_up = FORWARD, 0, False, False
         self.places: list[StuckPlace] = []
         self._since, self._start, self._turn = -np.inf, np.full(3, np.nan), 0.0
-        self._last, self._seen = -np.inf, np.full(3, np.nan)
+        self._last_time, self._last_pose = -np.inf, np.full(3, np.nan)
 
     def update(self, now: float, pose: Float[np.ndarray, " 3"], course: Course, *, driven: bool) -> bool:
         """Take notice of where the vehicle is; returns whether it is found stuck at this moment.
@@ -126,11 +126,11 @@ class BackingOut:
         distance, angle = _seen_from(course, pose)
         if not self.leg:
             self.away &= distance > settings.back or abs(angle) > settings.along
-        elif np.isfinite(self._last):  # time in which it is stopped, or nothing is known, is no time for it
-            self._since += max(now - self._last - (GAP if driven else 0.0), 0.0)
-        step = float(np.linalg.norm(pose[:2] - self._seen[:2]))
-        continues = now >= self._last and step <= JUMP + FASTEST * (now - self._last)
-        self._last, self._seen = now, np.array(pose, float)
+        elif np.isfinite(self._last_time):  # time in which it is stopped, or nothing is known, is no time for it
+            self._since += max(now - self._last_time - (GAP if driven else 0.0), 0.0)
+        step = float(np.linalg.norm(pose[:2] - self._last_pose[:2]))
+        continues = now >= self._last_time and step <= JUMP + FASTEST * (now - self._last_time)
+        self._last_time, self._last_pose = now, np.array(pose, float)
         if not continues:
             self.places.clear()  # poses may be in another frame
             self.away = self.gave_up = False
@@ -155,21 +155,30 @@ class BackingOut:
 
     def forget(self) -> None:
         """Begin anew with the next pose, which is in another frame or by another clock."""
-        self._last = np.inf
+        self._last_time = np.inf
 
     def _follow(self, now: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Follow the course from here on."""
         self.gear, self.leg, self._since, self._start = FORWARD, 0, now, np.array(pose, float)
 
     def _begin_leg(self, now: float, pose: Float[np.ndarray, " 3"], leg: int, angle: float) -> None:
-        """Odd legs lead backwards, and all turn towards the course if the vehicle stands against it; else straight."""
+        """Odd legs lead backwards, and all turn towards the course if the vehicle stands against it; else straight.
+
+        Args:
+            angle: of the heading to the course, above 0 to the left [rad].
+        """
         self._follow(now, pose)
         self.gear, self.leg, self.away = (REVERSE if leg % 2 else FORWARD), leg, True
         turning = abs(angle) > (self._settings.against if leg == 1 else self._settings.along)
         self._turn = -float(np.sign(angle)) if turning else 0.0
 
     def _manoeuvre(self, now: float, pose: Float[np.ndarray, " 3"], moved: float, angle: float) -> None:
-        """End a leg that has led far enough, and begin another where the vehicle is still turned away."""
+        """End a leg that has led far enough, and begin another where the vehicle is still turned away.
+
+        Args:
+            moved: distance from where the leg began [m].
+            angle: of the heading to the course, above 0 to the left [rad].
+        """
         settings, turning = self._settings, self._turn != 0
         if turning and abs(angle) < settings.along:
             self._follow(now, pose)
@@ -215,7 +224,11 @@ class BackingOut:
         return replace(course, speed=np.minimum(course.speed, self._settings.slow)) if self.away else course
 
     def _of_leg(self, speed: float) -> Course:
-        """From where the vehicle stood, straight back or on an arc, in the order of its headings."""
+        """From where the vehicle stood, straight back or on an arc, in the order of its headings.
+
+        Args:
+            speed: wanted on it, above 0 in either gear [m/s].
+        """
         settings, (x, y, yaw) = self._settings, self._start
         arc = self.gear * np.linspace(-settings.distance, 7 * settings.distance, 65)
         turned = np.where(self.gear * arc > 0, self.gear * arc, 0.0) * self._turn / settings.radius

@@ -92,8 +92,8 @@ class PlanMaker:
         backs_out = reverses and "gear" in dynamics.vehicle.control_columns
         chosen = settings.backing_out
         self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
-        self._of_ways: dict[int, Planned] = {}
-        self._way = 0
+        self._along_ways: dict[int, Planned] = {}  # the last plans, by the numbers of their ways
+        self._way = 0  # that is taken
         self.map_empty = False
         self.failures: list[str] = []
 
@@ -144,28 +144,28 @@ class PlanMaker:
             situations = [replace(at, costs=each) for each in costs]
             plans = [self._improved(now, *each, area, model_state) for each in zip(starts, situations, strict=True)]
             if len(ways) == 1:
-                self._of_ways = {}
+                self._along_ways = {}
                 return plans[0]
-            self._of_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
+            self._along_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
             return self._chosen()
 
     def _chosen(self) -> Planned | None:
         """The cheapest plan; the way is kept where it costs no more than the temperature more, which is noise."""
         margin = {self._way: self._settings.sampling.temperature}
-        if not self._of_ways:
+        if not self._along_ways:
             return None
-        self._way = min(self._of_ways, key=lambda number: self._of_ways[number].cost - margin.get(number, 0.0))
-        return self._of_ways[self._way]
+        self._way = min(self._along_ways, key=lambda number: self._along_ways[number].cost - margin.get(number, 0.0))
+        return self._along_ways[self._way]
 
     def _continued(
         self, now: float, follower: Follower, ways: Sequence[Way], gear: float
     ) -> list[Float[torch.Tensor, "T 3"]]:
-        """Where plans begin: at the last one along the same way, where there are two, or else at the last one."""
+        """What each plan improves: the last one along the same way, where there are two, or else the last one."""
         rest = controls_of(torch.tensor(self._settings.sampling.rest or (0.0, 0.0))).numpy()
         start, last = now + self._settings.latency, follower.schedule.continued
         starts = [last(start, HORIZON_STEPS, rest, gear) for _ in ways]
         for number, way in enumerate(ways):
-            own = self._of_ways.get(way.number)
+            own = self._along_ways.get(way.number)
             if len(ways) > 1 and own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
                 starts[number] = continued(own.plan, start)
         return starts
@@ -173,7 +173,7 @@ class PlanMaker:
     def forget(self) -> None:
         """Forget where the vehicle was stuck, and plans along ways: poses to come are in another frame."""
         self._backing_out.forget()
-        self._of_ways = {}
+        self._along_ways = {}
 
     @property
     def stuck(self) -> bool:

@@ -1,4 +1,4 @@
-"""A plan for each way: where a course parts in two, either is planned along, and the cheaper plan acts.
+"""Ways that can still be taken where a course parts in two: each has a plan of its own, and the cheaper one acts.
 
 Samples around one plan do not find another way: those between the two leave both, and cost more than either.
 """
@@ -30,7 +30,7 @@ def ways_from(course: Course, place: Float[np.ndarray, " 2"]) -> Sequence[Way]:
     """The ways that a vehicle can still take, each as a course of its own; one where they have not parted.
 
     Args:
-        course: the section of it that plans can reach.
+        course: the section of it around the vehicle.
         place: x, y of the vehicle [m].
     """
     alone = [Way(number, replace(course, path=path, alternative=None)) for number, path in enumerate(course.ways)]
