@@ -19,7 +19,7 @@ from offpiste.errors import LiveError
 from offpiste.live.packing import pack_course, pack_layers, pack_measured, pack_plan, packed
 from offpiste.live.part import Part
 from offpiste.live.parts.view import Showing, shown_ground
-from offpiste.live.plan_regions import PlanRegions, has_spread
+from offpiste.live.plan_regions import PlanRegions
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.viewers.viewer import VIEWERS, listening_at
@@ -155,10 +155,10 @@ def with_spread(folder):
 
 def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
     planner = with_spread(tmp_path)
-    assert has_spread(planner)
-    assert not has_spread(load_planner(RUN))
+    assert load_planner(RUN).spread is None
     plan, prediction = plan_at(100.0)
-    outlines = PlanRegions(planner, WHEELS.numpy()).outlines(layers(), plan, prediction)
+    regions = PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy())
+    outlines = regions.outlines(layers(), plan, prediction)
     assert len(outlines) == 5
     begin, freedom = np.logaddexp(0, -2.0) ** 2, 2 + np.logaddexp(0, 1.0)
     factor = np.sqrt(freedom * (0.2 ** (-2 / freedom) - 1))  # P(r) = 1 - (1 + r² / ν)^(-ν / 2)
@@ -170,13 +170,15 @@ def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
         assert (outline.max(axis=0) + outline.min(axis=0))[0] / 2 == pytest.approx(1 + 2.0 * second)
     turned = prediction.state.copy()
     turned[:, 2] = np.pi / 2
-    sideways = PlanRegions(planner, WHEELS.numpy()).outlines(layers(), plan, Prediction(100.0, turned))
+    sideways = PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy()).outlines(
+        layers(), plan, Prediction(100.0, turned)
+    )
     assert np.ptp(sideways[4][:, 0]) == pytest.approx(np.ptp(outlines[4][:, 1]))
 
 
 def test_regions_are_shown_with_the_plan(tmp_path):
     notes, planner = Notes(), with_spread(tmp_path)
-    with showing(tmp_path, notes, PlanRegions(planner, WHEELS.numpy())) as (part, shown):
+    with showing(tmp_path, notes, PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy())) as (part, shown):
         feed(part.session, time.time())
         shown.update()
     (plan,) = notes.of("plan")[0]

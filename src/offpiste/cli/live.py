@@ -39,6 +39,8 @@ class Live:
     """From the data of a plan to its first control [s]."""
     risk: str = "none"
     """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need `offpiste calibrate`."""
+    novelty: Literal["ignored", "missing"] = "ignored"
+    """What ground is to the model that looks like none in training; missing needs `offpiste calibrate`."""
     clock: Literal["system", "clock", "stamps"] = "system"
     """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
     seed: int = 0
@@ -91,6 +93,7 @@ class Live:
                 record=self.record,
                 status=self.status,
                 view=ViewSettings(self.view, self.view_at) if self.view else None,
+                novelty=self.novelty,
             ),
             lockstep=self.lockstep,
             replay=self.replay,

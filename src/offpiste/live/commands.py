@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, require
 from offpiste.files import write_whole
 from offpiste.live.command_messages import CommandMessages
@@ -37,7 +36,7 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     """
     settings.robot.require()
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
-    rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
+    rig, planner = load_rig(settings.rig), settings.load_planner()
     _refuse_driving(settings, rig)
     caution_of(settings.runtime.risk, planner.spread)  # refused here, not in each process anew
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:

@@ -6,15 +6,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from offpiste.closed_loop.planner import Planner
+from offpiste.dynamics.base import Dynamics
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.gear import complete
 from offpiste.runtime.prediction import Prediction, coded_area
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.state import Terrain
-from offpiste.training.run import load_run
-from offpiste.uncertainty.prediction import FILE, load_spread
-from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, spread_inputs
+from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, Spread, spread_inputs
 from offpiste.uncertainty.student import radius
 
 WITHIN: Final = 0.8
@@ -27,16 +25,12 @@ class PlanRegions:
     """Regions of plans: ellipses in the predicted heading, one for each second.
 
     Args:
-        planner: of a run whose folder has a spread (`offpiste calibrate`).
+        spread: of the model's predictions (`offpiste calibrate`).
         wheels: positions in the body frame [m].
-
-    Raises:
-        RunError: the spread is damaged, or belongs to other weights.
     """
 
-    def __init__(self, planner: Planner, wheels: Float[np.ndarray, "4 2"]) -> None:
-        self._dynamics = planner.dynamics.eval().requires_grad_(False)
-        self._spread = load_spread(load_run(planner.folder))
+    def __init__(self, dynamics: Dynamics, spread: Spread, wheels: Float[np.ndarray, "4 2"]) -> None:
+        self._dynamics, self._spread = dynamics.eval().requires_grad_(False), spread
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
 
     @torch.no_grad()
@@ -61,11 +55,6 @@ class PlanRegions:
         each = round(1 / INTERVAL)
         ends = prediction.state[EVERY - 1 :: EVERY][each - 1 :: each]
         return tuple(_ellipse(state, half) for state, half in zip(ends, axes[each - 1 :: each], strict=True))
-
-
-def has_spread(planner: Planner) -> bool:
-    """Whether a run has one."""
-    return (planner.folder / FILE).exists()
 
 
 def _ellipse(state: Float[np.ndarray, " 6"], half: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "P 2"]:

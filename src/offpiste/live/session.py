@@ -11,12 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
+from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
+from offpiste.uncertainty.novelty import Novelty
 
 Source = Literal["system", "clock", "stamps"]
 """The clock that stamps are compared with: the computer's, the one on /clock, or the readings' own stamps."""
@@ -78,6 +80,15 @@ class LiveSettings:
     record: Path | None = None
     status: Path | None = None
     view: ViewSettings | None = None
+    novelty: Novelty = "ignored"
+
+    def load_planner(self) -> Planner:
+        """The run, with its features.
+
+        Raises:
+            RunError, PerceptionError: it cannot be loaded (`closed_loop.planner.load_planner`).
+        """
+        return load_planner(self.run, self.pca, novelty=self.novelty)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import time
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import PerceptionError
 from offpiste.live.packing import image_from, packed, unpacked
 from offpiste.live.part import Part, TrackFeed
@@ -16,7 +15,7 @@ from offpiste.runtime.perception import codes_of
 def codes(session: Session) -> None:
     """The process that extracts features."""
     part = Part("codes", session)
-    planner = load_planner(part.settings.run, part.settings.pca)
+    planner = part.settings.load_planner()
     load_kernels(part, planner)
     setup = wait_for_sensors(part, planner)
     if setup is None or planner.extractor is None:

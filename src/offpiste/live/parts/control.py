@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import DT
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.gate import Gate, Passed
@@ -40,7 +39,7 @@ class Controller:
     def __init__(self, part: Part) -> None:
         self.part, settings, rig = part, part.settings, load_rig(part.settings.rig)
         self.follower: Follower | None = None
-        self._feed = TrackFeed(part, load_planner(settings.run, settings.pca).dynamics.vehicle.actuators)
+        self._feed = TrackFeed(part, settings.load_planner().dynamics.vehicle.actuators)
         before, enable = last_command(part), rig.live.enable if settings.drive else None
         self._gate = Gate(rig.live.limits, enable, settings.runtime.stop, before.get("applied"))
         self._course, self._plan_number = NewestCourse(part), part.ring("plans").written

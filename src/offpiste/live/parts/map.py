@@ -4,7 +4,6 @@ import time
 
 import numpy as np
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.live.packing import cloud_from, pack_layers, packed, unpacked
 from offpiste.live.part import Part, TrackFeed
@@ -23,7 +22,7 @@ _SPARE = 4.0
 def map_ground(session: Session) -> None:
     """The process that maps."""
     part = Part("map", session)
-    planner = load_planner(part.settings.run, part.settings.pca)
+    planner = part.settings.load_planner()
     load_kernels(part, planner)
     setup = wait_for_sensors(part, planner)
     if setup is None:

@@ -5,7 +5,6 @@ import time
 import numpy as np
 import torch
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.compilation import single_threaded_torch
 from offpiste.live.packing import layers_from, pack_plan, packed, unpacked
 from offpiste.live.part import Part, TrackFeed
@@ -23,7 +22,7 @@ class Plans:
 
     def __init__(self, part: Part) -> None:
         self._part, settings = part, part.settings
-        self.planner, self._rig = load_planner(settings.run, settings.pca), load_rig(settings.rig)
+        self.planner, self._rig = settings.load_planner(), load_rig(settings.rig)
         dynamics = self.planner.dynamics.eval().requires_grad_(False)
         self._feed = TrackFeed(part, dynamics.vehicle.actuators)
         wheels, spread = self._rig.wheel_positions(), self.planner.spread

@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib import colormaps
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.closed_loop.recording import LIFT
 from offpiste.live.packing import course_from, image_from, layers_from, plan_from, reading_from, unpacked
 from offpiste.live.part import Part
-from offpiste.live.plan_regions import PlanRegions, has_spread
+from offpiste.live.plan_regions import PlanRegions
 from offpiste.live.session import PARTS, Session
 from offpiste.live.viewers.viewer import VIEWERS, ShownGround, ShownPlan, Viewer
 from offpiste.logs.measurements import Image
@@ -162,12 +161,12 @@ def view(session: Session, *, cameras: bool) -> None:
     """The process that shows."""
     part, settings = Part("view", session), session.settings
     assert settings.view is not None
-    rig, planner = load_rig(settings.rig), load_planner(settings.run, settings.pca)
+    rig, planner = load_rig(settings.rig), settings.load_planner()
     names = tuple(rig.cameras) if cameras else ()
     viewer = VIEWERS[settings.view.name](settings.view.place, rig.wheel_positions(), names)
     regions = None
-    if has_spread(planner):
-        regions = PlanRegions(planner, rig.wheel_positions())
+    if planner.spread is not None:
+        regions = PlanRegions(planner.dynamics, planner.spread, rig.wheel_positions())
     showing = Showing(part, viewer, regions)
     while not part.ending:
         began = time.monotonic()
