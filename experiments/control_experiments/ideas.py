@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from experiments.control_experiments.distilled import distilled
-from experiments.control_experiments.mirrored import with_mirrored
 from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
@@ -168,7 +167,9 @@ IDEAS: Final[Mapping[str, Idea]] = {
     ),
     "distilled": Idea("codes of far views learn what cf's are in hindsight; the rest is cf's", made=distilled),
     "eight codes": Idea("codes twice as long", config=lambda config: replace(config, codes=8)),
-    "mirrored": Idea("every training drive once more, as in a mirror", changed=with_mirrored),
+    "mirrored": Idea(
+        "half of the windows that train are their mirror images", config=lambda config: replace(config, mirror=True)
+    ),
     "few features": Idea("the first 12 of 40 features", config=lambda config: replace(config, pca=12)),
     "slow windows": Idea(
         "errors count relative to the driven distance", config=lambda config: replace(config, relative=1.0)

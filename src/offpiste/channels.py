@@ -27,6 +27,7 @@ class Control:
         absent: what stands for it where a log lacks it.
         discrete: whether it is one of a few whole numbers: it holds between samples, and what is beyond `low` and
             `high` counts as these.
+        lateral: whether it changes its sign where left and right are exchanged.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Control:
     declared: bool = False
     absent: float = 0.0
     discrete: bool = False
+    lateral: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Actuator:
         drives: input of the bicycle that it measures (`offpiste.dynamics.inputs.DriveTrain`); where it is absent, that
             input has its reduced form. "" for none: it is an input of the networks alone.
         rate_of: actuator whose rate of change it is; both are the state of that actuator's lag.
-        pattern, declared: see `Control`.
+        pattern, declared, lateral: see `Control`.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Actuator:
     rate_of: str = ""
     pattern: str = ""
     declared: bool = False
+    lateral: bool = False
 
     @property
     def label(self) -> str:
@@ -84,7 +87,12 @@ CONTROLS: Final = (
     ),
     Control("brake", rate=8.0, pattern=r"brake|(?<![a-z])brk(?![a-z])", declared=True),
     Control(
-        "steer", low=-1.0, rate=4.0, pattern=r"steer|(?<![a-z])str_?(cmd|com+and|pct|in(put)?)(?![a-z])", declared=True
+        "steer",
+        low=-1.0,
+        rate=4.0,
+        pattern=r"steer|(?<![a-z])str_?(cmd|com+and|pct|in(put)?)(?![a-z])",
+        declared=True,
+        lateral=True,
     ),
 )
 """Throttle and brake from 0 to 1, steering from -1 to 1 and + left, as commanded."""
@@ -107,9 +115,9 @@ ACTUATORS: Final = (
     ),
     Actuator(
         "steer", "steer_angle", "rad", low=-1.0, high=1.0, follows="steer", lag="second-order", drives="steer",
-        declared=True,
+        declared=True, lateral=True,
     ),
-    Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True),
+    Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True, lateral=True),
     Actuator(
         "engine_rpm", "engine_rpm", "1000 rev/min", low=0.0, high=15.0, follows="throttle", lag="engine",
         drives="engine", pattern=r"engine.*(rpm|speed)|^rpm", declared=True,

@@ -2,14 +2,19 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
+import torch
 from jaxtyping import Int
 
 from offpiste.dataset.feature_sets import Draw, FeatureSetChoice, drawn
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.training.distributed import Group
+from offpiste.training.mirror import Mirror
+
+MIRRORED: Final = 0.5
+"""Share of the windows that are mirrored, where any are."""
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -29,21 +34,31 @@ def draw_sets(
 
 
 def batches_of(
-    windows: Windows, parts: Sequence[np.ndarray], draw: Draw | None, rng: np.random.Generator, group: Group
+    windows: Windows,
+    parts: Sequence[np.ndarray],
+    draw: Draw | None,
+    rng: np.random.Generator,
+    group: Group,
+    mirror: Mirror | None = None,
 ) -> Iterator[Batch | None]:
     """Batches in order, of each the share of this process; None where it has none of one.
 
-    Feature sets are drawn in that order, too, however far ahead batches are gathered.
+    Feature sets and what is mirrored are drawn in that order, too, however far ahead batches are gathered.
 
     Args:
         parts: indices of the windows of each batch.
+        mirror: of half of the windows; None for none.
     """
 
     def gathered(index: Int[np.ndarray, " B"]) -> Batch | None:
         chosen, share = draw_sets(draw, windows, index, rng), group.share(len(index))
+        images = None if mirror is None else rng.random(len(index)) < MIRRORED
         if not len(mine := index[share]):
             return None
-        return windows.gather(mine, None if chosen is None else chosen[share])
+        batch = windows.gather(mine, None if chosen is None else chosen[share])
+        if mirror is None or images is None:
+            return batch
+        return mirror.of(batch, torch.as_tensor(images[share], device=windows.device))
 
     return one_ahead(gathered, parts) if windows.read_ahead else map(gathered, parts)
 

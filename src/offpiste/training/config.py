@@ -47,6 +47,7 @@ class TrainConfig:
         min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
         relative: 0: errors in metres count alike at any speed, as in the paper; 1: relative to the distance that is
             driven, so that slow windows matter.
+        mirror: train on the mirror image of every second window, drawn anew each time; not the actuators.
         weights: weights of the loss's components.
         seed: seed of the initial weights and the order of the windows.
         device: where to train: "cpu", "cuda", ...
@@ -67,6 +68,7 @@ class TrainConfig:
     start: Literal["causal", "smoothed"] = "causal"
     min_speed: float | None = None
     relative: float = 0.0
+    mirror: bool = False
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
     device: str = "cpu"

@@ -25,6 +25,7 @@ from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_wei
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import KeptEpoch
+from offpiste.training.mirror import Mirror
 
 logger = logging.getLogger(__name__)
 
@@ -94,6 +95,7 @@ class Stage:
         draw: feature sets that windows read; the windows' own where there is none.
         on_map: mean loss of the module on maps of validation, by which epochs are chosen; None: by the mean of `loss`
             over all validation windows, at recorded places.
+        mirror: of half of the windows that it trains on; None for none.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Stage:
     epochs: int
     draw: Draw | None = None
     on_map: Callable[[], float] | None = None
+    mirror: Mirror | None = None
 
 
 def run_stage(
@@ -233,7 +236,7 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
     rng = np.random.default_rng((config.seed, epoch))
     order = rng.permutation(strided(train, config.stride, phase=int(rng.integers(config.stride))))
     parts = np.array_split(order, math.ceil(len(order) / config.batch))
-    batches, total = batches_of(train, parts, stage.draw, rng, group), 0.0
+    batches, total = batches_of(train, parts, stage.draw, rng, group, stage.mirror), 0.0
     for number, index in enumerate(track(parts, f"{stage.name} {epoch + 1}/{stage.epochs}")):
         _set_learning_rate(state.optimiser, (epoch + number / len(parts)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"

@@ -33,6 +33,7 @@ from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import squared_errors, summed_loss
 from offpiste.training.map_loss import MapLoss, map_loss
+from offpiste.training.mirror import mirror_of
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import in_parts, predict
 from offpiste.training.run import check_device, save_run
@@ -104,11 +105,11 @@ def train(
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
         return weigh(batch) * summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
-    maps = maps or map_loss(validation, group)
+    maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)
-        return Stage(name, model, lambda batch: window_loss(predict(model, batch), batch), epochs, draw, on_map)
+        return Stage(name, model, lambda batch: window_loss(predict(model, batch), batch), epochs, draw, on_map, mirror)
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
