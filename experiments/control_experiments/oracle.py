@@ -68,8 +68,10 @@ def oracle_control(of: Reproduced, out: Path, seeds: int) -> Path:
         for model in models:
             mine = errors(model)
             gains.append(gain("", model, mine, blind, reading))
-            best, base = (runs_of(oracle[name, of_truth]) for name in ("df", "b"))
-            reached = share(runs_of(mine), runs_of(blind), best, base, Sampling().on(best))
+            all_four = (mine, blind, oracle["df", of_truth], oracle["b", of_truth])
+            seeds = min(map(len, all_four))
+            own, base, best, best_base = (runs_of(each[:seeds]) for each in all_four)
+            reached = share(own, base, best, best_base, Sampling().on(best))
             lines.append((model, " ".join(filter(None, reading)), percent(reached, 0), reached))
     table = TextTable("Share of the oracle's gain", ("model", "lookup", "share"), tuple(x[:3] for x in lines), SHARES)
     shares = [{"model": model, "way": reading, "share": reached} for model, reading, _, reached in lines]

@@ -29,6 +29,12 @@ def test_seeds_are_averaged_window_by_window() -> None:
     assert (found.distance.mean, found.levels.seeds) == (pytest.approx(0.0, abs=1e-12), 2)
 
 
+def test_a_model_of_one_seed_is_compared_with_the_baseline_of_that_seed() -> None:
+    others = [BASE, errors(9.0 * BASE.distance()), errors(9.0 * BASE.distance())]
+    found = gain("", "dc", [errors(0.75 * BASE.distance())], others, MAP)
+    assert (found.distance.mean, found.levels.seeds) == (pytest.approx(-0.25), 1)
+
+
 def shared(*errors: Errors) -> PairedDifference:
     """The share, of one run each."""
     return share(*(runs_of([each]) for each in errors), Sampling().on(BASE))

@@ -172,3 +172,15 @@ def test_every_set_is_shifted(dataset: Dataset) -> None:
         assert one is not None
         assert two is not None
         torch.testing.assert_close(one.features[one.ahead[0, 0]], two.features[two.ahead[0, 0]], equal_nan=True)
+
+
+def test_errors_of_a_run_trained_again_in_its_folder_are_its_own(tmp_path: Path, dataset: Dataset) -> None:
+    windows, kept = Windows(dataset, "test"), tmp_path / "kept"
+    losses = []
+    for number in range(2):
+        run = untrained(dataset, "parametric", tmp_path / "parametric-0")
+        with torch.no_grad():
+            for value in run.dynamics.parameters():
+                value += 0.1 * number
+        losses.append(errors_of(run, windows, np.array([0, 50]), HINDSIGHT, scale=torch.ones(5), kept=kept).loss)
+    assert not np.allclose(*losses)

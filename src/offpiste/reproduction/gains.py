@@ -1,5 +1,6 @@
 """Errors of runs on the same windows, kept in files, and what one model gains over another."""
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -85,13 +86,13 @@ def errors_of(
     kept: Path,
     map_source: MapSource = on_map,
 ) -> Errors:
-    """Errors of a run, from `kept` if they are there, of the same windows; else they are computed and kept.
+    """Errors of a run, from `kept` if they are there, of the same weights and windows; else they are computed and kept.
 
     Args:
         scale: of the loss, the same for all that is compared.
         map_source: the map that is read, where it is not the windows' own.
     """
-    path = kept / run.folder.name / f"{'-'.join(filter(None, reading))}.safetensors"
+    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), _digest(run)))}.safetensors"
 
     def compute() -> Errors:
         return run_errors(run, windows, index, reading, scale=scale, map_source=map_source)
@@ -105,11 +106,20 @@ def errors_of(
     return errors
 
 
+def _digest(run: Run) -> str:
+    """Of a run's weights as they are in memory: a run may be trained again in its folder."""
+    digest = hashlib.sha256()
+    for name, values in run.dynamics.state_dict().items():
+        digest.update(name.encode())
+        digest.update(values.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:12]
+
+
 def gain(
     case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], reading: Reading, *, baseline: str = "b"
 ) -> Gain:
-    """A model against a baseline, over all runs; those of both in the order of their seeds."""
-    one, other = runs_of(mine), runs_of(others)
+    """A model against a baseline, over the model's seeds; runs of both are in the order of their seeds."""
+    one, other = runs_of(mine), runs_of(others[: len(mine)])
     drawn = Sampling().on(one)
     return Gain(
         case=case,

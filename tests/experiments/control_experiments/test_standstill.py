@@ -60,9 +60,11 @@ def test_groups_by_throttle_slope_and_kind(tmp_path: Path) -> None:
     control[:3, :, CONTROL.index("throttle")] = 2 * OPEN
     batch = replace(batch, state=state, control=control, terrain=replace(batch.terrain, normal=normal))
     np.testing.assert_allclose(slope_along(batch), [10.0, 0.0, -10.0, 0.0], atol=1e-4)
-    groups = grouped(batch, ["mud", "gravel", "mud", "mud"], 149)
+    groups = grouped(batch, ["mud", "gravel", "mud", "mud"], 149, np.array([True, False, True, True]))
     assert {name: np.flatnonzero(among).tolist() for name, among in groups.items()} == {
         "all": [0, 1, 2],
+        "that move": [0, 2],
+        "that stay": [1],
         "gravel": [1],
         "mud": [0, 2],
         "down": [2],
