@@ -24,7 +24,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.errors import DatasetError
 from offpiste.evaluation.errors import SeededErrors
-from offpiste.evaluation.intervals import PairedDifference, Sampling, relative
+from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.training.config import TrainConfig
@@ -39,7 +39,8 @@ ABOUT = (
     "Distance after 5 s on the map as it was at the window's start, read at predicted places (the oracle: on the whole "
     "true map), all on the same windows of the test part, with 95 % intervals over drives, blocks of 10 s and seeds. "
     "Training drives are drawn once; each amount holds those of the smaller ones. All take as many steps of the "
-    "optimiser. Last column: against the amount before."
+    "optimiser. Change: against the amount before. Against b: of as many hours, and the change of that since the least "
+    "hours, in points."
 )
 
 
@@ -65,6 +66,8 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
         hours: that there were, to the drive.
         error_m, ci95: mean distance after 5 s and its 95 % interval [m].
         against_less: relative difference to the amount before; None for the smallest.
+        against_b: relative to `b` trained on as many hours; None of `b`, or without it.
+        gained_since: `against_b` less that of the smallest amount; None for the smallest.
     """
 
     model: str
@@ -72,6 +75,8 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     error_m: float
     ci95: tuple[float, float]
     against_less: PairedDifference | None
+    against_b: PairedDifference | None = None
+    gained_since: PairedDifference | None = None
 
 
 def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
@@ -157,8 +162,10 @@ def _points(errors: Mapping[tuple[str, float], SeededErrors]) -> list[Point]:
     points = []
     for model in dict.fromkeys(model for model, _ in errors):
         before: SeededErrors | None = None
+        least = min(hours for name, hours in errors if name == model)
         for hours, mine in ((hours, each) for (name, hours), each in errors.items() if name == model):
             drawn, distance = Sampling().on(mine), mine.distance()
+            blind, first = errors.get(("b", hours)), errors.get(("b", least))
             points.append(
                 Point(
                     model=model,
@@ -166,10 +173,23 @@ def _points(errors: Mapping[tuple[str, float], SeededErrors]) -> list[Point]:
                     error_m=float(distance.mean()),
                     ci95=drawn.interval(drawn.means(distance)),
                     against_less=None if before is None else relative(distance, before.distance(), drawn),
+                    against_b=None if model == "b" or blind is None else relative(distance, blind.distance(), drawn),
+                    gained_since=None
+                    if before is None or model == "b" or blind is None or first is None
+                    else _change((mine, blind), (errors[model, least], first), drawn),
                 )
             )
             before = mine
     return points
+
+
+def _change(
+    now: tuple[SeededErrors, SeededErrors], then: tuple[SeededErrors, SeededErrors], drawn: Resampling
+) -> PairedDifference:
+    """Difference of two relative differences, each of a model and its baseline, on the same windows."""
+    (a, b), (c, d) = ([each.distance() for each in pair] for pair in (now, then))
+    change = drawn.means(a) / drawn.means(b) - drawn.means(c) / drawn.means(d)
+    return PairedDifference(float(a.mean() / b.mean() - c.mean() / d.mean()), drawn.interval(change))
 
 
 def _table(points: Sequence[Point]) -> TextTable:
@@ -179,11 +199,15 @@ def _table(points: Sequence[Point]) -> TextTable:
             f"{point.hours:.2f}",
             number(point.error_m),
             interval(point.ci95, 2),
-            "" if point.against_less is None else percent(point.against_less),
+            *(
+                "" if each is None else percent(each)
+                for each in (point.against_less, point.against_b, point.gained_since)
+            ),
         )
         for point in points
     ]
-    return TextTable("Learning curves", ("model", "hours", "error [m]", "95 %", "change"), tuple(lines), ABOUT)
+    names = ("model", "hours", "error [m]", "95 %", "change", "against b", "since the least hours")
+    return TextTable("Learning curves", names, tuple(lines), ABOUT)
 
 
 def draw_curves(points: Sequence[Point]) -> Figure:

@@ -85,6 +85,13 @@ def test_a_curve_from_end_to_end_is_resumed(tmp_path: Path) -> None:
     assert [p["against_less"] is None for p in points] == [True, False] * 3
     for less, more in zip(points[::2], points[1::2], strict=True):
         assert more["against_less"]["mean"] == pytest.approx(more["error_m"] / less["error_m"] - 1)
+    by_point = {(p["model"], i % 2): p for i, p in enumerate(points)}
+    for model in ("dc", "oracle"):
+        less, more = ([by_point[name, amount] for name in (model, "b")] for amount in (0, 1))
+        ratios = [one["error_m"] / blind["error_m"] for one, blind in (less, more)]
+        assert more[0]["against_b"]["mean"] == pytest.approx(ratios[1] - 1)
+        assert more[0]["gained_since"]["mean"] == pytest.approx(ratios[1] - ratios[0])
+        assert less[0]["gained_since"] is by_point["b", 1]["against_b"] is None
     assert (page.parent / "curve.png").exists()
     assert not list(out.rglob(f"{4 * DRIVE:.2f}h/runs/b-0")), "the reproduction has it"
     kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
