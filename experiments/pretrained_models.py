@@ -55,7 +55,8 @@ ABOUT: Final = {
 LOOKUP: Final = {"oracle": "the whole map of the true ground, which no vehicle has"}
 """On which map a model's ground is read; on the vehicle's, where there is no entry."""
 NOT_FOR: Final = (
-    "A real vehicle. All data are simulated: one vehicle of 1150 kg, its camera and LiDAR without errors.",
+    "A real vehicle. All data are simulated: one vehicle of 1150 kg, its poses without drift, its "
+    "sensors mounted as said and in time.",
     "Other mountings, image sizes or backbones than those of the rig `proving_ground`, where a model sees the ground.",
     "Speeds above 12 m/s, which training hardly holds.",
     "A safety function of any kind. Rollovers and collisions are not among what it predicts.",
