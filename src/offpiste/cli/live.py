@@ -39,10 +39,10 @@ class Live:
     """From the data of a plan to its first control [s]."""
     risk: str = "none"
     """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need `offpiste calibrate`."""
-    novelty: Literal["ignored", "missing"] = "ignored"
-    """What ground is to the model that looks like none in training; missing needs `offpiste calibrate`."""
     clock: Literal["system", "clock", "stamps"] = "system"
     """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
+    novelty: Literal["ignored", "missing"] = "ignored"
+    """What ground is to the model that looks like none in training; missing needs `offpiste calibrate`."""
     seed: int = 0
     """Of the sampled controls."""
     seconds: float = float("inf")
