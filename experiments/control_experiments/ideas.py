@@ -26,8 +26,9 @@ from offpiste.training.run import Run
 logger = logging.getLogger("experiments")
 
 ABOUT: Final = (
-    "On the windows of the validation part; the test part is not looked at. Relative to `dc` (below 0: better), with "
-    "95 % intervals over drives, blocks of 10 s and seeds. Each differs from `dc` in what its line says."
+    "On the windows of the validation part; the test part is not looked at. Relative to the reproduction's `dc`, or `b` "
+    "for ideas of it (below 0: better), with 95 % intervals over drives, blocks of 10 s and seeds. Each differs in what "
+    "its line says. Epochs were chosen on the same windows."
 )
 READINGS: Final[tuple[Reading, ...]] = (MAP, *(("recorded", name) for name in ("10", "20", "30")))
 
@@ -45,7 +46,8 @@ class Idea:
     Attributes:
         what: it is, in a few words.
         model: that is trained.
-        config: its settings, from those of the reproduction's `dc`.
+        baseline: of the reproduction, that it is compared with and takes its settings from.
+        config: its settings, from those of the baseline.
         changed: the dataset that it is trained and evaluated on; the reproduction's own by default.
         mapped: whether the maps of that dataset hold what the model reads.
         made: makes a run otherwise than by training, from the reproduction, a folder and a seed.
@@ -53,6 +55,7 @@ class Idea:
 
     what: str
     model: str = "dc"
+    baseline: str = "dc"
     config: Callable[[TrainConfig], TrainConfig] = lambda config: config
     changed: Callable[[Dataset], Dataset] | None = None
     mapped: bool = True
@@ -60,16 +63,16 @@ class Idea:
 
 
 def ideas_control(of: Reproduced, out: Path, chosen: list[str], seeds: int) -> Path:
-    """Train each idea as the reproduction trained `dc`, and compare both on validation.
+    """Train each idea as the reproduction trained its baseline, and compare both on validation.
 
     Args:
         chosen: of `IDEAS`; all where empty.
         seeds: runs of each.
     """
-    base = of.runs("dc")[:seeds]
     gains: list[Gain] = []
     for name in chosen or list(IDEAS):
         idea, folder = IDEAS[name], out / "ideas" / name.replace(" ", "-")
+        base = of.runs(idea.baseline)[:seeds]
         dataset = of.dataset if idea.changed is None else idea.changed(of.dataset)
         runs = [_run(of, idea, dataset, folder / "runs", seed) for seed in range(len(base))]
         mine, usual = Windows(dataset, "validation"), Windows(of.dataset, "validation")
@@ -77,9 +80,9 @@ def ideas_control(of: Reproduced, out: Path, chosen: list[str], seeds: int) -> P
             index = evaluation_index(usual, reading, of.size.stride)
             scale = of.scale
             changed = [errors_of(run, mine, index, reading, scale=scale, kept=folder / "evaluated") for run in runs]
-            kept = out / "ideas" / "dc" / "evaluated"
+            kept = out / "ideas" / idea.baseline / "evaluated"
             before = [errors_of(run, usual, index, reading, scale=scale, kept=kept) for run in base]
-            gains.append(gain(idea.what, name, changed, before, reading, baseline="dc"))
+            gains.append(gain(idea.what, name, changed, before, reading, baseline=idea.baseline))
         logger.info(f"{name}: {100 * gains[-1].distance.mean:+.1f} % ({' '.join(map(str, READINGS[-1]))})")
     table = gain_table("Ideas for better codes", gains, ABOUT)
     return write_control(out / "ideas", [table], {"control": "ideas", "part": "validation", "gains": gains})
@@ -88,7 +91,7 @@ def ideas_control(of: Reproduced, out: Path, chosen: list[str], seeds: int) -> P
 def _run(of: Reproduced, idea: Idea, dataset: Dataset, runs: Path, seed: int) -> Run:
     if idea.made is not None:
         return idea.made(of, runs, seed)
-    config = idea.config(replace(of.member("dc").config(of.size, seed, "cpu"), model=idea.model))
+    config = idea.config(replace(of.member(idea.baseline).config(of.size, seed, "cpu"), model=idea.model))
     return trained(dataset, config, runs, stages=of.folder / "runs")
 
 
@@ -152,6 +155,16 @@ def with_farther_views(count: int, dataset: Dataset) -> Dataset:
     return replace(dataset, drives=tuple(map(changed, dataset.drives)), features=names)
 
 
+def longer(config: TrainConfig) -> TrainConfig:
+    """Twice as many epochs."""
+    return replace(config, epochs=2 * config.epochs)
+
+
+def mirrored(config: TrainConfig) -> TrainConfig:
+    """Half of the windows that train are mirrored."""
+    return replace(config, mirror=True)
+
+
 IDEAS: Final[Mapping[str, Idea]] = {
     "as seen": Idea("ground ahead as it looks from the start, not one distance a trajectory", model="dc-view"),
     "distance": Idea(
@@ -167,8 +180,16 @@ IDEAS: Final[Mapping[str, Idea]] = {
     ),
     "distilled": Idea("codes of far views learn what cf's are in hindsight; the rest is cf's", made=distilled),
     "eight codes": Idea("codes twice as long", config=lambda config: replace(config, codes=8)),
-    "mirrored": Idea(
-        "half of the windows that train are their mirror images", config=lambda config: replace(config, mirror=True)
+    "longer": Idea("twice as many epochs", config=longer),
+    "b longer": Idea("twice as many epochs", model="b", baseline="b", config=longer),
+    "mirrored": Idea("half of the windows that train are mirror images", config=mirrored),
+    "b mirrored": Idea("half of the windows that train are mirror images", model="b", baseline="b", config=mirrored),
+    "mirrored longer": Idea("mirror images, twice as many epochs", config=lambda config: longer(mirrored(config))),
+    "b mirrored longer": Idea(
+        "mirror images, twice as many epochs",
+        model="b",
+        baseline="b",
+        config=lambda config: longer(mirrored(config)),
     ),
     "few features": Idea("the first 12 of 40 features", config=lambda config: replace(config, pca=12)),
     "slow windows": Idea(
