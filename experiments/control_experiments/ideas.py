@@ -26,9 +26,9 @@ from offpiste.training.run import Run
 logger = logging.getLogger("experiments")
 
 ABOUT: Final = (
-    "On the windows of the validation part; the test part is not looked at. Relative to the reproduction's `dc`, or `b` "
-    "for ideas of it (below 0: better), with 95 % intervals over drives, blocks of 10 s and seeds. Each differs in what "
-    "its line says. Epochs were chosen on the same windows."
+    "On the windows of the validation part; the test part is not looked at. Relative to the reproduction's `dc`, or "
+    "`b` for ideas of it (below 0: better), with 95 % intervals over drives, blocks of 10 s and seeds. Each differs in "
+    "what its line says. Epochs were chosen on the same windows."
 )
 READINGS: Final[tuple[Reading, ...]] = (MAP, *(("recorded", name) for name in ("10", "20", "30")))
 
