@@ -40,6 +40,10 @@ from offpiste.reproduction.steps import claim_folder
 from offpiste.shipped import PCA
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.run import WEIGHTS, Run, load_run
+from offpiste.uncertainty.calibrate import kept_or_fitted
+from offpiste.uncertainty.novelty import FILE as FAMILIAR
+from offpiste.uncertainty.novelty import keep_familiar
+from offpiste.uncertainty.prediction import FILE as SPREAD
 
 FAMILY: Final = "proving-ground"
 BASELINE: Final = "b"
@@ -89,7 +93,8 @@ class PretrainedModels:
         shutil.rmtree(self.out, ignore_errors=True)
         blind = next(model for model in models if model.name == BASELINE)
         for model in models:
-            _copy(model.best.folder, self.out / model.name)
+            keep_uncertainty(model.best, of.size.train.min_speed)
+            copy_run(model.best.folder, self.out / model.name)
             write_card(self.out / model.name, card_of(model, None if model is blind else blind, groups, of.dataset))
         shutil.copy(of.pca, self.out / PCA)
         return f"written: {self.out}"
@@ -214,10 +219,20 @@ def figures_of(
     return GroupFigures(name, len(index), levels, PairedDifference(error.mean, error.ci95), gain)
 
 
-def _copy(run_folder: Path, to: Path) -> None:
-    """Copy weights and description, without what tells of the machine that trained them."""
+def keep_uncertainty(run: Run, min_speed: float | None) -> None:
+    """Keep a run's spread with it and, if it sees the ground, what ground is familiar to it (`offpiste calibrate`)."""
+    dataset = open_dataset(load_json(run.folder / "model.json")["dataset"]).starting_above(min_speed)
+    kept_or_fitted(run, dataset)
+    if run.pca is not None and run.dynamics.encoder is not None:
+        keep_familiar(run, dataset)
+
+
+def copy_run(run_folder: Path, to: Path) -> None:
+    """Copy weights, uncertainty and description, without what tells of the machine that trained them."""
     to.mkdir(parents=True)
-    shutil.copy(run_folder / WEIGHTS, to / WEIGHTS)
+    for name in (WEIGHTS, SPREAD, FAMILIAR):
+        if (run_folder / name).exists():
+            shutil.copy(run_folder / name, to / name)
     about = load_json(run_folder / "model.json")
     features = list(open_dataset(about["dataset"]).features)
     save_json(to / "model.json", {**about, "dataset": "", "split": "drives:parts.txt", "features": features})

@@ -5,9 +5,15 @@ import json
 import numpy as np
 import pytest
 
+from experiments import pretrained_models
 from experiments.pretrained_models import figures_of, validation_loss
+from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import load_run
+from offpiste.training.train import train
+from offpiste.uncertainty.prediction import load_spread
 
 
 def errors(distance):
@@ -43,3 +49,16 @@ def test_a_run_without_a_record_is_one_line(tmp_path, content):
         (tmp_path / "metrics.jsonl").write_text(content)
     with pytest.raises(RunError, match="has no validation loss"):
         validation_loss(tmp_path)
+
+
+def test_a_run_ships_with_its_uncertainty_and_without_the_machine_that_trained_it(tmp_path):
+    dataset = dataset_with_features(tmp_path / "dataset.zarr")
+    config = TrainConfig(model="dc", epochs=1, bicycle_epochs=1, batch=64, stride=80)
+    train(dataset, config, tmp_path / "dc-0")
+    pretrained_models.keep_uncertainty(load_run(tmp_path / "dc-0"), None)
+    pretrained_models.copy_run(tmp_path / "dc-0", tmp_path / "out" / "dc")
+    names = {path.name for path in (tmp_path / "out" / "dc").iterdir()}
+    assert names == {"model.json", "model.safetensors", "spread.safetensors"}, "no PCA made its features"
+    shipped = load_run(tmp_path / "out" / "dc")
+    assert load_spread(shipped).state_dict()
+    assert str(tmp_path) not in (tmp_path / "out" / "dc" / "model.json").read_text()
