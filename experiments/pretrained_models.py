@@ -3,7 +3,7 @@
     python -m experiments.pretrained_models --reproduction results/ --controls controls/
 
 finishes `offpiste reproduce fig4 --size evening` in `--reproduction` where it is not, trains what ships on its drives,
-for longer than its figures, takes of each model the run with the least validation loss, and replaces the folder `--out`.
+for longer than its figures, takes of each model the run with the least validation loss, and replaces `--out`.
 `python -m experiments.closed_loop_table --cards` adds how planners drive with them.
 """
 
