@@ -70,6 +70,11 @@ class RemoteCommands:
             limited = np.clip(np.asarray(command, np.float64), (0.0, 0.0, -1.0, -1.0), 1.0)
             self._command, self._at = limited, time.monotonic()
 
+    @property
+    def waited(self) -> int:
+        """Number of steps before the first throttle: meanwhile whoever drives may still have been loading."""
+        return next((step for step, command in enumerate(self.given) if command[0] > 0), 0)
+
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """The command for the next step."""
         command = self._command
@@ -141,7 +146,11 @@ class SimulatedRobot:
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
 
     def drive(self, seconds: float) -> Driving:
-        """Drive in real time until the course is driven, the vehicle cannot drive further, time is up, or Ctrl-C."""
+        """Drive in real time until the course is driven, the vehicle cannot drive further, time is up, or Ctrl-C.
+
+        Returns:
+            from the first throttle on.
+        """
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
         end, due = self.chosen.course.driven[-1], time.monotonic()
         steps = round(seconds / DT)
@@ -171,7 +180,8 @@ class SimulatedRobot:
         if self._sensors.left_out:
             measured = self._sensors.left_out + self._sensors.published
             logger.warning(f"this machine is too slow: {self._sensors.left_out} of {measured} measurements left out")
-        driven = zip(samples, self.commands.given, strict=False)
+        samples = samples[(waited := self.commands.waited) :] or samples
+        driven = zip(samples, self.commands.given[waited:], strict=False)
         controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
         return Driving(samples, controls)
 

@@ -1,0 +1,195 @@
+"""`python -m experiments.live_drives courses --out live-drives` and `… memory`."""
+
+import json
+import logging
+import re
+import subprocess
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+import tyro
+
+from experiments.command import run
+from experiments.live_drives.programs import started
+from experiments.live_drives.status import Part, draw, read_status
+from experiments.live_faults.network import free_port
+from offpiste.closed_loop.courses import CourseSettings
+from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
+from offpiste.closed_loop.planner import load_planner
+from offpiste.errors import LiveError
+from offpiste.files import write_text
+from offpiste.report.figure import write_png
+from offpiste.report.text_table import TextTable, number
+from offpiste.simulation.world.world import WorldSettings
+
+logger = logging.getLogger("experiments")
+
+RIG: Final = "proving_ground_gear"
+LIMIT: Final = 60.0
+"""Of a drive on a course [s]."""
+_WAITS: Final = 180.0
+"""Live and the simulator may take so long to load and to compile [s]."""
+_COST: Final = re.compile(r"(?P<ending>finished|[\d.]+ of [\d.]+ m) in (?P<time>[\d.]+) s,.* cost (?P<cost>\d+);")
+"""What `simulate --live` says at the end."""
+
+
+@dataclass(frozen=True)
+class LiveDrives:
+    """Whole drives of `offpiste live` on this machine; a folder that has a drive's result is not driven again."""
+
+    what: Annotated[Literal["courses", "memory"], tyro.conf.Positional]
+    """courses: each driven live, and in lockstep. memory: half an hour of a log, played again and again."""
+    out: Path = Path("live-drives")
+    """Folder of all outputs."""
+    run_folder: str = "pretrained:proving-ground/dc"
+    """The run that drives."""
+    world: str = "dunes"
+    """That is driven through."""
+    seeds: tuple[int, ...] = (1, 2, 3, 4, 5)
+    """Of the courses."""
+    speed: float = 5.0
+    """Wanted on courses [m/s]."""
+    log: Path | None = None
+    """For `memory`: a log of the proving ground with its sensors, as `simulate --out` writes it."""
+    minutes: float = 30.0
+    """For `memory`: how long it drives."""
+
+    def run(self) -> str:
+        """Drive what has not been driven, and tabulate."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        table = self._courses() if self.what == "courses" else self._memory()
+        write_text(self.out / f"{self.what}.md", table.markdown())
+        return table.text()
+
+    def _courses(self) -> TextTable:
+        rows = []
+        for seed in self.seeds:
+            path = self.out / f"{self.world}-{seed}" / "costs.json"
+            if not path.exists():
+                result = {
+                    "seed": seed,
+                    "live": self._live(seed, path.parent),
+                    "lockstep": self._lockstep(seed, path.parent),
+                }
+                write_text(path, json.dumps(result, indent=2))
+            rows.append(json.loads(path.read_text("utf-8")))
+            logger.info(
+                f"{self.world} {seed}: {rows[-1]['live']['cost']} live, {rows[-1]['lockstep']['cost']:.0f} in lockstep"
+            )
+        return courses_table(rows)
+
+    def _live(self, seed: int, folder: Path) -> dict[str, Any]:
+        """Drive a course over the transport; what the simulator says of it, and how late everything was."""
+        folder.mkdir(parents=True, exist_ok=True)
+        said, status = folder / "simulate.txt", folder / "status.csv"
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        simulator = ["simulate", "--live", "--router", "--endpoint", endpoint, "--world", self.world, "--seed",
+                     str(seed), "--speed", str(self.speed), "--seconds", str(LIMIT + _WAITS)]  # fmt: skip
+        live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--drive", "--clock", "clock",
+                "--course-topic", "/course", "--speed", str(self.speed), "--status", str(status)]  # fmt: skip
+        with started(simulator, said) as one, started(live, folder / "live.txt"):
+            try:
+                one.wait(LIMIT + 2 * _WAITS)
+            except subprocess.TimeoutExpired as error:
+                raise LiveError("the simulator does not end", where=said, how="see live.txt beside it") from error
+        found = _COST.search(said.read_text("utf-8"))
+        if found is None:
+            raise LiveError("the vehicle was not driven", where=said, how="see live.txt beside it")
+        control = read_status(status)["control"].numbers
+        worst = {key: float(np.nanmax(control[key])) for key in ("tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms")}
+        return {
+            "finished": found["ending"] == "finished",
+            "cost": int(found["cost"]),
+            "time_s": float(found["time"]),
+        } | worst
+
+    def _lockstep(self, seed: int, folder: Path) -> dict[str, Any]:
+        settings = CourseDriveSettings(
+            WorldSettings(self.world, seed), LIMIT, course=CourseSettings(speed=self.speed), keep_log=False
+        )
+        result = drive_course(load_planner(self.run_folder), settings, folder / "lockstep").result
+        return {"finished": result["finished"], "cost": result["driven_cost"], "time_s": result["time_s"]}
+
+    def _memory(self) -> TextTable:
+        if self.log is None:
+            raise LiveError(
+                "no log to play", where="--log", how="make one: offpiste simulate --seconds 60 --out drive.mcap"
+            )
+        status = self.out / "status.csv"
+        if not status.exists():
+            self._play(self.log, status)
+        parts = read_status(status)
+        write_png(self.out / "memory.png", draw(parts), dpi=110)
+        return memory_table(parts)
+
+    def _play(self, log: Path, status: Path) -> None:
+        """Play a log to a drive in shadow mode, again and again; each time the clock goes back."""
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--router", "--clock", "clock",
+                "--goal", "1000", "0", "--speed", str(self.speed), "--seconds", str(60 * self.minutes),
+                "--status", str(status)]  # fmt: skip
+        end = time.monotonic() + 60 * self.minutes + _WAITS
+        with started(live, self.out / "live.txt") as drives:
+            while drives.poll() is None and time.monotonic() < end:
+                with started(["play", str(log), "--rig", RIG, "--endpoint", endpoint], self.out / "play.txt") as player:
+                    while player.poll() is None and drives.poll() is None and time.monotonic() < end:
+                        time.sleep(0.5)
+
+
+def courses_table(rows: Sequence[dict[str, Any]]) -> TextTable:
+    """A line a course, and the median ratio of the costs."""
+    lines = []
+    for row in rows:
+        live, lockstep = row["live"], row["lockstep"]
+        lines.append(
+            (
+                str(row["seed"]),
+                *(f"{each['cost']:.0f}{'' if each['finished'] else ' (not finished)'}" for each in (live, lockstep)),
+                f"{100 * (live['cost'] / lockstep['cost'] - 1):+.0f} %",
+                *(number(live[key], 0) for key in ("tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms")),
+            )
+        )
+    ratio = np.median([row["live"]["cost"] / row["lockstep"]["cost"] for row in rows])
+    lines.append(("median", "", "", f"{100 * (ratio - 1):+.0f} %", "", "", ""))
+    names = (
+        "course",
+        "cost live",
+        "in lockstep",
+        "difference",
+        "tick p99 [ms]",
+        "map's age p99 [ms]",
+        "plan's age p99 [ms]",
+    )
+    about = "Driven costs of the same courses; ticks of control late by, and ages at the worst moment of each drive."
+    return TextTable("Courses live", names, tuple(lines), about)
+
+
+def memory_table(parts: dict[str, Part]) -> TextTable:
+    """A line a process: its share of a core, its memory, and how that grows."""
+    lines = []
+    for name, part in parts.items():
+        memory = part.numbers["rss_mb"]
+        seen = memory[np.isfinite(memory)]
+        if not len(seen):
+            continue
+        lines.append(
+            (
+                name,
+                number(100 * part.share_of_core(), 0),
+                number(float(seen.max()), 0),
+                number(float(seen[-1]), 0),
+                number(part.growth(), 1),
+            )
+        )
+    about = "Growth: a line through its memory from 5 minutes after the start on."
+    return TextTable(
+        "Processes", ("process", "of a core [%]", "most [MB]", "last [MB]", "growth [MB/h]"), tuple(lines), about
+    )
+
+
+if __name__ == "__main__":
+    run(LiveDrives)
