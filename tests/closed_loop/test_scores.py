@@ -96,6 +96,15 @@ def test_the_trace_by_hand():
     np.testing.assert_allclose(trace.slip, 0.5)
 
 
+def test_a_vehicle_that_has_backed_out_is_still_on_its_course():
+    driving = hand_made(7)
+    places = (0, 3, 6, 4, 2, 1, 3)
+    back = [replace(s, position=np.array((x, 0.5, 20.0))) for s, x in zip(driving.samples, places, strict=True)]
+    trace = trace_of(Driving(back, driving.controls), COURSE)
+    np.testing.assert_allclose(trace.off, 0.5)
+    np.testing.assert_allclose(trace.progress, [0, 3, 6, 6, 6, 6, 6])
+
+
 def test_the_summary_counts_until_the_course_is_driven():
     driving = hand_made()
     found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)

@@ -246,15 +246,15 @@ def test_numbers_that_mean_nothing_are_refused(name):
 
 
 class Mud(Held):
-    """Holds a geared vehicle between x = 6 and 8 m unless it reverses."""
+    """Holds a geared vehicle over 2 m from some x on unless it reverses."""
 
-    def __init__(self):
-        self.free, self.gears = geared(), []
+    def __init__(self, begin=6.0):
+        self.free, self.gears, self.begin = geared(), [], begin
 
     def step(self, model_state, command, terrain):
         self.gears.append(float(command[0, 3]))
         x, y = model_state.state[0, :2].tolist()
-        if 6.0 < x < 8.0 and abs(y) < 1.0 and self.gears[-1] > 0:
+        if self.begin < x < self.begin + 2.0 and abs(y) < 1.0 and self.gears[-1] > 0:
             held = model_state.state.clone()
             held[:, 3:] = 0.0
             return replace(model_state, state=held)
@@ -276,6 +276,21 @@ def test_a_stuck_vehicle_backs_out_and_goes_around():
     speeds = np.abs([stream.states[row + 1][3] for row in changes])
     assert len(changes) == 2
     assert (speeds < 0.3).all(), "gears are changed at a standstill"
+
+
+def test_far_behind_its_position_it_is_back_on_its_course():
+    far = BackingOutSettings(after=0.6, distance=10.0)
+    stream = straight_drive(
+        dynamics=geared(), wanted=3.0, stream={"truth": Mud(16.0), "state": (14.0, 0, 0, 0, 0, 0)}, backing_out=far
+    )
+    backing, reversing = stream.runtime._maker._backing_out, []
+    while not (reversing and not backing.leg) and len(stream.states) < 1000:
+        stream.run(0.1)
+        reversing += [backing.leg] * (backing.leg > 0)
+    stream.run(0.2)
+    assert stream.runtime.course_tracker.progress - stream.states[-1][0] > 9.0
+    assert not backing.away
+    assert stream.runtime.follower.tracker.stretch().path[0, 0] > stream.states[-1][0] + 2.0, "of any other vehicle"
 
 
 def test_what_holds_it_for_good_is_given_up_and_said():

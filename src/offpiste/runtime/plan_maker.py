@@ -94,6 +94,7 @@ class PlanMaker:
         self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
         self._along_ways: dict[int, Planned] = {}  # the last plans, by the numbers of their ways
         self._way = 0  # that is taken
+        self._stuck_at = -np.inf  # position along the course, the last time
         self.map_empty = False
         self.failures: list[str] = []
 
@@ -112,8 +113,11 @@ class PlanMaker:
         """
         settings, state = self._settings, rows.state[-1]
         driven = not follower.stopping and follower.tracker.target > settings.standstill
-        stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
+        behind = self._backing_out.away or follower.tracker.progress <= self._stuck_at
+        stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf, backed_out=behind)
         found_stuck = self._backing_out.update(now, state[:3], stretch, driven=driven)
+        if found_stuck:
+            self._stuck_at = follower.tracker.progress
         if self.stuck:
             return None
         near = self._reachable(layers, state, follower.tracker.target)
@@ -173,7 +177,7 @@ class PlanMaker:
     def forget(self) -> None:
         """Forget where the vehicle was stuck, and plans along ways: poses to come are in another frame."""
         self._backing_out.forget()
-        self._along_ways = {}
+        self._along_ways, self._stuck_at = {}, -np.inf
 
     @property
     def stuck(self) -> bool:
