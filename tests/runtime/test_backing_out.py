@@ -116,7 +116,7 @@ def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
     assert backing.course(STRAIGHT) is STRAIGHT
     assert backing.hazards(Hazards()) == Hazards()
     driven_along(backing, np.full(40, 1.0), y=2.0, yaw=np.pi / 2)
-    assert backing.hazards(Hazards()).obstacle == SETTINGS.obstacles * Hazards().obstacle
+    assert backing.hazards(Hazards()) == Hazards(low=SETTINGS.obstacles, tall=SETTINGS.tall)
     back = backing.course(STRAIGHT)
     assert (back.speed == -SETTINGS.speed).all()
     np.testing.assert_allclose(back.path[:, 0], 1.0, atol=1e-9)
@@ -130,7 +130,7 @@ def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
     assert (driven_along(backing, -0.2 * np.arange(30), begin=4.0, y=9.0)[-5:] == 1).all()
     returning = backing.course(STRAIGHT)
     assert (returning.speed == SETTINGS.slow).all()
-    assert backing.hazards(Hazards()).obstacle < Hazards().obstacle
+    assert backing.hazards(Hazards()).low < 1
     driven_along(backing, np.zeros(1), begin=8.0, y=1.5, yaw=1.2)
     assert backing.away, "near it, and across it"
     driven_along(backing, np.zeros(1), begin=8.1, y=1.5, yaw=0.9)
@@ -142,7 +142,7 @@ def test_on_its_course_bushes_count_little_while_it_backs_out():
     backing = BackingOut(SETTINGS)
     driven_along(backing, np.zeros(40))
     assert backing.leg == 1
-    assert backing.hazards(Hazards()).obstacle < Hazards().obstacle
+    assert backing.hazards(Hazards()).low < 1
     driven_along(backing, -0.2 * np.arange(30), begin=4.0)
     assert backing.hazards(Hazards()) == Hazards()
 
@@ -291,6 +291,19 @@ def test_far_behind_its_position_it_is_back_on_its_course():
     assert stream.runtime.course_tracker.progress - stream.states[-1][0] > 9.0
     assert not backing.away
     assert stream.runtime.follower.tracker.stretch().path[0, 0] > stream.states[-1][0] + 2.0, "of any other vehicle"
+
+
+def test_a_plan_in_another_gear_starts_where_the_vehicle_then_is():
+    # Until a plan acts the vehicle is driven in the gear before it.
+    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()}, latency=0.3)
+    stream.run(1.5)
+    stream.runtime._maker._backing_out.update = lambda *_, **__: False
+    stream.runtime._maker._backing_out.gear = -1.0
+    stream.run(0.5)
+    plan = next(plan for plan in stream.runtime.predictions if plan.time > 1.79)
+    met = stream.states[round(plan.time / DT)]
+    assert met[3] > 1.0
+    np.testing.assert_allclose(plan.state[0, [0, 3]], (met[0] + DT * met[3], met[3]), atol=0.2)
 
 
 def test_what_holds_it_for_good_is_given_up_and_said():

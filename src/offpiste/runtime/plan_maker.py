@@ -139,10 +139,10 @@ class PlanMaker:
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
             model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.gear)
-            gear = self._backing_out.gear
-            at = Situation(area.stack, costs[0], self._wheels, offset, model_state.state[0], last, gear, self._caution)
+            begin, engaged = model_state.state[0], follower.gear  # until the plan acts
+            at = Situation(area.stack, costs[0], self._wheels, offset, begin, last, engaged, self._caution)
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
-            at = replace(at, state=model_state.state[0])
+            at = replace(at, state=model_state.state[0], gear=self._backing_out.gear)
         with self._watch.of("plan"):
             starts = self._continued(now, follower, ways, at.gear)
             situations = [replace(at, costs=each) for each in costs]
