@@ -33,7 +33,10 @@ COUNTED: Final = {
     "damage": "damaged",
     "stuck": "stuck",
     "left_world": "left the world",
+    "backed_out": "backed out",
 }
+FREED: Final = "and finished"
+"""Column of the drives that backed out and finished."""
 BOTH_FINISH: Final = "driven cost where both finish (pairs)"
 ORDER: Final = ("parametric", "b", "cf", "dc", "ceiling")
 """Each knows more than those before."""
@@ -156,15 +159,17 @@ def _means(drives: Drives, limit: float) -> list[str]:
         " driven. Driven cost: the terms of path and speed of what planners minimise (squared errors, over time), of"
         " what was driven; geometric means, so that each course counts alike. Interventions: stops by the run time"
         " while it drove, and each rollover, collision, being stuck and leaving the world. Damaged: rolled over or"
-        " collided.",
+        " collided. Stuck: gave up, or was not free when its time was up. Backed out: once or more; the last column"
+        " counts those of them that finished.",
         "",
-        _line(["planner", "runs", *MEASURES.values(), "drives", *COUNTED.values()]),
-        _rule(3 + len(MEASURES) + len(COUNTED)),
+        _line(["planner", "runs", *MEASURES.values(), "drives", *COUNTED.values(), FREED]),
+        _rule(4 + len(MEASURES) + len(COUNTED)),
     ]
     for row, runs in drives.items():
         means = [_mean(_values(list(runs.values()), key, limit), key) for key in MEASURES]
         driven = [drive for courses in runs.values() for drive in courses if drive]
         counts = [str(sum(bool(drive[key]) for drive in driven)) for key in COUNTED]
+        counts.append(str(sum(bool(drive["backed_out"] and drive["finished"]) for drive in driven)))
         lines.append(_line([row, str(len(runs)), *means, str(len(driven)), *counts]))
     return lines
 

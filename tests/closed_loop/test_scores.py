@@ -13,6 +13,7 @@ from offpiste.closed_loop.scores import (
     engine_energy,
     firm_way,
     interventions,
+    is_stuck,
     prediction_errors,
     summary,
     trace_of,
@@ -96,6 +97,15 @@ def test_the_trace_by_hand():
     np.testing.assert_allclose(trace.slip, 0.5)
 
 
+def test_a_vehicle_that_has_backed_out_is_still_on_its_course():
+    driving = hand_made(7)
+    places = (0, 3, 6, 4, 2, 1, 3)
+    back = [replace(s, position=np.array((x, 0.5, 20.0))) for s, x in zip(driving.samples, places, strict=True)]
+    trace = trace_of(Driving(back, driving.controls), COURSE)
+    np.testing.assert_allclose(trace.off, 0.5)
+    np.testing.assert_allclose(trace.progress, [0, 3, 6, 6, 6, 6, 6])
+
+
 def test_the_summary_counts_until_the_course_is_driven():
     driving = hand_made()
     found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
@@ -137,12 +147,51 @@ def test_the_engines_energy_by_hand():
     assert engine_energy(driven + coasted, VEHICLE) == pytest.approx(second)
 
 
+def commands(*modes, why="no scan", gear=1.0):
+    return [Controls(0.02 * row, np.zeros(3), mode, why, gear) for row, mode in enumerate(modes)]
+
+
+BEGINS = ("stopped", "stopped", "driving")
+
+
 def test_interventions_are_stops_and_what_happens_to_the_vehicle():
-    begins = ["stopped", "stopped", "driving"]
-    assert interventions(begins, set()) == 0, "at the beginning it is at a standstill"
-    stops = [*begins, "degraded", "stopping", "stopped", "driving", "stopping"]
+    assert interventions(commands(*BEGINS), set()) == 0, "at the beginning it is at a standstill"
+    stops = commands(*BEGINS, "degraded", "stopping", "stopped", "driving", "stopping")
     assert interventions(stops, set()) == 2
     assert interventions(stops, {"rollover", "stuck"}) == 4
+    gives_up = commands(*BEGINS) + commands("stopping", "stopped", why="stuck")
+    assert interventions(gives_up, {"stuck"}) == 1, "the stop and the event are one"
+
+
+def progressing(metres):
+    """A drive of 20 s that makes so much progress in its last 12 s."""
+    rows = np.arange(1000)
+    zeros = np.zeros(1000)
+    return Trace(np.zeros((1000, 2)), zeros, zeros, zeros, 30 + metres * np.clip((rows - 399) / 600, 0, 1), zeros)
+
+
+def test_what_is_not_free_when_its_time_is_up_is_stuck():
+    drives = commands(*BEGINS, *997 * ["driving"], why="")
+    assert is_stuck(progressing(0.5), drives, set())
+    assert not is_stuck(progressing(5.0), drives, set()), "it drives"
+    reversing = drives[:500] + commands("driving", gear=-1.0) + drives[501:]
+    assert is_stuck(progressing(5.0), reversing, set()), "it backed out, and did not finish"
+    for event in ("rollover", "collision with a tree", "left the world"):
+        assert not is_stuck(progressing(0.5), reversing, {event})
+    assert not is_stuck(progressing(0.0), drives[:300] + commands(*700 * ["stopped"]), set()), "no scan"
+    assert is_stuck(progressing(0.0), commands(*1000 * ["stopped"], why="no plan"), set()), "it never drove"
+    assert is_stuck(progressing(5.0), drives, {"stuck", "collision with a tree"})
+
+
+@pytest.mark.parametrize(("rows", "finished"), [(10, True), (5, False)])
+def test_a_vehicle_that_backed_out_is_stuck_unless_it_finishes(rows, finished):
+    driving = hand_made(rows)
+    samples = [replace(sample, events=()) for sample in driving.samples]
+    controls = [replace(one, gear=-1.0 if row == 3 else 1.0) for row, one in enumerate(driving.controls)]
+    driving = Driving(samples, controls)
+    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+    assert (found["finished"], found["stuck"], found["interventions"]) == (finished, not finished, int(not finished))
+    assert found["backed_out"]
 
 
 def test_the_way_is_the_nearer_one_in_the_middle():

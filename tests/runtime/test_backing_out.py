@@ -116,7 +116,7 @@ def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
     assert backing.course(STRAIGHT) is STRAIGHT
     assert backing.hazards(Hazards()) == Hazards()
     driven_along(backing, np.full(40, 1.0), y=2.0, yaw=np.pi / 2)
-    assert backing.hazards(Hazards()).obstacle == SETTINGS.obstacles * Hazards().obstacle
+    assert backing.hazards(Hazards()) == Hazards(low=SETTINGS.obstacles, tall=SETTINGS.tall)
     back = backing.course(STRAIGHT)
     assert (back.speed == -SETTINGS.speed).all()
     np.testing.assert_allclose(back.path[:, 0], 1.0, atol=1e-9)
@@ -130,7 +130,7 @@ def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
     assert (driven_along(backing, -0.2 * np.arange(30), begin=4.0, y=9.0)[-5:] == 1).all()
     returning = backing.course(STRAIGHT)
     assert (returning.speed == SETTINGS.slow).all()
-    assert backing.hazards(Hazards()).obstacle < Hazards().obstacle
+    assert backing.hazards(Hazards()).low < 1
     driven_along(backing, np.zeros(1), begin=8.0, y=1.5, yaw=1.2)
     assert backing.away, "near it, and across it"
     driven_along(backing, np.zeros(1), begin=8.1, y=1.5, yaw=0.9)
@@ -142,7 +142,7 @@ def test_on_its_course_bushes_count_little_while_it_backs_out():
     backing = BackingOut(SETTINGS)
     driven_along(backing, np.zeros(40))
     assert backing.leg == 1
-    assert backing.hazards(Hazards()).obstacle < Hazards().obstacle
+    assert backing.hazards(Hazards()).low < 1
     driven_along(backing, -0.2 * np.arange(30), begin=4.0)
     assert backing.hazards(Hazards()) == Hazards()
 
@@ -246,15 +246,15 @@ def test_numbers_that_mean_nothing_are_refused(name):
 
 
 class Mud(Held):
-    """Holds a geared vehicle between x = 6 and 8 m unless it reverses."""
+    """Holds a geared vehicle over 2 m from some x on unless it reverses."""
 
-    def __init__(self):
-        self.free, self.gears = geared(), []
+    def __init__(self, begin=6.0):
+        self.free, self.gears, self.begin = geared(), [], begin
 
     def step(self, model_state, command, terrain):
         self.gears.append(float(command[0, 3]))
         x, y = model_state.state[0, :2].tolist()
-        if 6.0 < x < 8.0 and abs(y) < 1.0 and self.gears[-1] > 0:
+        if self.begin < x < self.begin + 2.0 and abs(y) < 1.0 and self.gears[-1] > 0:
             held = model_state.state.clone()
             held[:, 3:] = 0.0
             return replace(model_state, state=held)
@@ -276,6 +276,34 @@ def test_a_stuck_vehicle_backs_out_and_goes_around():
     speeds = np.abs([stream.states[row + 1][3] for row in changes])
     assert len(changes) == 2
     assert (speeds < 0.3).all(), "gears are changed at a standstill"
+
+
+def test_far_behind_its_position_it_is_back_on_its_course():
+    far = BackingOutSettings(after=0.6, distance=10.0)
+    stream = straight_drive(
+        dynamics=geared(), wanted=3.0, stream={"truth": Mud(16.0), "state": (14.0, 0, 0, 0, 0, 0)}, backing_out=far
+    )
+    backing, reversing = stream.runtime._maker._backing_out, []
+    while not (reversing and not backing.leg) and len(stream.states) < 1000:
+        stream.run(0.1)
+        reversing += [backing.leg] * (backing.leg > 0)
+    stream.run(0.2)
+    assert stream.runtime.course_tracker.progress - stream.states[-1][0] > 9.0
+    assert not backing.away
+    assert stream.runtime.follower.tracker.stretch().path[0, 0] > stream.states[-1][0] + 2.0, "of any other vehicle"
+
+
+def test_a_plan_in_another_gear_starts_where_the_vehicle_then_is():
+    # Until a plan acts the vehicle is driven in the gear before it.
+    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()}, latency=0.3)
+    stream.run(1.5)
+    stream.runtime._maker._backing_out.update = lambda *_, **__: False
+    stream.runtime._maker._backing_out.gear = -1.0
+    stream.run(0.5)
+    plan = next(plan for plan in stream.runtime.predictions if plan.time > 1.79)
+    met = stream.states[round(plan.time / DT)]
+    assert met[3] > 1.0
+    np.testing.assert_allclose(plan.state[0, [0, 3]], (met[0] + DT * met[3], met[3]), atol=0.2)
 
 
 def test_what_holds_it_for_good_is_given_up_and_said():

@@ -35,6 +35,18 @@ def test_distance_beside_a_straight_course():
     assert tracker.progress == pytest.approx(3.1 + 12.0, abs=0.5)
 
 
+def test_behind_its_position_the_vehicle_is_on_its_course():
+    tracker = CourseTracker(Course(np.array([[0.0, 0.0], [100.0, 0.0]]), np.full(2, 5.0)))
+    for x in range(0, 61, 10):
+        tracker.move(np.array((float(x), 0.0)))
+    assert tracker.move(np.array((55.0, 0.0))) == pytest.approx(0.0, abs=1e-6)
+    assert tracker.move(np.array((21.0, 1.5))) == pytest.approx(1.5, abs=0.02)
+    assert tracker.move(np.array((10.0, 0.0))) == pytest.approx(10.0, abs=0.3), "more than 40 m behind"
+    assert tracker.progress == pytest.approx(60.0)
+    assert tracker.stretch().path[0, 0] == pytest.approx(54.0)
+    assert tracker.stretch(backed_out=True).path[0, 0] == pytest.approx(40.0)
+
+
 def test_the_stretch_is_the_section_around_the_vehicle():
     tracker = CourseTracker(
         Course(np.array([[0.0, 0.0], [100.0, 0.0]]), np.full(2, 5.0)), TrackerRange(back=5.0, ahead=20.0)

@@ -87,9 +87,10 @@ def test_rows_have_the_control_commanded_from_their_time_on():
     for row in range(20):
         track.add(circle(row * DT))
         if 10 <= row < 19:  # of the last row, nothing is commanded yet
-            track.commanded(row * DT, np.array((row, 0.0, 0.0)))
-    throttle = track.rows(19 * DT).control[:, 0]
-    assert throttle.tolist() == [0, *range(10, 19), 18]
+            track.commanded(row * DT, np.array((row, 0.0, 0.0)), -1.0 if row < 15 else 1.0)
+    rows = track.rows(19 * DT)
+    assert rows.control[:, 0].tolist() == [0, *range(10, 19), 18]
+    np.testing.assert_array_equal(rows.gear, [np.nan, *5 * [-1.0], *5 * [1.0]])
 
 
 def test_a_jump_of_the_pose_forgets_earlier_readings():

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from offpiste.conventions import CONTROL
+from offpiste.dynamics import Parametric, Vehicle
 from offpiste.dynamics.feature_encoder import Compressor
-from offpiste.runtime.prediction import coded_area, cropped
+from offpiste.runtime.estimator import TrackRows
+from offpiste.runtime.prediction import coded_area, cropped, model_state_of
 from planning_maps import layers
 
 ORIGIN = torch.zeros(2, dtype=torch.float64)
@@ -53,3 +56,15 @@ def test_models_without_features_read_none():
     area = coded_area(layers(), None)
     assert area.encode is None
     assert at(area, 0.0, 0.0).shape == (0,)
+
+
+def test_the_past_is_read_in_the_gear_that_it_was_driven_in(monkeypatch):
+    model, given = Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, "gear"), ())).eval(), []
+    gears = np.array([np.nan, -1.0, -1.0, *8 * [1.0]])
+    rows = TrackRows(np.zeros((11, 6)), np.full((11, 4), np.nan), np.full((11, 3), 0.5), gears)
+    start = model.start
+    monkeypatch.setattr(
+        model, "start", lambda history, *rest: given.append(history.control[0]) or start(history, *rest)
+    )
+    model_state_of(model, rows, coded_area(layers(), None), torch.zeros(4, 2), ORIGIN, -1.0)
+    assert given[0].tolist() == [[0.5, 0.5, 0.5, gear] for gear in (-1, -1, -1, *7 * [1])]

@@ -34,6 +34,8 @@ from offpiste.simulation.world.world import World
 PLANNER_EVENTS = "/planner/events"
 GAVE_UP = ("stopped", "stuck")
 """Mode, and why, once backing out was given up."""
+WITHOUT_PROGRESS = 12.0
+"""Time without progress along the course after which a vehicle counts as stuck [s]."""
 
 
 @dataclass
@@ -42,12 +44,12 @@ class PlannerController:
 
     Attributes:
         rng: noise of the readings.
-        timeout: the vehicle counts as stuck after this time without progress, unless it is stopped or backs out [s].
+        timeout: the drive ends after this time without progress, unless the vehicle is stopped or backs out [s].
     """
 
     runtime: Runtime
     rng: np.random.Generator
-    timeout: float = 12.0
+    timeout: float = WITHOUT_PROGRESS
     controls: list[Controls] = field(default_factory=list)
     _best: float = 0.0
     _since: float = 0.0
@@ -112,7 +114,7 @@ def drive_planned(
         track: shows progress over the steps.
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
-    sensing, lidars = Sensing(world, suite, light, scene=scene), lidars_of(suite, rig)
+    sensing, lidars = Sensing(world, suite, light, scene=scene, apart=True), lidars_of(suite, rig)
     controller, written, samples = PlannerController(runtime, own), 0, list[VehicleSample]()
     fault = fault or Fault()
     with McapWriter(out) as writer:

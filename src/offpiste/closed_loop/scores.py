@@ -8,19 +8,23 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.closed_loop.lockstep import Driving, time_of
+from offpiste.closed_loop.lockstep import WITHOUT_PROGRESS, Driving, time_of
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker
-from offpiste.runtime.modes import Mode
+from offpiste.runtime.modes import Controls
 from offpiste.runtime.prediction import Prediction
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.simulate import STUCK
 from offpiste.simulation.vehicle.drivetrain import engine_torque
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 
 DAMAGE = {"rollover", "collision with a tree"}
 """Events that damage the vehicle."""
+
+OTHER_ENDS = {*DAMAGE, "left the world"}
+"""What ends a drive, or explains that it does not finish, beside being stuck."""
 
 RUN_UP = 20.0
 """Length of a course on which a vehicle gets up to its speed [m]: what a standing start costs is the same for all, and
@@ -84,7 +88,12 @@ def summary(
     there = np.flatnonzero(trace.progress >= length - FINISH)
     finished = bool(len(there))
     rows = slice(0, int(there[0]) + 1 if finished else len(trace.off))
-    modes = [c.mode for c in driving.controls[rows]]
+    commanded = driving.controls[rows]
+    modes = [c.mode for c in commanded]
+    if finished:
+        happened.discard(STUCK)  # behind its end
+    elif is_stuck(trace, commanded, happened):
+        happened.add(STUCK)
     return {
         "finished": finished,
         "time_s": float(rows.stop * DT),
@@ -93,7 +102,7 @@ def summary(
         "course_m": length,
         "progress_m": float(trace.progress[rows][-1]),
         "energy_kj": 1e-3 * engine_energy(driving.samples[rows], parameters),
-        "interventions": interventions(modes, happened),
+        "interventions": interventions(commanded, happened),
         "driven_m": float(np.linalg.norm(np.diff(trace.place[rows], axis=0), axis=1).sum()),
         "mean_path_error_m": float(trace.off[rows].mean()),
         "worst_path_error_m": float(trace.off[rows].max()),
@@ -103,7 +112,8 @@ def summary(
         "rollover": "rollover" in happened,
         "collision": "collision with a tree" in happened,
         "damage": bool(happened & DAMAGE),
-        "stuck": "stuck" in happened,
+        "stuck": STUCK in happened,
+        "backed_out": backed_out(commanded),
         "left_world": "left the world" in happened,
         "final_speed_mps": float(trace.speed[-1]),
         "share_of_time": {mode: modes.count(mode) / len(modes) for mode in sorted(set(modes))},
@@ -119,18 +129,47 @@ def engine_energy(samples: Sequence[VehicleSample], parameters: VehicleParameter
     return float(DT * np.maximum(torque * speed, 0.0).sum())
 
 
-def interventions(modes: Sequence[Mode], happened: set[str]) -> int:
+def interventions(controls: Sequence[Controls], happened: set[str]) -> int:
     """Number of times that a person would have had to see to the vehicle.
 
     Counted are stops by the run time while it drove, and once each rollover, collision, being stuck and leaving the
-    world.
+    world. The stop of a vehicle that is stuck counts as that.
 
     Args:
-        modes: row by row, until the course was driven or the drive ended.
+        controls: row by row, until the course was driven or the drive ended.
+        happened: to the vehicle.
+    """
+    drives = [_drives(one) or one.why == STUCK for one in controls]
+    return sum(before and not now for before, now in pairwise(drives)) + len(happened)
+
+
+def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> bool:
+    """Whether a drive that does not finish is stuck: it gave up, or its time was up before it came free.
+
+    A vehicle counts as free that never backed out and made progress until the end. What has another reason is not
+    stuck: other events, or a stop because inputs were missing.
+
+    Args:
+        controls: row by row.
         happened: events of the vehicle.
     """
-    drives = [mode in ("driving", "degraded") for mode in modes]
-    return sum(before and not now for before, now in pairwise(drives)) + len(happened)
+    if STUCK in happened:
+        return True
+    stopped = bool(controls) and not _drives(controls[-1]) and any(_drives(one) for one in controls)
+    if happened & OTHER_ENDS or stopped:
+        return False
+    last = trace.progress[-round(WITHOUT_PROGRESS / DT) - 1 :]
+    waits = len(last) * DT > WITHOUT_PROGRESS and last[-1] - last[0] < 1.0
+    return backed_out(controls) or bool(waits)
+
+
+def backed_out(controls: Sequence[Controls]) -> bool:
+    """Whether the vehicle was driven in reverse, as it is to get out of a place where it is stuck."""
+    return any(_drives(one) and one.gear < 0 for one in controls)
+
+
+def _drives(controls: Controls) -> bool:
+    return controls.mode in ("driving", "degraded")
 
 
 def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:

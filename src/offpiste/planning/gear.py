@@ -16,13 +16,13 @@ COMPLETED = (*CONTROL, *(control.name for control in OPTIONAL_CONTROLS))
 
 
 def complete(
-    vehicle: Vehicle, controls: Float[Tensor, "*P 3"] | Float[Tensor, "*P U"], gear: float
+    vehicle: Vehicle, controls: Float[Tensor, "*P 3"] | Float[Tensor, "*P U"], gear: float | Float[Tensor, "*P 1"]
 ) -> Float[Tensor, "*P U"]:
     """Controls in the columns of a vehicle (`Vehicle.control_columns`).
 
     Args:
         controls: throttle, brake, steer; or all columns, which stay.
-        gear: held throughout.
+        gear: held throughout, or of each row.
 
     Raises:
         PlanningError: the vehicle has other controls than these and a gear.
@@ -33,4 +33,4 @@ def complete(
     if given != len(CONTROL) or columns != COMPLETED:
         what = f"controls of {given} columns for a model of {', '.join(columns)}"
         raise PlanningError(what, how="plan throttle, brake and steer; a gear is held")
-    return torch.cat((controls, torch.full_like(controls[..., :1], gear)), dim=-1)
+    return torch.cat((controls, gear * torch.ones_like(controls[..., :1])), dim=-1)

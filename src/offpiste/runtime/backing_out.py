@@ -39,8 +39,9 @@ class BackingOutSettings:
         distance: that it backs out, and drives in each leg of a turn [m].
         longest: time for it [s].
         speed: wanted meanwhile [m/s]; more than is reached in that distance, so that no plan puts driving off.
-        obstacles: share of their cost that counts meanwhile, and until the vehicle is back on its course: among bushes,
-            which a LiDAR does not tell from rocks, every way leads through some.
+        obstacles: share of the cost of low obstacles that counts meanwhile, and until the vehicle is back on its
+            course: among bushes, which a LiDAR does not tell from rocks, every way leads through some.
+        tall: obstacles of that height count in full, as trees [m].
         slow: speed limit on the way back to the course [m/s].
         back: distance from the course at which it is back, once it is along it [m].
         against: angle to the course from which the vehicle turns round [rad].
@@ -62,6 +63,7 @@ class BackingOutSettings:
     longest: float = 6.0
     speed: float = 4.0
     obstacles: float = 0.05
+    tall: float = 1.5
     slow: float = 3.0
     back: float = 2.0
     against: float = 1.75
@@ -212,7 +214,7 @@ class BackingOut:
         """Hazards as they count in the next plan."""
         if not self.away:
             return hazards
-        return replace(hazards, obstacle=self._settings.obstacles * hazards.obstacle)
+        return replace(hazards, low=self._settings.obstacles * hazards.low, tall=self._settings.tall)
 
     def course(self, course: Course) -> Course:
         """The course of the next plan: that of a leg, or the one given, beside the places."""

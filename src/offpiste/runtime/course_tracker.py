@@ -21,12 +21,16 @@ class TrackerRange:
 
     Attributes:
         back, ahead: extent of the section that enters the cost map.
+        backed_out: instead of `back`, for a vehicle that backed out: its legs lead far behind its position.
         search: largest advance of the position in one step.
+        driven: what is so far behind still counts as the course that the vehicle is on.
     """
 
     back: float = 6.0
     ahead: float = 60.0
+    backed_out: float = 20.0
     search: float = 12.0
+    driven: float = 40.0
 
 
 class CourseTracker:
@@ -60,27 +64,31 @@ class CourseTracker:
         return float(self._course.speed[self._next])
 
     def move(self, xy: Float[np.ndarray, " 2"]) -> float:
-        """Advance to the point of the course nearest to the vehicle at `xy` [m]; returns their distance [m]."""
+        """Advance to the point of the course nearest to the vehicle at `xy` [m]; returns its distance from it [m].
+
+        The distance is that from the course on either side of the position: a vehicle that has backed out is behind it.
+        """
+        first = int(np.searchsorted(self._arc, self.progress - self._limits.driven))
         last = min(int(np.searchsorted(self._arc, self.progress + self._limits.search)), self._end)
-        ahead = slice(self._next, last + 1)
-        away = np.min([np.linalg.norm(way[ahead] - xy, axis=1) for way in self._course.ways], axis=0)
-        nearest = int(np.argmin(away))
-        self._next += nearest
-        return float(away[nearest])
+        away = np.min([np.linalg.norm(way[first : last + 1] - xy, axis=1) for way in self._course.ways], axis=0)
+        self._next += int(np.argmin(away[self._next - first :]))
+        return float(away.min())
 
     def resume(self, progress: float) -> None:
         """Continue from a distance along the course [m] that another tracker of it had reached."""
         self._next = min(int(np.searchsorted(self._arc, progress)), self._end)
 
-    def stretch(self, *, at_most: float = np.inf) -> Course:
+    def stretch(self, *, at_most: float = np.inf, backed_out: bool = False) -> Course:
         """Section of the course around the vehicle, extended straight beyond the last point of the path.
 
         Without the extension, plans would end with the path: the vehicle would creep towards the end and not reach it.
 
         Args:
             at_most: limit of the target speed [m/s].
+            backed_out: whether the vehicle may be far behind its position.
         """
-        first = int(np.searchsorted(self._arc, self.progress - self._limits.back))
+        back = self._limits.backed_out if backed_out else self._limits.back
+        first = int(np.searchsorted(self._arc, self.progress - back))
         last = int(np.searchsorted(self._arc, self.progress + self._limits.ahead)) + 1
         chosen = slice(max(min(first, len(self._arc) - 2), 0), last)
         path, *alternative = (way[chosen] for way in self._course.ways)

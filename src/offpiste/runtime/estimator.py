@@ -54,12 +54,14 @@ class TrackRows:
     Attributes:
         state: `conventions.STATE`, in the world frame, yaw unwrapped.
         actuators, control: `conventions.ACTUATORS` and `conventions.CONTROL`; control of row t is not known yet.
+        gear: that each row was driven in: 1 forward, -1 reverse; NaN before the first command.
         extra: columns that extensions declare for the past of windows; NaN where a reading lacks them.
     """
 
     state: Float[np.ndarray, "H 6"]
     actuators: Float[np.ndarray, "H A"]
     control: Float[np.ndarray, "H 3"]
+    gear: Float[np.ndarray, " H"]
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -74,7 +76,7 @@ class VehicleTrack:
     def __init__(self, *, seconds: float = 3.0, max_gap: float = 0.25) -> None:
         self._seconds, self._max_gap = seconds, max_gap
         self._readings: deque[VehicleReading] = deque()
-        self._commands: deque[tuple[float, np.ndarray]] = deque()
+        self._commands: deque[tuple[float, np.ndarray, float]] = deque()
 
     @property
     def latest(self) -> VehicleReading | None:
@@ -105,11 +107,11 @@ class VehicleTrack:
         self._readings.clear()
         self._commands.clear()
 
-    def commanded(self, time: float, control: Float[np.ndarray, " 3"]) -> None:
-        """Record the control that is commanded from `time` [s] on."""
+    def commanded(self, time: float, control: Float[np.ndarray, " 3"], gear: float = 1.0) -> None:
+        """Record the control that is commanded from `time` [s] on, and the gear: 1 forward, -1 reverse."""
         if self._commands and self._commands[-1][0] == time:  # the clock stands still
             self._commands.pop()
-        self._commands.append((time, control))
+        self._commands.append((time, control, gear))
         while self._commands[0][0] < time - self._seconds:
             self._commands.popleft()
 
@@ -140,15 +142,16 @@ class VehicleTrack:
         place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
         state = planar_state(place, yaw, velocity, rate)
         extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
-        return TrackRows(state, np.stack([r.actuators for r in chosen]), self._controls(at), extra)
+        return TrackRows(state, np.stack([r.actuators for r in chosen]), *self._controls(at), extra)
 
-    def _controls(self, at: Float[np.ndarray, " H"]) -> Float[np.ndarray, "H 3"]:
+    def _controls(self, at: Float[np.ndarray, " H"]) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, " H"]]:
+        """Controls, 0 before the first, and gears."""
         if not self._commands:
-            return np.zeros((len(at), 3))
-        time = np.array([t for t, _ in self._commands])
+            return np.zeros((len(at), 3)), np.full(len(at), np.nan)
+        time, control, gear = (np.stack(column) for column in zip(*self._commands, strict=True))
         index = np.searchsorted(time, at + 1e-6, side="right") - 1
-        held = np.stack([c for _, c in self._commands])[np.maximum(index, 0)]
-        return np.where((index >= 0)[:, None], held, 0.0)
+        known, held = index >= 0, np.maximum(index, 0)
+        return np.where(known[:, None], control[held], 0.0), np.where(known, gear[held], np.nan)
 
 
 def _past_columns() -> list[str]:

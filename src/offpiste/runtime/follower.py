@@ -82,7 +82,7 @@ class Follower:
             applied: gives the control that the vehicle is then given; None where it is the one that is commanded.
         """
         controls = self._due(now, decision)
-        self._track.commanded(now, controls.command if applied is None else applied(controls))
+        self._track.commanded(now, controls.command if applied is None else applied(controls), controls.gear)
         if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
             self.events.append(Event(now, controls.mode, controls.why))
         return controls

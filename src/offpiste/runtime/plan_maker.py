@@ -94,6 +94,7 @@ class PlanMaker:
         self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
         self._along_ways: dict[int, Planned] = {}  # the last plans, by the numbers of their ways
         self._way = 0  # that is taken
+        self._stuck_at = -np.inf  # position along the course, the last time
         self.map_empty = False
         self.failures: list[str] = []
 
@@ -112,8 +113,11 @@ class PlanMaker:
         """
         settings, state = self._settings, rows.state[-1]
         driven = not follower.stopping and follower.tracker.target > settings.standstill
-        stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf)
+        behind = self._backing_out.away or follower.tracker.progress <= self._stuck_at
+        stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf, backed_out=behind)
         found_stuck = self._backing_out.update(now, state[:3], stretch, driven=driven)
+        if found_stuck:
+            self._stuck_at = follower.tracker.progress
         if self.stuck:
             return None
         near = self._reachable(layers, state, follower.tracker.target)
@@ -135,10 +139,10 @@ class PlanMaker:
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
             model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.gear)
-            gear = self._backing_out.gear
-            at = Situation(area.stack, costs[0], self._wheels, offset, model_state.state[0], last, gear, self._caution)
+            begin, engaged = model_state.state[0], follower.gear  # until the plan acts
+            at = Situation(area.stack, costs[0], self._wheels, offset, begin, last, engaged, self._caution)
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
-            at = replace(at, state=model_state.state[0])
+            at = replace(at, state=model_state.state[0], gear=self._backing_out.gear)
         with self._watch.of("plan"):
             starts = self._continued(now, follower, ways, at.gear)
             situations = [replace(at, costs=each) for each in costs]
@@ -173,7 +177,7 @@ class PlanMaker:
     def forget(self) -> None:
         """Forget where the vehicle was stuck, and plans along ways: poses to come are in another frame."""
         self._backing_out.forget()
-        self._along_ways = {}
+        self._along_ways, self._stuck_at = {}, -np.inf
 
     @property
     def stuck(self) -> bool:

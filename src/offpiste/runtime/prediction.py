@@ -125,12 +125,13 @@ def model_state_of(
     """Model state at the vehicle's latest row, in the frame at `offset`, warmed up on the rows before it.
 
     Args:
-        gear: engaged during these rows.
+        gear: engaged in rows before the first command.
     """
     shift = np.concatenate((offset.numpy(), np.zeros(4)))
     state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
     actuators = torch.as_tensor(rows.actuators, dtype=torch.float32)
-    control = complete(model.vehicle, torch.as_tensor(rows.control, dtype=torch.float32), gear)
+    engaged = torch.as_tensor(np.where(np.isnan(rows.gear), gear, rows.gear)[:, None], dtype=torch.float32)
+    control = complete(model.vehicle, torch.as_tensor(rows.control, dtype=torch.float32), engaged)
     past = len(state) - 1
     under = area.terrain(offset, wheels, past).at(0, state[:past])
     terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
@@ -145,7 +146,7 @@ def model_state_after(
     """Model state after the committed controls, where a new plan begins to act.
 
     Args:
-        at: its state and control are not read.
+        at: its gear is the one that they are driven in; its state and control are not read.
     """
     if len(controls) and _by_kernel(model, model_state):
         return kernel_model_state(model, model_state, controls, at, area.codes)

@@ -54,6 +54,14 @@ def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
     }
 
 
+def test_what_backed_out_and_finished_is_counted():
+    rows = [result("b-100ms", seed, 10.0, seed > 1) | {"backed_out": seed > 0} for seed in range(4)]
+    head, _, line = [line for line in table(rows, limit=40.0).splitlines() if line.startswith("|")][:3]
+    counts = dict(zip(head.split(" | "), line.split(" | "), strict=True))
+    assert counts["backed out"] == "3"
+    assert counts["and finished |"] == "2 |"
+
+
 def test_costs_are_compared_course_by_course_in_percent():
     rows = [result("b-100ms", seed, 10.0 ** (seed + 1)) for seed in range(3)]
     rows += [result("dc-100ms", seed, 0.5 * 10.0 ** (seed + 1)) for seed in range(3)]

@@ -31,6 +31,16 @@ def test_hazards_of_cells():
     np.testing.assert_allclose(hazard, wanted, atol=1e-5)
 
 
+def test_low_obstacles_may_count_less_than_tall_ones():
+    ground = layers(21, 1.0)
+    ground.obstacle_height[4, 4], ground.obstacle_height[14, 14], ground.obstacle_height[14, 13] = 1.2, 1.6, 1.2
+    hazard = hazard_layers(ground, Hazards(obstacle=100.0, margin=1.2, low=0.05, tall=1.5))[..., 0]
+    assert hazard[4, 4] == hazard[4, 5] == pytest.approx(5.0)
+    assert hazard[14, 14] == hazard[14, 13] == hazard[14, 15] == 100.0
+    assert hazard[14, 12] == pytest.approx(5.0), "near the low one alone"
+    assert hazard[9, 9] == 0
+
+
 @pytest.mark.parametrize("margin", [0.0, 0.5, 1.6])
 def test_obstacles_reach_as_far_as_their_distance_says(margin):
     ground = layers(50, 0.4)

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from unittest.mock import create_autospec
@@ -9,8 +10,12 @@ from unittest.mock import create_autospec
 import numpy as np
 import pytest
 
+from offpiste.conventions import DT
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.sensors.suite import AHEAD, Sensing, observed
+from offpiste.simulation.sensors.suite import AHEAD, Sensing, SensorSuite, light_suite, observed
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.world import WorldSettings
+from synthetic_drive import samples as driven
 
 
 def samples(count, at=None):
@@ -76,3 +81,19 @@ def test_an_interruption_leaves_no_thread():
     with pytest.raises(KeyboardInterrupt):
         list(observed(samples(100, at=40), sensing(lambda sample, stamp_ns: iter(())), int))
     assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_a_lidar_measures_the_same_without_cameras_where_sensors_are_apart(apart, monkeypatch):
+    monkeypatch.setattr(Sensing, "_image", lambda *_: [])
+    world, suite, clouds = make_world(WorldSettings("mojave", size=80.0, resolution=1.0)), light_suite(), []
+    seen = SensorSuite((replace(suite.cameras[0], rate=10.0),), suite.lidars)
+    there = np.array((0.0, 0.0, float(world.elevation.max())))
+    drive = [replace(sample, position=there) for sample in driven(1.0)[: round(0.3 / DT)]]
+    for one in (seen, SensorSuite((), suite.lidars)):
+        sensing = Sensing(world, one, np.random.default_rng([3, 2]), apart=apart)
+        found = [sensing.observe(sample, lambda time: round(1e9 * time)) for sample in drive]
+        clouds.append([message.data for messages in found for _, message in messages])
+    assert [len(cloud) > 1000 for cloud in clouds[0]] == [True, True]
+    same = [np.array_equal(one, other) for one, other in zip(*clouds, strict=True)]
+    assert same == [apart, apart]

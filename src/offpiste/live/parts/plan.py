@@ -86,7 +86,7 @@ class Plans:
             self._layers, self._scan_time = layers_from(values), values.get("scan_time", -np.inf)
         for entry in self._part.ring("commands").since(self._commands):
             self._commands, values = entry.number, unpacked(entry.data)
-            self._feed.track.commanded(values["time"], values["applied"])
+            self._feed.track.commanded(values["time"], values["applied"], values["gear"])
             if self._follower is not None:
                 self._follower.stopping, self._follower.gear = values["stopping"], values["gear"]
 

@@ -27,6 +27,8 @@ class Hazards:
     Attributes:
         obstacle: cost of cells within `margin` of anything higher than `height` [1/s].
         height: [m].
+        low: share of that cost that counts near obstacles lower than `tall`.
+        tall: [m].
         margin: around the wheels' centres; half the track covers what lies between the wheels [m].
         unknown: cost of cells of which nothing is known, and off the map [1/s].
         steep: cost per rise over run above `steepest` [1/s].
@@ -37,6 +39,8 @@ class Hazards:
 
     obstacle: float = 200.0
     height: float = 0.25
+    low: float = 1.0
+    tall: float = 1.5
     margin: float = 0.8
     unknown: float = 5.0
     steep: float = 200.0
@@ -117,9 +121,12 @@ def computed(source: LayerSource, inputs: dict[str, Any]) -> Float[np.ndarray, "
 def hazard_layers(ground: TerrainLayers, hazards: Hazards) -> Float[np.ndarray, "ny nx 2"]:
     """Hazard [1/s] and speed limit [m/s] of cells."""
     # Comparisons and `fmax` pass over what is not a number.
-    near = _widened(ground.obstacle_height > hazards.height, hazards.margin / ground.resolution)
+    margin = hazards.margin / ground.resolution
+    near = _widened(ground.obstacle_height > hazards.height, margin)
+    tall = _widened(ground.obstacle_height >= max(hazards.tall, hazards.height), margin)
     steep = hazards.steep * np.fmax(ground.slope - hazards.steepest, 0)
-    hazard = np.where(near, hazards.obstacle, 0) + steep + np.where(ground.known, 0, hazards.unknown)
+    obstacle = np.where(tall, hazards.obstacle, np.where(near, hazards.low * hazards.obstacle, 0))
+    hazard = obstacle + steep + np.where(ground.known, 0, hazards.unknown)
     limit = speed_limit(ground.roughness, hazards.bump, hazards.bump_length)
     return np.stack((hazard, limit), axis=-1)
 

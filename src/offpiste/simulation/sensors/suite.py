@@ -139,10 +139,18 @@ class Sensing:
         suite: the sensors; their rates must divide 50 Hz.
         rng: random numbers of noise and of the drive's light.
         scene: the world's scene, if it has been built already.
+        apart: each sensor draws from random numbers of its own, so that LiDARs measure the same with and without
+            cameras.
     """
 
     def __init__(
-        self, world: World, suite: SensorSuite, rng: np.random.Generator, *, scene: Scene | None = None
+        self,
+        world: World,
+        suite: SensorSuite,
+        rng: np.random.Generator,
+        *,
+        scene: Scene | None = None,
+        apart: bool = False,
     ) -> None:
         light_seed = int(rng.integers(2**31))
         with ThreadPoolExecutor(1, thread_name_prefix="offpiste-cameras") as beside:
@@ -151,7 +159,9 @@ class Sensing:
             self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
             self._lidars = [Lidar(settings) for settings in suite.lidars]
             self._cameras = cameras.result()
-        self._rng = rng
+        lidars = len(suite.lidars)
+        own = rng.spawn(lidars + len(suite.cameras)) if apart else [rng] * (lidars + len(suite.cameras))
+        self._lidar_rngs, self._camera_rngs = own[:lidars], own[lidars:]
         turns = [round(1 / (lidar.settings.rate * DT)) for lidar in self._lidars]
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
@@ -173,15 +183,15 @@ class Sensing:
         """
         self._past.append(sample)
         row = round(sample.time / DT)
-        for camera in self._cameras:
+        for camera, rng in zip(self._cameras, self._camera_rngs, strict=True):
             if row % round(1 / (camera.settings.rate * DT)) == 0:
-                pose, seed = Pose(sample.position, sample.orientation), int(self._rng.integers(2**31))
+                pose, seed = Pose(sample.position, sample.orientation), int(rng.integers(2**31))
                 yield partial(self._image, camera, pose, seed, stamp_ns(sample.time))
-        for lidar in self._lidars:
+        for lidar, rng in zip(self._lidars, self._lidar_rngs, strict=True):
             turn = round(1 / (lidar.settings.rate * DT))
             if row % turn == 0 and row >= turn:
                 samples = list(self._past)[-turn - 1 :]
-                yield partial(self._points, lidar, self._scan(lidar, samples), stamp_ns(samples[0].time))
+                yield partial(self._points, lidar, self._scan(lidar, samples, rng), stamp_ns(samples[0].time))
 
     def _image(self, camera: Camera, pose: Pose, seed: int, stamp: int) -> Messages:
         s = camera.settings
@@ -190,13 +200,13 @@ class Sensing:
         info = camera_info_message(s.model, stamp, s.name)
         return [(f"/{s.name}/image/compressed", image), (f"/{s.name}/camera_info", info)]
 
-    def _scan(self, lidar: Lidar, samples: list[VehicleSample]) -> Scan:
+    def _scan(self, lidar: Lidar, samples: list[VehicleSample], rng: np.random.Generator) -> Scan:
         motion = Motion(
             np.array([s.time for s in samples]),
             np.stack([s.position for s in samples]),
             np.stack([s.orientation for s in samples]),
         )
-        return lidar.scan(self._scene, motion, samples[0].time, self._rng)
+        return lidar.scan(self._scene, motion, samples[0].time, rng)
 
     def _points(self, lidar: Lidar, scan: Scan, stamp: int) -> Messages:
         name = lidar.settings.name
