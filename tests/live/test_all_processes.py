@@ -20,7 +20,7 @@ from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.supervisor import Supervisor
 from offpiste.logs import open_log
 from offpiste.transport.zenoh_transport import ZenohSettings
-from transport.routers import Network, until
+from transport.routers import Network, free_port, until
 
 RUN = "pretrained:proving-ground/parametric"
 ACTUATORS = """
@@ -129,11 +129,14 @@ def test_a_drive_with_every_process_killed_once(tmp_path):
     assert any(one.topic == "/points" for step in RecordedDrive(live.log).steps() for one in step.messages)
 
 
-def test_processes_end_when_their_supervisor_is_killed(tmp_path):
+@pytest.mark.parametrize("router", [False, True])
+def test_processes_end_when_their_supervisor_is_killed(tmp_path, router):
     said = tmp_path / "said.txt"
     with closing(Network()) as network, said.open("w") as file:
-        command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), "--run", RUN, "--endpoint",
-                   network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]  # fmt: skip
+        endpoint = ["--endpoint", f"tcp/127.0.0.1:{free_port()}" if router else network.endpoint]
+        where = ["--router", *endpoint] if router else endpoint
+        command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), "--run", RUN, *where,
+                   "--course", str(write_course(tmp_path)), "--drive"]  # fmt: skip
         live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
         assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
         children = _descendants(live.pid)

@@ -124,14 +124,36 @@ def test_two_routers_do_not_share_a_port(network):
         network.session(mode="router")
 
 
-def test_nothing_listens_on_another_address_than_the_loopback(network):
-    network.session()
-    listening = subprocess.run(["ss", "-Hltnp"], capture_output=True, text=True, check=False).stdout
+def sockets():
+    """Local addresses of this process's sockets that listen, and of those of UDP."""
+    listening = subprocess.run(["ss", "-Hltunp"], capture_output=True, text=True, check=False).stdout
     if not listening:
         pytest.skip("no `ss` here")
-    ours = [line for line in listening.splitlines() if f"pid={os.getpid()}," in line]
+    return [line.split()[4] for line in listening.splitlines() if f"pid={os.getpid()}," in line]
+
+
+def test_nothing_listens_on_another_address_than_the_loopback(network):
+    network.session()
+    ours = sockets()
     assert ours, "the router's"
-    assert all(line.split()[3].startswith("127.0.0.1:") for line in ours)
+    assert all(address.startswith("127.0.0.1:") for address in ours)
+
+
+def written(folder, text):
+    file = folder / "zenoh.json5"
+    file.write_text(text)
+    return str(file)
+
+
+@pytest.mark.parametrize("mode", ["client", "part"])
+def test_what_a_file_does_not_say_is_as_without_one(network, tmp_path, mode):
+    before, got = sockets(), []
+    file = written(tmp_path, f'{{ connect: {{ endpoints: ["{network.endpoint}"] }} }}')
+    session = network.session(config=file, endpoint="", mode=mode)
+    assert sockets() == before, "it listens nowhere, and looks for nobody"
+    session.subscribe("/a", got.append)
+    publish = network.router.publisher("/a", STRING)
+    assert until(lambda: publish(text("x")) or got)
 
 
 def certificates(folder):

@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -48,9 +49,9 @@ class RclpySettings:
         """A new node."""
         return RclpyTransport(self, definitions)
 
-    def for_parts(self) -> "RclpySettings":
-        """The same."""
-        return self
+    def hosted(self) -> AbstractContextManager["RclpySettings"]:
+        """The same: DDS has no router."""
+        return nullcontext(self)
 
 
 class RclpyTransport:

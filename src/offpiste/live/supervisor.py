@@ -204,9 +204,10 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
     """
     with ExitStack() as stack:
         asked = stack.enter_context(_asked_to_end())
-        transport = settings.robot.connect(definitions)
+        robot = stack.enter_context(settings.robot.hosted())
+        transport = robot.connect(definitions)
         stack.callback(transport.close)
-        session = stack.enter_context(new_session(replace(settings, robot=settings.robot.for_parts())))
+        session = stack.enter_context(new_session(replace(settings, robot=robot)))
         table = stack.enter_context(StatusTable(settings.status))
         supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
         began = looked = time.monotonic()

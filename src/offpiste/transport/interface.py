@@ -5,6 +5,7 @@ Zenoh is behind it (`zenoh_transport`); `ros2/offpiste_ros` has a node of rclpy 
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -127,6 +128,10 @@ class RobotSettings(Protocol):
         """
         ...
 
-    def for_parts(self) -> "RobotSettings":
-        """Settings of the processes that the first one starts: where it is the router, they are its clients."""
+    def hosted(self) -> AbstractContextManager["RobotSettings"]:
+        """Settings of all processes of a drive; what they connect through outlives the one that enters this.
+
+        Raises:
+            TransportError: it cannot be started.
+        """
         ...

@@ -7,20 +7,20 @@ is asked to, and then on the loopback unless another endpoint is given.
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from offpiste.errors import TransportError, extra, require
+from offpiste.errors import extra, require
 from offpiste.transport.attachment import ATTACHMENT_SIZE, Attachment, unpacked
 from offpiste.transport.interface import Deliver, Publish, Received
 from offpiste.transport.keys import NO_HASH, Address, BridgeKeys, Endpoint, Keys, RmwZenohKeys
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.tally import Tally
+from offpiste.transport.zenoh_session import Mode, opened_session, router_process
 
-ROUTER: Final = "tcp/127.0.0.1:7447"
-"""Where rmw_zenoh's router listens by default, on the loopback."""
 _GID: Final = 16
 """Length of a publisher's identity [bytes]."""
 _MIB: Final = 1 << 20
@@ -32,12 +32,12 @@ class ZenohSettings:
 
     Attributes:
         endpoint: of the router, that one connects to, or is.
-        mode: "client", or "router" to be the router itself.
+        mode: "client", "router" to be the router itself, or "part": a client, whatever `config` says.
         keys: "rmw_zenoh" or "bridge" (zenoh-bridge-ros2dds).
         domain: ROS_DOMAIN_ID, of rmw_zenoh's keys.
         namespace: of the bridge.
         config: a file of zenoh's configuration (JSON5), e.g. with certificates for TLS; `endpoint` and `mode` override
-            what it says only where they are not the defaults.
+            what it says only where they are not the defaults. What it does not say is as without one.
         largest: messages above are refused [MiB].
         patient: whether publishers wait where a link is full, instead of dropping the message.
         node: name by which others list us.
@@ -45,7 +45,7 @@ class ZenohSettings:
     """
 
     endpoint: str = ""
-    mode: Literal["client", "router"] = "client"
+    mode: Mode = "client"
     keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
     domain: int = 0
     namespace: str = ""
@@ -68,9 +68,15 @@ class ZenohSettings:
         """A new session (see `RobotSettings`)."""
         return ZenohTransport(self, definitions)
 
-    def for_parts(self) -> "ZenohSettings":
-        """The same as a client (see `RobotSettings`)."""
-        return replace(self, mode="client")
+    @contextmanager
+    def hosted(self) -> Iterator["ZenohSettings"]:
+        """Clients of the same router, which is a process of its own where this is it (see `RobotSettings`)."""
+        with (
+            router_process(self.endpoint, self.config)
+            if self.mode == "router"
+            else nullcontext(self.endpoint) as endpoint
+        ):
+            yield replace(self, mode="part", endpoint=endpoint)
 
 
 class ZenohTransport:
@@ -94,7 +100,7 @@ class ZenohTransport:
         self.keys: Keys = RmwZenohKeys(given.domain) if given.keys == "rmw_zenoh" else BridgeKeys(given.namespace)
         self.refused = Tally()
         self._lock, self._held, self._count = threading.Lock(), list[Any](), 0
-        self._session = _opened(zenoh, given)
+        self._session = opened_session(given.endpoint, given.mode, given.config)
         self._session_id = str(self._session.info.zid())
         self._known: dict[str, str] = {}
         if given.keys == "bridge":  # whose keys do not say the type: it is announced, when the robot's node is there
@@ -249,38 +255,3 @@ def _publisher_of(sample: Any) -> tuple[int, bytes]:
 
 def _short(text: str) -> str:
     return text[:80] or "(unknown)"
-
-
-def _opened(zenoh: Any, settings: ZenohSettings) -> Any:
-    """A session."""
-    zenoh.init_log_from_env_or("off")
-    where = settings.config or settings.endpoint or ROUTER
-    try:
-        config = zenoh.Config.from_file(settings.config) if settings.config else zenoh.Config()
-        _configure(config, settings)
-        return zenoh.open(config)
-    except (zenoh.ZError, ValueError, OSError) as error:
-        reason = " ".join(str(error).split(" at /")[0].split())[:200]  # without the place in zenoh's own source
-        if settings.mode == "router":
-            raise TransportError(f"cannot be a router there: {reason}", where=where, how="end the other one") from error
-        how = "start the robot's router (ros2 run rmw_zenoh_cpp rmw_zenohd), or give --router"
-        raise TransportError(f"no connection: {reason}", where=where, how=how) from error
-
-
-def _configure(config: Any, settings: ZenohSettings) -> None:
-    """Put the settings into a configuration, over what a file says only where they are given."""
-    endpoint = settings.endpoint or ("" if settings.config else ROUTER)
-    if not settings.config or settings.mode == "router":
-        config.insert_json5("mode", f'"{settings.mode}"')
-    if not settings.config:
-        config.insert_json5("scouting/multicast/enabled", "false")
-        config.insert_json5("scouting/gossip/enabled", "false")
-        config.insert_json5("transport/shared_memory/enabled", "false")  # unused, and what is killed leaves files of it
-        config.insert_json5("timestamping/enabled", "true")  # publishers that keep their last message need it
-        config.insert_json5("listen/endpoints", "[]")
-        config.insert_json5("connect/endpoints", "[]")
-    if endpoint:
-        config.insert_json5("listen/endpoints" if settings.mode == "router" else "connect/endpoints", f'["{endpoint}"]')
-    if settings.mode == "client" and not settings.config:
-        config.insert_json5("connect/timeout_ms", "3000")
-        config.insert_json5("connect/retry", "{period_init_ms: 200, period_max_ms: 1000, period_increase_factor: 2}")

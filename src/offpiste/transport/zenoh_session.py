@@ -1,0 +1,137 @@
+"""Sessions of zenoh: what they listen and connect to; and a router that outlives the process that started it."""
+
+import json
+import multiprocessing
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from typing import Any, Final, Literal
+
+from offpiste.errors import TransportError, extra
+
+ROUTER: Final = "tcp/127.0.0.1:7447"
+"""Where rmw_zenoh's router listens by default, on the loopback."""
+OUTLIVES: Final = 10.0
+"""Once the process that started it is gone, a router serves those that stop the vehicle for so long [s]."""
+Mode = Literal["client", "router", "part"]
+"""As `ZenohSettings` has it."""
+_STARTS: Final = 60.0
+"""Longest time until a router's process serves [s]."""
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def opened_session(endpoint: str, mode: Mode, file: str) -> Any:
+    """A session (arguments as in `ZenohSettings`).
+
+    Raises:
+        MissingExtra: the extra `live` is not installed.
+        TransportError: no router answers, or the configuration is wrong.
+    """
+    with extra("live"):
+        import zenoh
+
+    zenoh.init_log_from_env_or("off")
+    where = file or endpoint or ROUTER
+    try:
+        return zenoh.open(configuration(endpoint, mode, file))
+    except (zenoh.ZError, ValueError, OSError) as error:
+        reason = " ".join(str(error).split(" at /")[0].split())[:200]  # without the place in zenoh's own source
+        if mode == "router":
+            raise TransportError(f"cannot be a router there: {reason}", where=where, how="end the other one") from error
+        how = "start the robot's router (ros2 run rmw_zenoh_cpp rmw_zenohd), or give --router"
+        raise TransportError(f"no connection: {reason}", where=where, how=how) from error
+
+
+def configuration(endpoint: str, mode: Mode, file: str) -> Any:
+    """What is given, else what the file says; where neither says it, nothing listens, or looks for others."""
+    import zenoh
+
+    config, unset = zenoh.Config.from_file(file) if file else zenoh.Config(), zenoh.Config()
+
+    def default(key: str, value: str) -> None:
+        if config.get_json(key) == unset.get_json(key):
+            config.insert_json5(key, value)
+
+    if mode != "client":
+        config.insert_json5("mode", '"router"' if mode == "router" else '"client"')
+    default("mode", '"client"')
+    is_client = config.get_json("mode") == '"client"'
+    default("scouting/multicast/enabled", "false")
+    default("scouting/gossip/enabled", "false")
+    default("transport/shared_memory/enabled", "false")  # unused, and what is killed leaves files of it
+    default("timestamping/enabled", "true")  # publishers that keep their last message need it
+    side = "listen/endpoints" if mode == "router" else "connect/endpoints"
+    if endpoint:
+        config.insert_json5(side, f'["{endpoint}"]')
+    elif mode == "router" or is_client:
+        default(side, f'["{ROUTER}"]')
+    if mode == "part":
+        config.insert_json5("listen/endpoints", "[]")
+    default("listen/endpoints", "[]")
+    if is_client:
+        default("connect/timeout_ms", "3000")
+        default("connect/retry", "{period_init_ms: 200, period_max_ms: 1000, period_increase_factor: 2}")
+    return config
+
+
+@contextmanager
+def router_process(endpoint: str, file: str) -> Iterator[str]:
+    """A router in a process of its own; the endpoint at which those on this computer connect to it.
+
+    It ends with the context, or some time after the process that entered it.
+
+    Raises:
+        TransportError: it cannot be the router there.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, its = context.Pipe()
+    process = context.Process(target=_serve, args=(endpoint, file, its), name="offpiste router", daemon=True)
+    resource_tracker.ensure_running()  # it would unblock them
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    try:  # born with these blocked: a signal to all processes at once must not end it before the vehicle is stopped
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+    its.close()
+    try:
+        said = None
+        with suppress(EOFError):
+            said = ours.recv() if ours.poll(_STARTS) else None
+        if isinstance(said, TransportError):
+            raise said
+        if said is None:
+            raise TransportError("the router did not start", where=file or endpoint or ROUTER, how="start it again")
+        yield said
+    finally:
+        with suppress(OSError):
+            ours.send("end")
+        process.join(3.0)
+        process.kill()
+
+
+def _serve(endpoint: str, file: str, pipe: Connection) -> None:
+    """Be the router until asked to end, or for some time after the parent is gone."""
+    for number in _ENDING:
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        session = opened_session(endpoint, "router", file)
+    except TransportError as error:
+        pipe.send(error)
+        return
+    try:
+        pipe.send(endpoint or _reached_at(file))
+        pipe.recv()
+    except (EOFError, OSError):
+        time.sleep(OUTLIVES)
+    session.close()
+
+
+def _reached_at(file: str) -> str:
+    """The endpoint at which processes on this computer reach the router of a file."""
+    listens: Any = json.loads(configuration("", "router", file).get_json("listen/endpoints"))
+    if isinstance(listens, dict):  # by mode
+        listens = listens["router"]
+    return str(listens[0]).replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/127.0.0.1:")
