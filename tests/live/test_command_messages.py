@@ -47,6 +47,19 @@ def test_speed_and_yaw_rate_are_those_that_the_plan_leads_to():
     assert message.angular.z == STATES[1, 5]
 
 
+@pytest.mark.parametrize("direction", [1, -1])
+def test_no_higher_speed_and_yaw_rate_are_sent_than_the_limits(direction):
+    twist = '"linear.x" = { of = "speed" }\n"angular.z" = { of = "yaw_rate" }\n'
+    made = outputs(output("geometry_msgs/msg/Twist", twist + "[live.limits]\nspeed = 4.0"))
+    planned = Prediction(1.0, direction * np.tile((0.0, 0, 0, 8.0, 0, 3.0), (50, 1)))
+    message = made.messages(Command(1.0, np.array((0.0, 0, 0)), prediction=planned))["/a"]
+    assert message.linear.x == pytest.approx(direction * 4.0)
+    assert message.angular.z == pytest.approx(direction * 1.5), "on the same curve"
+    made = outputs(output("geometry_msgs/msg/Twist", twist + "[live.limits]\nyaw_rate = 0.7"))
+    message = made.messages(Command(1.0, np.array((0.0, 0, 0)), prediction=planned))["/a"]
+    assert (message.linear.x, message.angular.z) == (direction * 8.0, direction * 0.7)
+
+
 def test_arrays_numbers_and_constants():
     joy = '"axes[3]" = { of = "steer", sign = -1 }\n"buttons[1]" = { of = "constant", value = 1 }'
     message = outputs(output("sensor_msgs/msg/Joy", joy)).messages(Command(1.0, np.array((0, 0, 0.25))))["/a"]

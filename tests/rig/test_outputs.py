@@ -32,6 +32,7 @@ WRONG = {
     "limit of zero": ("[live.limits]\nsteer_rate = 0\n", r"live\.limits\.steer_rate is 0"),
     "limit above one": ("[live.limits]\nthrottle = 2\n", r"live\.limits\.throttle is 2.*at most 1"),
     "limit of nan": ("[live.limits]\nspeed = nan\n", r"live\.limits\.speed is nan"),
+    "limit of nothing": (OUTPUT + "[live.limits]\nthrottle = 0.5\n", r"live\.limits\.throttle limits nothing"),
     "type of a topic": ('[live.types]\n"/odom" = "Odometry"\n', r"'Odometry' is no message type"),
     "unknown key": ("[live]\nfast = true\n", r"fast"),
 }

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from offpiste.errors import RigError
 from offpiste.logs.ros.writer import header
-from offpiste.rig.outputs import Output, OutputField
+from offpiste.rig.outputs import CommandLimits, Output, OutputField
 from offpiste.rig.rig import Rig
 from offpiste.runtime.prediction import Prediction
 from offpiste.transport.message_types import MessageTypes
@@ -30,8 +30,12 @@ class Command:
     gear: float = 1.0
     prediction: Prediction | None = None
 
-    def value(self, field: OutputField) -> float:
-        """What a field holds, in offpiste's unit."""
+    def value(self, field: OutputField, limits: CommandLimits) -> float:
+        """What a field holds, in offpiste's unit.
+
+        Args:
+            limits: of speed and yaw rate; the controls are within theirs already.
+        """
         throttle, brake, steer = (float(value) for value in self.control)
         known = {"throttle": throttle, "brake": brake, "steer": steer, "gear": self.gear, "pedal": throttle - brake}
         if field.of in known:
@@ -39,7 +43,10 @@ class Command:
         if field.of == "constant" or self.prediction is None:
             return 0.0
         state = self.prediction.at(self.time + field.ahead)
-        return float(state[3] if field.of == "speed" else state[5])
+        slower = min(1.0, limits.speed / max(abs(float(state[3])), 1e-9))  # on the same curve
+        if field.of == "speed":
+            return slower * float(state[3])
+        return min(max(slower * float(state[5]), -limits.yaw_rate), limits.yaw_rate)
 
 
 class CommandMessages:
@@ -79,7 +86,8 @@ class CommandMessages:
         if hasattr(message, "header"):
             message.header = header(round(max(command.time, 0.0) * 1e9), output.frame)
         for path, field in output.fields.items():
-            _put(message, path, field.written(command.value(field), self._rig.vehicle.max_steer))
+            value = command.value(field, self._rig.live.limits)
+            _put(message, path, field.written(value, self._rig.vehicle.max_steer))
         return message
 
 

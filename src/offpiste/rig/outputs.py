@@ -16,6 +16,17 @@ Quantity = Literal["throttle", "brake", "steer", "gear", "pedal", "speed", "yaw_
 """What a field can hold: a control, the pedal (throttle minus brake), or what the plan leads to in `ahead` seconds."""
 _CHANNELS: Final = {"pedal": "throttle", "speed": "linear_velocity"}
 """Channel in whose units a quantity is given, where it is not one itself."""
+_LIMITED: Final = {
+    "throttle": {"throttle", "pedal"},
+    "brake": {"brake", "pedal"},
+    "steer": {"steer"},
+    "throttle_rate": {"throttle", "pedal"},
+    "brake_rate": {"brake", "pedal"},
+    "steer_rate": {"steer"},
+    "speed": {"speed", "throttle", "pedal"},
+    "yaw_rate": {"yaw_rate"},
+}
+"""Quantities that each of `CommandLimits` acts on."""
 _PATH: Final = re.compile(r"[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?")
 _TYPE: Final = re.compile(r"[a-zA-Z]\w*/msg/[A-Z]\w*")
 _TOPIC: Final = re.compile(r"(/[a-zA-Z_]\w*)+")
@@ -86,7 +97,8 @@ class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         throttle, brake, steer: largest commands; the brake of a stop is not limited.
         throttle_rate, brake_rate, steer_rate: fastest changes [1/s]; throttle is released, and the brake of a stop
             applied, at once.
-        speed: faster, the throttle is released [m/s].
+        speed: no higher speed is sent, in either direction; where the vehicle is faster, the throttle is released [m/s].
+        yaw_rate: no higher yaw rate is sent [rad/s].
     """
 
     throttle: float = 1.0
@@ -96,6 +108,7 @@ class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     brake_rate: float = 8.0
     steer_rate: float = 4.0
     speed: float = np.inf
+    yaw_rate: float = np.inf
 
 
 class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -165,10 +178,14 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
         if not _PATH.fullmatch(live.enable.field) or not 0 < live.enable.timeout < np.inf:
             raise RigError("live.enable: no such field or timeout", how='give field = "data" and seconds above zero')
     for limit in CommandLimits.__struct_fields__:
-        number = getattr(live.limits, limit)
+        number, limited = getattr(live.limits, limit), _LIMITED[limit]
         if not number > 0 or (limit in ("throttle", "brake", "steer") and number > 1):
             how = "give a number above zero" + ("" if "_" in limit or limit == "speed" else ", and at most 1")
             raise RigError(f"live.limits.{limit} is {number}", how=how)
+        held = {field.of for output in outputs.values() for field in output.fields.values()}
+        if held and not held & limited and number != getattr(CommandLimits(), limit):
+            how = f"leave it out, or send one of {', '.join(sorted(limited))}"
+            raise RigError(f"live.limits.{limit} limits nothing: no output holds what it is about", how=how)
 
 
 def _check_topic(key: str, topic: str) -> None:
