@@ -1,5 +1,7 @@
 """The planner for GPUs, its kernels compiled for this machine, against `mppi.improve` with the fused kernel."""
 
+import gc
+import weakref
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +11,7 @@ import torch
 from host_kernels import HostKernels, needs_gcc
 from offpiste.errors import PlanningError
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.device_planner import DevicePlanner
+from offpiste.planning.device_planner import DevicePlanner, power_of_two
 from offpiste.planning.gpu import check_planner, gpu_planner
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.kernel import encode_map, fused_costs
@@ -112,12 +114,118 @@ class Nothing:
 def test_maps_that_are_large_in_different_ways_do_not_take_turns_with_new_buffers():
     dynamics, _, _ = parts(situation(), "b")
     planner = DevicePlanner(Nothing(), dynamics, SETTINGS, torch.Generator())
-    wide, deep = (tuple(torch.zeros(n) for n in sizes) for sizes in ((10, 3, 2), (2, 3, 10)))
+    wide, deep, wider = (tuple(torch.zeros(n) for n in sizes) for sizes in ((10, 3, 2), (2, 3, 10), (12, 3, 12)))
     given = torch.zeros(20, 2), torch.zeros(30)
     first, second = planner._buffers_for(*given, wide), planner._buffers_for(*given, deep)
     assert second is not first
     assert planner._buffers_for(*given, wide) is second
-    assert (second.slope.numel(), second.layers.numel()) == (10, 10)
+    assert (second.slope.numel(), second.layers.numel()) == (16, 16)
+    assert planner._buffers_for(*given, wider) is second  # a map that grows by a little means no other graph
+    assert [power_of_two(count) for count in (0, 1, 2, 3, 1024, 1025)] == [1, 1, 2, 4, 1024, 2048]
+
+
+def with_graph(capture):
+    """A planner whose work `capture` repeats, and what its plans need."""
+    at = situation(layers(41), state=(-5.0, 1, 0.1, 4, 0, 0))
+    dynamics, model_state, codes = parts(at)
+    kernels = HostKernels(plan_text(dynamics, at.costs.table))
+    planner = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(1), capture)
+    plain = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(1))
+    return planner, plain, (torch.zeros(20, 2), model_state, at, CostWeights(), codes)
+
+
+@needs_gcc
+def test_what_a_graph_reads_lives_as_long_as_the_graph():
+    noises = []
+
+    def capture(work, generator):
+        noises.append(weakref.ref(work.args[1]))
+        return lambda: None
+
+    planner, _, given = with_graph(capture)
+    planner.load(*given)
+    gc.collect()
+    assert noises[0]() is not None
+
+
+@needs_gcc
+def test_a_graph_is_checked_before_its_first_plan_and_changes_no_random_number():
+    runs = []
+
+    def capture(work, generator):
+        def replay():
+            runs.append("replay")
+            work()
+
+        return replay
+
+    planner, plain, given = with_graph(capture)
+    for turn in range(2):
+        assert torch.equal(planner.improve(*given).controls, plain.improve(*given).controls)
+        assert len(runs) == 3 + turn  # two to be checked, and one a plan
+
+
+@needs_gcc
+@pytest.mark.parametrize("wrong", ["plan", "costs", "weights", "not a number", "second time"])
+def test_a_graph_that_plans_otherwise_is_refused_each_time(wrong):
+    runs = []
+
+    def capture(work, generator):
+        b = work.args[0]
+
+        def replay():
+            runs.append(wrong)
+            work()
+            if wrong == "not a number":
+                b.costs[0] = torch.nan
+            elif wrong == "costs":
+                b.costs.mul_(1.01)
+            elif wrong != "second time" or len(runs) % 2 == 0:
+                (b.weights if wrong == "weights" else b.plan)[0] += 0.01
+
+        return replay
+
+    planner, _, given = with_graph(capture)
+    for _ in range(2):
+        with pytest.raises(PlanningError, match="a CUDA graph on cpu plans otherwise than the kernels"):
+            planner.improve(*given)
+
+
+@needs_gcc
+def test_where_there_is_no_graph_no_plan_is_made_without():
+    def capture(work, generator):
+        raise PlanningError("no CUDA graph of a plan")
+
+    planner, _, given = with_graph(capture)
+    for _ in range(2):
+        with pytest.raises(PlanningError, match="no CUDA graph"):
+            planner.improve(*given)
+
+
+@needs_gcc
+def test_cells_are_copied_again_only_where_a_map_is_another_or_has_changed(monkeypatch):
+    planner, _, given = with_graph(None)
+    copied = []
+    monkeypatch.setattr("offpiste.planning.device_planner.into", lambda room, part: copied.append(room.copy_(part)))
+    plan, model_state, at, weights, codes = given
+
+    def copies():
+        copied.clear()
+        planner.load(plan, model_state, at, weights, codes)
+        return len(copied) - 3  # plan, bounds and situation are always copied
+
+    assert [copies(), copies()] == [3, 0]
+    at.ground.slope.add_(0.1)
+    assert copies() == 1
+    assert torch.equal(planner._buffers.slope[: at.ground.slope.numel()], at.ground.slope.flatten())
+    codes = codes[0].clone(), codes[1]
+    assert copies() == 1
+    planner.load(torch.zeros(30, 2), model_state, at, weights, codes)
+    assert torch.equal(planner._buffers.slope[: at.ground.slope.numel()], at.ground.slope.flatten())
+    with torch.inference_mode():
+        codes = codes[0].clone(), codes[1]
+    copies()
+    assert copies() == 1
 
 
 def test_what_a_gpu_cannot_do_is_refused():

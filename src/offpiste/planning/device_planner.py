@@ -1,13 +1,13 @@
 """MPPI whose samples never leave a GPU: noise, limits, rollouts with costs, weights and mean, as one CUDA graph.
 
 `mppi.improve` is its reference. What a plan depends on lies in buffers that stay where they are, so that the graph,
-captured once, serves all plans; a map that is larger than all before it means new buffers, and another graph.
+captured once, serves all plans; a map that is larger than the room for it means new buffers, and another graph, which
+is checked before it gives a plan.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, final
+from typing import Final, final
 
 import torch
 from jaxtyping import Float
@@ -21,34 +21,17 @@ from offpiste.errors import PlanningError
 from offpiste.planning.constraints import bounds
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.header.costs import packed_maps, packed_situation
+from offpiste.planning.header.costs import Maps, packed_maps, packed_situation
 from offpiste.planning.kernel import Codes
 from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, rest_of, sample_groups, smoothed
 from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients, function_and_options
 from offpiste.planning.pedal import controls_of
+from offpiste.planning.plan_graph import Buffers, Capture, is_same, outcome
 from offpiste.state import ModelState
 
+_Versions = tuple[tuple[Tensor | None, int | None], ...]
 
-@dataclass(frozen=True)
-class _Buffers:
-    """Where the graph finds a plan's inputs, and leaves its outcome.
-
-    Attributes:
-        plan: mean of the samples [T, U].
-        bounds: low, high, largest change of a step and control before the first [4, U].
-        situation: see `packed_situation`.
-        slope, codes, layers: cells of the maps, and room for larger ones.
-        costs, weights: of the samples.
-    """
-
-    plan: Tensor
-    bounds: Tensor
-    situation: Tensor
-    slope: Tensor
-    codes: Tensor
-    layers: Tensor
-    costs: Tensor
-    weights: Tensor
+_NOTHING: Final[_Versions] = ((None, None),) * 3
 
 
 @final
@@ -59,6 +42,7 @@ class DevicePlanner:
         kernels: of `plan_text`, for this model and the layers of the cost map.
         settings: of pedal and steering, or of throttle, brake and steering.
         generator: source of the noise, on the device where the kernels run.
+        capture: makes one graph of a plan's work, where its noise allows that; None: the work runs as it is.
 
     Attributes:
         kernels, dynamics, settings: as given.
@@ -68,15 +52,22 @@ class DevicePlanner:
         PlanningError: a control cost, which only `mppi.improve` has.
     """
 
-    def __init__(self, kernels: Kernels, dynamics: Dynamics, settings: Settings, generator: Generator) -> None:
+    def __init__(
+        self, kernels: Kernels, dynamics: Dynamics, settings: Settings, generator: Generator,
+        capture: Capture | None = None,
+    ) -> None:  # fmt: skip
         if settings.control_cost:
             raise PlanningError("a control cost is not computed on a GPU", how="set it to 0, or plan on the CPU")
         self.kernels, self.dynamics, self.settings, self._generator = kernels, dynamics, settings, generator
-        self.device = generator.device
+        self.device, self._capture = generator.device, capture
         self._params = packed_parameters(dynamics).to(self.device)
         self._scale, self._fresh, self._rest = (part.to(self.device) for part in _groups(settings))
-        self._buffers: _Buffers | None = None
-        self._run: Callable[[], None] = lambda: None
+        self._buffers: Buffers | None = None
+        self._copied: _Versions = _NOTHING
+        # The graph reads memory that only the work holds, such as the spectrum of the noise: both live alike.
+        self._work: Callable[[], None] = lambda: None
+        self._graph: Callable[[], None] | None = None
+        self._unchecked = False
 
     @torch.no_grad()
     def improve(
@@ -92,25 +83,52 @@ class DevicePlanner:
         """Improve a plan, as `mppi.improve`; all that is given and returned lies on the CPU.
 
         Raises:
-            PlanningError: no sample has a finite cost.
+            PlanningError: no sample has a finite cost, or a new graph computes something else than its work.
         """
-        settings = self.settings
+        self.load(controls, model_state, situation, weights, codes, previous=previous)
+        assert self._buffers is not None
+        if self._graph is not None and self._unchecked:
+            self._unchecked = not is_same(self._work, self._graph, self._generator, self._buffers)
+        (self._graph or self._work)()
+        plan, costs, shares = outcome(self._buffers)
+        if not costs.isfinite().any():
+            raise no_finite_cost(len(costs))
+        plan = limited(smoothed(plan, self.settings.smoothing)[None], self.settings, previous)[0]
+        return Plan(plan, costs, shares)
+
+    @torch.no_grad()
+    def load(
+        self,
+        controls: Float[Tensor, "T U"],
+        model_state: ModelState,
+        situation: Situation,
+        weights: CostWeights,
+        codes: Codes,
+        *,
+        previous: Float[Tensor, " U"] | None = None,
+    ) -> None:
+        """Copy to the device what a plan depends on; cells of maps that are those of the last call are there already.
+
+        Maps are the same where their tensors are, unless torch changed them since.
+        """
         packed = packed_situation(self.dynamics, model_state, situation, weights, codes)
         maps = packed_maps(situation, codes, torch.device("cpu"))
         buffers = self._buffers_for(controls, packed, maps)
-        buffers.plan.copy_(controls)
-        buffers.bounds.copy_(bounds_of(settings, previous))
-        buffers.situation.copy_(packed)
-        for room, part in zip((buffers.slope, buffers.codes, buffers.layers), maps, strict=True):
-            room[: part.numel()].copy_(part.flatten())
-        self._run()
-        plan, costs, shares = buffers.plan.cpu(), buffers.costs.cpu(), buffers.weights.cpu()
-        if not costs.isfinite().any():
-            raise no_finite_cost(len(costs))
-        plan = limited(smoothed(plan, settings.smoothing)[None], settings, previous)[0]
-        return Plan(plan, costs, shares)
+        into(buffers.plan, controls)
+        into(buffers.bounds, bounds_of(self.settings, previous))
+        into(buffers.situation, packed)
+        rooms = buffers.slope, buffers.codes, buffers.layers
+        # Tensors of inference mode have no version that says whether they changed: they are never those of before.
+        given = tuple(
+            (cells, None if cells.is_inference() else cells._version)
+            for cells in (situation.ground.slope, codes[0], situation.costs.layers)
+        )
+        for room, part, new, old in zip(rooms, maps, given, self._copied, strict=True):
+            if new[0] is not old[0] or new[1] is None or new[1] != old[1]:
+                into(room[: part.numel()], part.flatten())
+        self._copied = given
 
-    def _buffers_for(self, controls: Tensor, packed: Tensor, maps: tuple[Tensor, Tensor, Tensor]) -> _Buffers:
+    def _buffers_for(self, controls: Tensor, packed: Tensor, maps: Maps) -> Buffers:
         """The buffers, where the plan and its maps fit; else new ones, and what runs on them."""
         held = self._buffers
         rooms = () if held is None else (held.slope, held.codes, held.layers)
@@ -119,17 +137,22 @@ class DevicePlanner:
             return held
         new = partial(torch.zeros, device=self.device)
         samples, held_sizes = self.settings.samples, [room.numel() for room in rooms] or [0] * len(maps)
-        # As large as any map so far, so that maps that are large in different ways do not take turns.
-        slope, code, layers = (new(max(part.numel(), size)) for part, size in zip(maps, held_sizes, strict=True))
+        # As large as any map so far, so that maps that are large in different ways do not take turns; and larger, so
+        # that a map that grows by a row at a time does not mean a graph each time.
+        sizes = (max(power_of_two(part.numel()), size) for part, size in zip(maps, held_sizes, strict=True))
+        slope, code, layers = (new(size) for size in sizes)
         costs, shares = (new(samples, dtype=torch.float64) for _ in range(2))
         plan, bounds = new(controls.shape), new(4, controls.shape[1])
-        self._buffers = _Buffers(plan, bounds, new(len(packed)), slope, code, layers, costs, shares)
+        buffers = Buffers(plan, bounds, new(len(packed)), slope, code, layers, costs, shares)
         noise = prepared(self.settings.noise, len(controls), self.device)
-        run = partial(self._iterate, self._buffers, noise or self.settings.noise)
-        self._run = captured(run, self._generator) if noise and self.device.type == "cuda" else run
-        return self._buffers
+        self._work = partial(self._iterate, buffers, noise or self.settings.noise)
+        self._buffers, self._graph, self._copied = None, None, _NOTHING
+        if noise and self._capture is not None:
+            self._graph, self._unchecked = self._capture(self._work, self._generator), True
+        self._buffers = buffers  # not before the graph is there: the next plan would do without one
+        return buffers
 
-    def _iterate(self, b: _Buffers, noise: Noise) -> None:
+    def _iterate(self, b: Buffers, noise: Noise) -> None:
         """All iterations of a plan, from buffers to buffers, without waiting for the device."""
         settings, (steps, count) = self.settings, b.plan.shape
         for _ in range(settings.iterations):
@@ -145,7 +168,7 @@ class DevicePlanner:
                 costs, None, steps,
             )  # fmt: skip
             b.costs.copy_(costs)
-            finite = torch.where(b.costs.isfinite(), b.costs, torch.inf)
+            finite = b.costs.masked_fill(~b.costs.isfinite(), torch.inf)
             b.weights.copy_(torch.softmax((finite.min() - finite) / settings.temperature, dim=0))
             b.plan.copy_(torch.einsum("k,tuk->tu", b.weights.float(), by_step))
 
@@ -165,19 +188,17 @@ def prepared(noise: Noise, steps: int, device: torch.device) -> Noise | None:
     return lambda shape, generator, dtype: from_coefficients(shape, generator, size, period)
 
 
-def captured(run: Callable[[], None], generator: Generator) -> Callable[[], None]:
-    """What replays a function's work on the GPU as one graph, new random numbers each time."""
-    warm = torch.cuda.Stream(generator.device)
-    warm.wait_stream(torch.cuda.current_stream(generator.device))
-    with torch.cuda.stream(warm):  # libraries allocate and compile at their first call, which a graph cannot hold
-        for _ in range(2):
-            run()
-    torch.cuda.current_stream(generator.device).wait_stream(warm)
-    graph: Any = torch.cuda.CUDAGraph()
-    graph.register_generator_state(generator)
-    with torch.cuda.graph(graph):
-        run()
-    return graph.replay  # type: ignore[no-any-return]
+def into(buffer: Tensor, values: Tensor) -> None:
+    """Copy values from the CPU; to a GPU by pinned memory, so that nothing waits."""
+    if buffer.device.type == "cuda":
+        buffer.copy_(values.pin_memory(), non_blocking=True)
+    else:
+        buffer.copy_(values)
+
+
+def power_of_two(count: int) -> int:
+    """The smallest power of two that is not below a count."""
+    return 1 << max(count - 1, 0).bit_length()
 
 
 def _groups(settings: Settings) -> tuple[Float[Tensor, "K 1 U"], Float[Tensor, "K 1 1"], Float[Tensor, " U"]]:

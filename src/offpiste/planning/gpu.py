@@ -16,16 +16,11 @@ from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import Codes, fused_costs
+from offpiste.planning.plan_graph import APART, HOW, captured
 from offpiste.state import ModelState
 
 CHECKED: Final = 64
 """Samples whose costs are compared."""
-
-APART: Final = 1e-3
-"""Largest median of the relative differences; single samples part where rounding chooses another cell."""
-
-
-HOW: Final = "plan on the CPU, and report GPU, driver and this line"
 
 
 def gpu_planner(
@@ -46,7 +41,7 @@ def gpu_planner(
     if place.type != "cuda" or not torch.cuda.is_available():
         raise PlanningError(f"no GPU '{device}' for planning", how="plan on the CPU, or install torch for CUDA")
     kernels = cuda_kernels(plan_text(dynamics, situation.costs.table), place)
-    return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed))
+    return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed), captured)
 
 
 def check_planner(
