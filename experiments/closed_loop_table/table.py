@@ -37,7 +37,10 @@ COUNTED: Final = {
 }
 FREED: Final = "and finished"
 """Column of the drives that backed out and finished."""
-BOTH_FINISH: Final = "driven cost where both finish (pairs)"
+BOTH_FINISH: Final = {
+    "driven_cost": "driven cost where both finish (pairs)",
+    "moving_cost": "behind the run-up where both finish",
+}
 ORDER: Final = ("parametric", "b", "cf", "dc", "ceiling")
 """Each knows more than those before."""
 
@@ -182,11 +185,11 @@ def _differences(drives: Drives, limit: float) -> list[str]:
     """A line for every two planners that are compared."""
     lines = [
         "Paired differences on the same courses between runs of the same seeds, or the only runs that there are, with"
-        " 95 % intervals bootstrapped over courses and seeds. The last column leaves out drives that not both finish,"
-        " and so shows how they drive, not how often they stop.",
+        " 95 % intervals bootstrapped over courses and seeds. The last two leave out drives that not both finish,"
+        " and so show how they drive, not how often they stop.",
         "",
-        _line(["difference", *MEASURES.values(), BOTH_FINISH]),
-        _rule(2 + len(MEASURES)),
+        _line(["difference", *MEASURES.values(), *BOTH_FINISH.values()]),
+        _rule(1 + len(MEASURES) + len(BOTH_FINISH)),
     ]
     for row in drives:
         for other in (o for o in drives if o != row and _compared(row, o)):
@@ -205,12 +208,15 @@ def _paired_runs(mine: Mapping[int, Sequence[Drive]], its: Mapping[int, Sequence
 
 
 def _compare(mine: Runs, its: Runs, limit: float) -> list[str]:
-    """Cells of a line: a difference for each measure, and that of the costs where both finish."""
+    """Cells of a line: a difference for each measure, and those of the costs where both finish."""
     found = {key: paired(_values(mine, key, limit), _values(its, key, limit)) for key in MEASURES}
     finish = _finished(mine) & _finished(its)
-    costs = [np.where(finish, _values(runs, "driven_cost", limit), np.nan) for runs in (mine, its)]
     cells = [_interval(difference, key) for key, difference in found.items()]
-    return [*cells, f"{_interval(paired(costs[0], costs[1]), 'driven_cost')} ({finish.sum()})"]
+    for key in BOTH_FINISH:
+        one, other = (np.where(finish, _values(runs, key, limit), np.nan) for runs in (mine, its))
+        pairs = f" ({finish.sum()})" if key == "driven_cost" else ""
+        cells.append(f"{_interval(paired(one, other), key)}{pairs}")
+    return cells
 
 
 def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> str:
