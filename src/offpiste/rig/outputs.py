@@ -97,7 +97,7 @@ class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         throttle, brake, steer: largest commands; the brake of a stop is not limited.
         throttle_rate, brake_rate, steer_rate: fastest changes [1/s]; throttle is released, and the brake of a stop
             applied, at once.
-        speed: no higher speed is sent, in either direction; where the vehicle is faster, the throttle is released [m/s].
+        speed: no higher one is sent, in either direction; where the vehicle is faster, throttle is released [m/s].
         yaw_rate: no higher yaw rate is sent [rad/s].
     """
 
