@@ -50,6 +50,17 @@ type = "ackermann_msgs/msg/AckermannDriveStamped"
 "drive.steering_angle" = { of = "steer", unit = "rad" }
 "drive.speed" = { of = "speed" }
 """
+ACTUATORS = """
+[channels.brake_pressure]
+topic = "/odom"
+fields = ["pose.covariance[0]"]
+[channels.steer_angle]
+topic = "/odom"
+fields = ["pose.covariance[1]"]
+[channels.engine_rpm]
+topic = "/odom"
+fields = ["pose.covariance[2]"]
+"""
 ENABLE = '[live.enable]\ntopic = "/enable"\n'
 
 
@@ -57,9 +68,13 @@ def rig(more=""):
     return parse_rig(RIG + more, where="test")
 
 
-def write_rig(folder: Path, more="") -> str:
+def write_rig(folder: Path, more="", *, actuators=False) -> str:
+    """The rig as a file; with actuators, those that the shipped runs read are measured."""
+    text, absent = RIG + more, ', "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"'
+    if actuators:
+        text = text.replace(absent, "").replace("[lidars", ACTUATORS + "[lidars")
     file = folder / "rig.toml"
-    file.write_text(RIG + more)
+    file.write_text(text)
     return str(file)
 
 

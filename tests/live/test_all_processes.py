@@ -23,17 +23,6 @@ from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network, free_port, until
 
 RUN = "pretrained:proving-ground/parametric"
-ACTUATORS = """
-[channels.brake_pressure]
-topic = "/odom"
-fields = ["pose.covariance[0]"]
-[channels.steer_angle]
-topic = "/odom"
-fields = ["pose.covariance[1]"]
-[channels.engine_rpm]
-topic = "/odom"
-fields = ["pose.covariance[2]"]
-"""
 
 
 class Robot:
@@ -59,15 +48,9 @@ class Live:
     def __init__(self, folder):
         self.network = Network()
         self.robot = Robot(self.network)
-        rig = folder / "rig.toml"
-        write_rig(folder)
-        absent = ', "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"'
-        rig.write_text(rig.read_text().replace(absent, ', "steer_rate"').replace("[lidars", ACTUATORS + "[lidars"))
-        rig.write_text(rig.read_text().replace('absent = ["throttle", "brake", "steer", "steer_rate"]',
-                                               'absent = ["throttle", "brake", "steer"]'))  # fmt: skip
         self.log = folder / "drive.mcap"
         settings = LiveSettings(
-            str(rig), RUN, None, CourseRequest(write_course(folder)), small_settings(),
+            write_rig(folder, actuators=True), RUN, None, CourseRequest(write_course(folder)), small_settings(),
             ZenohSettings(endpoint=self.network.endpoint), drive=True, record=self.log,
         )  # fmt: skip
         self._new = new_session(settings)
@@ -135,8 +118,8 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path, router):
     with closing(Network()) as network, said.open("w") as file:
         endpoint = ["--endpoint", f"tcp/127.0.0.1:{free_port()}" if router else network.endpoint]
         where = ["--router", *endpoint] if router else endpoint
-        command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), "--run", RUN, *where,
-                   "--course", str(write_course(tmp_path)), "--drive"]  # fmt: skip
+        command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path, actuators=True), "--run", RUN,
+                   *where, "--course", str(write_course(tmp_path)), "--drive"]  # fmt: skip
         live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
         assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
         children = _descendants(live.pid)
@@ -152,7 +135,7 @@ def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
     with closing(Network()) as network, said.open("w") as file:
         options = ["--run", RUN, "--endpoint", network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]
         heeding = ["env", "--default-signal=HUP,INT"]  # also where the tests run under nohup
-        command = [*heeding, sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), *options]
+        command = [*heeding, sys.executable, "-m", "offpiste", "live", write_rig(tmp_path, actuators=True), *options]
         live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
         assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
         children = _descendants(live.pid)

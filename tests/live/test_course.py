@@ -52,10 +52,17 @@ def test_a_path_message_and_a_goal():
     def pose(x, y):
         return Message(pose=Message(position=Message(x=x, y=y)))
 
-    course = course_from_message(Message(poses=[pose(0.0, 1.0), pose(5.0, 1.0)]), 2.0, "/plan")
-    np.testing.assert_array_equal(course.path, [[0, 1], [5, 1]])
+    def path(*poses, frame=""):
+        return Message(header=Message(frame_id=frame), poses=poses)
+
+    there = path(pose(0.0, 1.0), pose(5.0, 1.0), frame="map")
+    for frame in ("", "map"):
+        course = course_from_message(there, 2.0, "/plan", frame)
+        np.testing.assert_array_equal(course.path, [[0, 1], [5, 1]])
+    with pytest.raises(LiveError, match="a path in 'map', the vehicle's poses are in 'odom'"):
+        course_from_message(there, 2.0, "/plan", "odom")
     with pytest.raises(LiveError, match="topic '/plan'"):
-        course_from_message(Message(poses=[]), 2.0, "/plan")
+        course_from_message(path(), 2.0, "/plan")
     course = course_to(np.array((8.0, 0.0)), np.zeros(2), 2.0)
     np.testing.assert_array_equal(course.path, [[0, 0], [8, 0]])
     with pytest.raises(LiveError, match="the goal"):

@@ -9,6 +9,7 @@ import pytest
 
 from live.made_up_robot import ENABLE, START, cloud, odometry, tree, write_rig
 from offpiste.live.doctor import examined
+from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network, free_port
 
@@ -77,6 +78,11 @@ def commands(network):
     threading.Timer(0.3, lambda: publish(made)).start()
 
 
+def presses(network):
+    publish = network.session().publisher("/enable", "std_msgs/msg/Bool")
+    threading.Timer(0.3, lambda: publish(make("std_msgs/Bool", data=True))).start()
+
+
 def spoiled(message):
     message.pose.pose.position.x = np.nan
     return message
@@ -94,9 +100,14 @@ WRONG = {
     "another field": (replaced("twist.twist.linear.x", "twist.linear.x"), r"linear_velocity: .*linear"),
     "another type": ({"more": '[live.types]\n"/odom" = "geometry_msgs/msg/PoseStamped"\n'}, r"/odom: of type nav_msgs"),
     "numbers that are none": ({"odom": spoiled}, r"position: not finite or not valid"),
+    "a switch without its field": (
+        {"more": ENABLE + 'field = "seq"\n', "before": presses},
+        r"/enable: std_msgs/msg/Bool has no number 'seq'",
+    ),
+    "unknown type of a topic": ({"more": '[live.types]\n"/odom" = "my_msgs/msg/Odom"\n'}, r"my_msgs.* is not known"),
     "silent switch": ({"more": ENABLE}, r"/enable: nothing heard"),
     "unknown type of a command": (replaced("ackermann_msgs", "my_msgs"), r"my_msgs.* is not known"),
-    "a model that reads more": ({"run": "pretrained:proving-ground/parametric"}, r"reads brake, .*rig does not have"),
+    "a model that reads more": ({"run": "pretrained:proving-ground/parametric"}, r"reads brake, .* does not have"),
     "another hash": ({"before": lambda n: threading.Timer(0.3, other_hash, [n]).start()}, r"its hash differs"),
     "a rig that is none": ({"change": lambda t: t + "["}, r"not valid TOML"),
 }  # fmt: skip
@@ -107,6 +118,22 @@ def test_what_is_wrong_is_named(tmp_path, case):
     options, what = WRONG[case]
     said = errors(found(tmp_path, **options))
     assert any(re.search(what, line) for line in said), said
+
+
+def test_what_is_wrong_with_the_outputs_does_not_hide_the_rest(tmp_path):
+    more = '[live.types]\n"/drive" = "my_msgs/msg/Drive"\n'
+    unknown = lambda text: text.replace("ackermann_msgs/msg/AckermannDriveStamped", "my_msgs/msg/Drive")  # noqa: E731
+    findings = found(tmp_path, more=more, change=unknown)
+    assert len(errors(findings)) == 2, "of the type, and of the output"
+    assert any(what.startswith(f"/odom: {ODOM}") for _, what in findings)
+
+
+def test_ages_count_by_stamps_only_where_the_rig_has_them_count(tmp_path):
+    assert errors(found(tmp_path, late=5.0, more='[clock]\nstamps = "receive"\n')) == []
+
+
+def test_versions_are_said(tmp_path):
+    assert re.search(r"offpiste \S+, eclipse-zenoh \S+, rosbags \S+, torch \S+, Python 3", found(tmp_path)[0].what)
 
 
 def test_others_who_command_are_named(tmp_path):

@@ -58,6 +58,12 @@ def test_the_dead_mans_switch_has_to_be_heard_and_pressed():
     assert lost.control[:2].tolist() == [0.0, 0.5]
 
 
+def test_a_switch_without_its_field_is_named():
+    gate = Gate(LIMITS, Enable("/enable", field="value", timeout=0.3), 0.5)
+    gate.enabled(None, 1.0)
+    assert gate.blocked(1.1) == "the messages of the enable topic have no number 'value'"
+
+
 def test_while_another_commands_the_vehicle_is_stopped():
     gate = Gate(LIMITS, None, 0.5)
     settled(gate, FULL)

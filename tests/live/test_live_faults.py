@@ -16,14 +16,17 @@ import torch
 from live.made_up_robot import ENABLE, write_course, write_rig
 from live.test_all_processes import runs
 from live.test_supervisor import RUN, Drive, first_stop
-from offpiste.errors import LiveError, PlanningError
+from offpiste.closed_loop.planner import load_planner
+from offpiste.errors import LiveError, PlanningError, RigError
 from offpiste.live.commands import run_live
+from offpiste.live.driver import refuse_unfit
 from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
 from offpiste.live.part import STAMP
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.logs.ros.writer import make
 from offpiste.planning.caution import AddSpread
+from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
@@ -220,6 +223,38 @@ def test_a_risk_that_needs_a_spread_is_refused_before_anything_starts(tmp_path):
         run_live(
             LiveSettings(write_rig(tmp_path), RUN, None, course, runtime), lockstep=False, replay=None, commands=None
         )
+
+
+@pytest.mark.parametrize("run", [RUN, "pretrained:proving-ground/dc"])
+def test_a_model_that_reads_what_the_rig_lacks_is_refused_before_anything_starts(tmp_path, run):
+    course = CourseRequest(write_course(tmp_path))
+    with pytest.raises(LiveError, match=r"reads brake, .*engine_rpm, which rig 'made up' does not have"):
+        run_live(LiveSettings(write_rig(tmp_path), run, None, course), lockstep=False, replay=None, commands=None)
+    with pytest.raises(LiveError, match=r"reads images, and rig 'made up' has no cameras"):
+        refuse_unfit(load_planner("pretrained:proving-ground/dc"), load_rig(write_rig(tmp_path, actuators=True)))
+
+
+@pytest.mark.parametrize(
+    ("more", "change", "what"),
+    [
+        ('[live.types]\n"/odom" = "my_msgs/msg/Odom"\n', "", r"my_msgs/msg/Odom is not known.*live.definitions"),
+        (ENABLE + 'field = "on"\n[live.types]\n"/enable" = "std_msgs/msg/Bool"\n', "", r"'on' is no such field"),
+        ("", '"drive.accel', r"a field is not one of its type"),
+    ],
+)
+def test_types_and_fields_are_refused_before_anything_starts(tmp_path, more, change, what):
+    rig = Path(write_rig(tmp_path, more, actuators=True))
+    rig.write_text(rig.read_text().replace('"drive.acceleration', change or '"drive.acceleration'))
+    settings = LiveSettings(str(rig), RUN, None, CourseRequest(write_course(tmp_path)), drive=True)
+    with pytest.raises(RigError, match=what):
+        run_live(settings, lockstep=False, replay=None, commands=None)
+
+
+def test_driving_without_a_dead_mans_switch_is_warned_of(tmp_path, caplog):
+    settings = LiveSettings(write_rig(tmp_path), RUN, None, CourseRequest(write_course(tmp_path)), drive=True)
+    with pytest.raises(LiveError, match="does not have"):
+        run_live(settings, lockstep=False, replay=None, commands=None)
+    assert "without a dead man's switch" in caplog.text
 
 
 LEFT = """

@@ -1,23 +1,40 @@
 """The process that plans: what it keeps does not grow, and a course is continued where it was."""
 
+import time
+from contextlib import closing
+from pathlib import Path
+
 import numpy as np
 import torch
 
-from live.made_up_robot import small_settings, write_course, write_rig
+from live.made_up_robot import START, cloud, odometry, planner, small_settings, tree, write_course, write_rig
 from live.test_supervisor import RUN
-from offpiste.live.packing import pack_course, pack_measured, packed, unpacked
+from offpiste.live.driver import Heard, StepDriver
+from offpiste.live.packing import pack_course, pack_layers, pack_measured, packed, unpacked
 from offpiste.live.part import Part
+from offpiste.live.parts.control import Controller
 from offpiste.live.parts.plan import Plans
-from offpiste.live.reception import CourseRequest
+from offpiste.live.reception import CourseRequest, Reception
 from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.course import Course
+from offpiste.rig.rig import load_rig
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.plan_maker import Planned
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
+from offpiste.transport.zenoh_transport import ZenohSettings
+from transport.routers import Network
 
-COMMANDED = {"applied": np.zeros(3), "stopping": False, "gear": 1.0, "mode": "driving", "course": 1, "progress": 30.0}
+COMMANDED = {"applied": np.zeros(3), "given": np.zeros(3), "stopping": False, "gear": 1.0, "mode": "driving"}
+COMMANDED |= {"course": 1, "progress": 30.0}
+FLAT = np.zeros((3, 4))
+LAYERS = TerrainLayers(
+    np.zeros(2), 0.5, FLAT, np.zeros((3, 4, 3)), FLAT, FLAT, FLAT, np.zeros((3, 4, 2)), FLAT,
+    FLAT == 0, FLAT == 0, FLAT != 0,
+)  # fmt: skip
 STRAIGHT = Course(np.stack((np.arange(0.0, 60), np.zeros(60)), axis=1), np.full(60, 4.0))
 
 
@@ -64,6 +81,76 @@ def test_it_keeps_no_plan_that_is_over_and_continues_a_course_where_control_is(t
         assert state == "ready"
         assert len(plans._follower.schedule._plans) < 10
         assert plans._follower.tracker.progress == 30.0, "and not at the beginning of the course"
+
+
+def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in_lockstep(tmp_path):
+    more, commanded = "", {"throttle": 0.7, "brake": 0.1, "steer": -0.3}
+    for k, name in enumerate(commanded):
+        more += f'[channels.{name}]\ntopic = "/odom"\nfields = ["pose.covariance[{10 + k}]"]\n'
+    file = Path(write_rig(tmp_path, actuators=True))
+    file.write_text(file.read_text().replace('"throttle", "brake", "steer"', "") + more)
+    vehicle, request = load_rig(file), CourseRequest(write_course(tmp_path))
+    reception = Reception(vehicle, request, cameras=False)
+    driver = StepDriver(vehicle, planner(), reception, small_settings())
+
+    def messages():
+        for row in range(10):
+            message = odometry(row / 50, row / 25, 2.0)
+            message.pose.covariance[10:13] = list(commanded.values())
+            yield START / 1e9 + row / 50, message
+
+    driver.step([Heard("/tf_static", tree(), START / 1e9), Heard("/points", cloud(0.0), START / 1e9)], START / 1e9)
+    for now, message in messages():
+        step = driver.step([Heard("/odom", message, now)], now)
+    assert step.command.control.tolist() != list(commanded.values())
+    lockstep = driver.runtime._track.rows(now + 0.02).control
+
+    with closing(Network()) as network:
+        robot = ZenohSettings(endpoint=network.endpoint)
+        settings = LiveSettings(str(file), RUN, None, request, small_settings(), robot)
+        with new_session(settings) as session:
+            parts = {name: Part(name, session) for name in ("control", "plan")}
+            controller, plans = Controller(parts["control"]), Plans(parts["plan"])
+            session.ring("course").write(pack_course(reception.course))
+            vehicle_messages = VehicleMessages(vehicle)
+            for now, message in messages():
+                for part in parts.values():
+                    part.now = lambda: now  # noqa: B023
+                reading = vehicle_messages.take("/odom", message, now)
+                control = vehicle_messages.control(now)
+                session.ring("readings").write(pack_measured(reading, control=control, came=time.monotonic()))
+                controller.tick()
+            plans.plan()
+            controller.transport.close()
+    real = plans._feed.track.rows(now + 0.02).control
+    np.testing.assert_allclose(real[-3:], lockstep[-3:])
+    np.testing.assert_allclose(real[-1], list(commanded.values()), rtol=1e-6)
+
+
+def test_after_a_jump_a_map_of_before_is_not_taken(tmp_path):
+    settings = LiveSettings(write_rig(tmp_path), RUN, None, CourseRequest(write_course(tmp_path)), small_settings())
+    with new_session(settings) as session:
+        session.ring("course").write(pack_course(STRAIGHT))
+        part = Part("plan", session)
+        plans = Plans(part)
+        plans._maker.plan = Maker().plan
+        clock = [100.0]
+        part.now = lambda: clock[0]
+
+        def plan(x, *, mapped):
+            clock[0] += 0.1
+            place = np.array((x, 0.0, 0))
+            still = VehicleReading(clock[0], place, np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0, np.zeros(4))
+            session.ring("readings").write(pack_measured(still, control=None, came=0.0))
+            if mapped:
+                session.ring("map").write(pack_layers(LAYERS, scan_time=clock[0]))
+            return plans.plan()
+
+        plan(0.0, mapped=False)
+        assert plan(0.0, mapped=True) == "ready"
+        plan(50.0, mapped=True)
+        assert plan(50.0, mapped=False) == "waits for a map", "the one that is there is of the pose before"
+        assert plan(50.0, mapped=True) == "ready"
 
 
 def test_what_is_larger_than_the_memory_for_it_is_dropped_and_counted(tmp_path):

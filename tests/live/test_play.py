@@ -4,10 +4,11 @@ import time
 
 import pytest
 
-from live.made_up_robot import write_log
+from live.made_up_robot import START, odometry, write_log
 from offpiste.errors import LiveError
 from offpiste.live.log_steps import RecordedDrive
-from offpiste.live.play import LogPlayer
+from offpiste.live.play import LogPlayer, clock_message
+from offpiste.logs.ros.writer import McapWriter, make
 from transport.routers import network, until
 
 __all__ = ["network"]
@@ -28,6 +29,22 @@ def test_it_takes_as_long_as_the_log_and_publishes_all_of_it(tmp_path, network):
     assert until(lambda: len(got) == 51)
     assert until(lambda: len(clocks) == played.steps)
     assert player.left_out == ("/points",)
+
+
+def test_a_recorded_clock_and_what_offpiste_published_are_not_played(tmp_path, network):
+    path = tmp_path / "a.mcap"
+    with McapWriter(path) as writer:
+        writer.write("/odom", odometry(0.0), START)
+        writer.write("/clock", clock_message(5), START)
+        writer.write("/offpiste/mode", make("std_msgs/String", data="driving"), START)
+    listener, clocks = network.session(), []
+    listener.subscribe("/clock", clocks.append)
+    player = LogPlayer(RecordedDrive(path), network.session())
+    assert player.left_out == ("/clock", "/offpiste/mode")
+    time.sleep(0.3)
+    played = player.play(1.0, 10.0)
+    assert played.messages == 1
+    assert until(lambda: len(clocks) == played.steps)
 
 
 def test_a_rate_that_is_none_is_refused(tmp_path, network):

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.cli.robot_options import RobotOptions
+from offpiste.cli.robot_options import RUN, RobotOptions
 
 
 @COMMANDS.register("doctor")
@@ -17,8 +17,8 @@ class Doctor:
 
     rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
     """Of the vehicle: a .toml file, or a preset's name."""
-    run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = ""
-    """The run that is to drive: does the robot measure what it reads?"""
+    run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
+    """The run that is to drive, as for `live`: does the robot measure what it reads?"""
     pca: Path | None = None
     """Of that run, as for `live`."""
     seconds: float = 3.0

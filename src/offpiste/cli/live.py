@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.cli.robot_options import RobotOptions
+from offpiste.cli.robot_options import RUN, RobotOptions
 from offpiste.conventions import PERCEPTION_LATENCY
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ class Live:
 
     rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
     """Of the vehicle, with [outputs]: a .toml file, or a preset's name."""
-    run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = "pretrained:proving-ground/b"
+    run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
     """A folder that `train` wrote, or `pretrained:NAME`."""
     pca: Path | None = None
     """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""

@@ -26,7 +26,7 @@ class Play:
     lockstep: bool = False
     """Step by step: wait for the command of `offpiste live --lockstep` after each."""
     without: tuple[str, ...] = ()
-    """Topics that are left out, e.g. the recorded commands."""
+    """Topics that are left out, e.g. the recorded commands; /clock and /offpiste/… always are."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:

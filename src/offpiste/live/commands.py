@@ -14,7 +14,7 @@ from offpiste.live.driver import Step, StepDriver
 from offpiste.live.lockstep import Lockstep
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer
-from offpiste.live.reception import Reception
+from offpiste.live.reception import Reception, check_types
 from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings, ViewSettings
 from offpiste.live.supervisor import supervise
@@ -38,6 +38,9 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     rig, planner = load_rig(settings.rig), settings.load_planner()
     _refuse_driving(settings, rig)
+    types = MessageTypes([Path(name) for name in rig.live.definitions])
+    check_types(rig, types)
+    CommandMessages(rig, types)  # refuses outputs that cannot be sent
     caution_of(settings.runtime.risk, planner.spread)  # refused here, not in each process anew
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
@@ -89,6 +92,8 @@ def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
         how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
         raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
     enable = rig.live.enable
+    if enable is None:
+        logger.warning(f"{settings.rig} has no [live.enable]: commands are sent without a dead man's switch")
     if enable is not None and not settings.robot.says_types and enable.topic not in rig.live.types:
         how = (
             f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the keys of the bridge do not say it'

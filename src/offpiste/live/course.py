@@ -43,12 +43,19 @@ def read_course(path: Path, speed: float) -> Course:
     return course_of(xy, speeds, where=str(path))
 
 
-def course_from_message(message: Any, speed: float, topic: str) -> Course:
+def course_from_message(message: Any, speed: float, topic: str, frame: str = "") -> Course:
     """The course of a nav_msgs/Path, whose poses are in the world of the vehicle's poses.
 
+    Args:
+        frame: of the vehicle's poses; "" where they do not say it.
+
     Raises:
-        LiveError: it has no two points.
+        LiveError: it has no two points, or is in another frame.
     """
+    given = str(message.header.frame_id).lstrip("/")
+    if frame and given and given != frame:
+        how = f"publish it in '{frame}'"
+        raise LiveError(f"a path in '{given}', the vehicle's poses are in '{frame}'", where=f"topic '{topic}'", how=how)
     places = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses[: _LONGEST + 1]]
     xy = np.array(places, dtype=np.float64).reshape(-1, 2)
     return course_of(xy, np.full(len(xy), speed), where=f"topic '{topic}'")

@@ -1,12 +1,14 @@
 """Before anything moves: the computer, the rig, the model, the connection, and what is heard of the robot."""
 
 import os
+import platform
 import shutil
 import time
-from collections import defaultdict
+from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -15,11 +17,12 @@ import numpy as np
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.live.command_messages import CommandMessages
-from offpiste.live.driver import refuse_ceiling
+from offpiste.live.driver import refuse_unfit
+from offpiste.live.reception import check_types, is_pressed
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
-from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.logs.ros.bag_files import field_getter, stamp_of
 from offpiste.parallel import usable_cores
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -32,6 +35,8 @@ _FREE_MEMORY: Final = 3.0
 """Of a drive with a model that reads images, about [GB]."""
 _SHARED_MEMORY: Final = 0.5
 """Of its rings [GB]."""
+_WAITING: Final = 16
+"""Messages of a topic that wait to be decoded; where more do, the oldest are left out, but count."""
 _OLD: Final = 0.3
 """Readings and scans that are older than this when they come are late [s]."""
 
@@ -45,11 +50,12 @@ class Finding(NamedTuple):
 
 @dataclass
 class Heard:
-    """What was heard on a topic: types, arrivals, and ages by the stamps [s]."""
+    """What was heard on a topic: number of messages, their types, and ages by the stamps [s]."""
 
+    count: int = 0
     types: set[str] = field(default_factory=set)
-    times: list[float] = field(default_factory=list)
     ages: list[float] = field(default_factory=list)
+    waiting: deque[Received] = field(default_factory=lambda: deque(maxlen=_WAITING))
 
 
 def examined(
@@ -83,10 +89,16 @@ def examined(
     with closing(transport):
         yield Finding("ok", f"connected, {transport.routers()} router{'s' * (transport.routers() != 1)}")
         yield from _outputs(rig, transport)
-        yield from _Listener(rig, transport, cameras=cameras).findings(seconds, clock)
+        try:
+            listener = _Listener(rig, transport, cameras=cameras)
+        except OffpisteError:  # channels that cannot be read live, which `_for_driving` has named
+            return
+        yield from listener.findings(seconds, clock)
 
 
 def _computer() -> Iterator[Finding]:
+    said = ", ".join(f"{name} {version(name)}" for name in ("offpiste", "eclipse-zenoh", "rosbags", "torch"))
+    yield Finding("ok", f"{said}, Python {platform.python_version()}")
     cores = usable_cores()
     few = f"{cores} cores: plans and maps will be late; {_CORES} or more are better"
     yield Finding("warning", few) if cores < _CORES else Finding("ok", f"{cores} cores")
@@ -116,21 +128,23 @@ def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
     """Findings, and whether the model reads images."""
     try:
         planner = load_planner(run, pca)
-        refuse_ceiling(planner)
     except OffpisteError as error:
         return [Finding("error", str(error))], True
     found = [Finding("ok", f"run {run}: {planner.name}")]
-    lacks = [name for name in planner.dynamics.vehicle.actuators if name not in rig.present_actuators]
-    if lacks:
-        found.append(Finding("error", f"the model reads {', '.join(lacks)}, which the rig does not have"))
+    try:
+        refuse_unfit(planner, rig)
+    except OffpisteError as error:
+        found.append(Finding("error", str(error)))
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         found.append(Finding("warning", f"the model was trained on another vehicle: {apart}"))
-    if planner.extractor is not None and not rig.cameras:
-        found.append(Finding("error", "the model reads images, and the rig has no cameras"))
     return found, planner.extractor is not None
 
 
 def _outputs(rig: Rig, transport: ZenohTransport) -> Iterator[Finding]:
+    try:
+        check_types(rig, transport.types)
+    except OffpisteError as error:
+        yield Finding("error", str(error))
     try:
         messages = CommandMessages(rig, transport.types)
     except OffpisteError as error:
@@ -146,31 +160,39 @@ class _Listener:
     def __init__(self, rig: Rig, transport: ZenohTransport, *, cameras: bool) -> None:
         self._rig, self._transport = rig, transport
         self._vehicle, self._sensors = VehicleMessages(rig), SensorMessages(rig, cameras=cameras)
-        self._heard: defaultdict[str, Heard] = defaultdict(Heard)
-        self._received: list[Received] = []
         enable = [] if rig.live.enable is None else [rig.live.enable.topic]
+        self._switch_without = ""
         self._static = set(rig.frames.topics)
         self._optional = {one.topic for one in rig.cameras.values() if one.optional}
         self._optional |= {one.topic for one in rig.lidars.values() if one.optional}
         self._optional |= {c.info for c in rig.cameras.values() if c.optional}
         self._commands = {output.topic for output in rig.outputs.values()}
         self._needed = dict.fromkeys([*self._vehicle.topics, *self._sensors.topics, *enable])
-        for topic in {*self._needed, *self._commands}:
+        self._all = {topic: Heard() for topic in (*self._needed, *self._commands)}
+        for topic in self._all:
             wanted = rig.live.types.get(topic, "")
-            transport.subscribe(topic, self._received.append, msgtype=wanted, history=topic in self._static)
+            wanted = wanted if wanted in transport.types else ""  # which is named already
+            transport.subscribe(topic, self._deliver, msgtype=wanted, history=topic in self._static)
 
     def findings(self, seconds: float, clock: Source) -> Iterator[Finding]:
         """Listen, and say what was heard."""
         if not 0 < seconds <= 600:
             raise LiveError(f"listening for {seconds:g} s", where="--seconds", how="give more than 0, and at most 600")
-        time.sleep(seconds)
-        for received in self._received:
-            self._take(received)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for heard in self._all.values():
+                while heard.waiting:
+                    self._take(heard.waiting.popleft(), heard)
+            time.sleep(0.02)
         others = self._transport.topics()
         for topic in self._needed:
             yield self._of(topic, seconds, clock, others)
-        for topic in self._commands & set(self._heard) - set(self._vehicle.topics):
+        for topic in self._commands & self._heard - set(self._vehicle.topics):
             yield Finding("warning", f"{topic}: someone else commands; with --drive the vehicle would be stopped")
+        if self._switch_without:
+            enable = self._rig.live.enable
+            assert enable is not None
+            yield Finding("error", f"{self._switch_without} has no number '{enable.field}': correct live.enable.field")
         for what, count in sorted((self._vehicle.dropped + self._sensors.dropped).items()):
             yield Finding("error", f"{what} ({count} times)")
         for what, count in sorted(self._transport.refused.items()):
@@ -179,15 +201,28 @@ class _Listener:
         if self._sensors.waiting_for:
             yield Finding("error", f"sensors cannot be set up: {self._sensors.waiting_for}")
 
-    def _take(self, received: Received) -> None:
+    @property
+    def _heard(self) -> set[str]:
+        """Topics of which a message was heard and decoded."""
+        return {topic for topic, heard in self._all.items() if heard.types}
+
+    def _deliver(self, received: Received) -> None:
+        """Called in zenoh's thread."""
+        heard = self._all[received.topic]
+        heard.count += 1
+        heard.waiting.append(received)
+
+    def _take(self, received: Received, heard: Heard) -> None:
         message = self._transport.decode(received)
         if message is None:
             return
-        heard = self._heard[received.topic]
         heard.types.add(received.type)
-        heard.times.append(received.received)
-        stamp = stamp_of(round(received.received * 1e9), message, "header")
+        stamp = stamp_of(round(received.received * 1e9), message, self._rig.clock.stamps)
         heard.ages.append(received.received - stamp)
+        enable = self._rig.live.enable
+        is_switch = enable is not None and received.topic == enable.topic
+        if enable is not None and is_switch and is_pressed(field_getter(enable.field), message) is None:
+            self._switch_without = f"{enable.topic}: {received.type}"
         self._vehicle.take(received.topic, message, received.received)
         if received.topic in self._sensors.topics:
             self._sensors.take(received.topic, message, received.received)
@@ -199,13 +234,13 @@ class _Listener:
             there = f"; {near}" if near else "" if topic not in others else f"; it is published, as {others[topic]}"
             optional = topic in self._optional or topic in self._commands
             return Finding("warning" if optional else "error", f"{topic}: nothing heard{there}")
-        heard = self._heard[topic]
+        heard = self._all[topic]
         kind = ", ".join(sorted(heard.types))
         if topic in self._static:
             return Finding("ok", f"{topic}: {kind}")
-        age, rate = float(np.median(heard.ages)), len(heard.times) / seconds
+        age, rate = float(np.median(heard.ages)), heard.count / seconds
         what = f"{topic}: {kind}, {rate:.1f} a second"
-        if clock != "system":
+        if clock != "system" or self._rig.clock.stamps == "receive":
             return Finding("ok", what)
         what += f", {1e3 * age:.0f} ms old"
         if not -0.05 < age < _OLD:

@@ -74,7 +74,7 @@ class StepDriver:
         shadow: bool = True,
         seed: int = 0,
     ) -> None:
-        refuse_ceiling(planner)
+        refuse_unfit(planner, rig)
         self._rig, self._planner, self._reception = rig, planner, reception
         self._settings, self._shadow, self._seed = settings or RuntimeSettings(), shadow, seed
         # In shadow mode nothing is sent: no switch has to be pressed for a look at what would be.
@@ -178,15 +178,23 @@ def sensor_setup_of(planner: Planner, sensors: Sensors) -> SensorSetup:
     return SensorSetup(lidars, pinholes, planner.extractor.extract)
 
 
-def refuse_ceiling(planner: Planner) -> None:
-    """Refuse a model that reads the simulator's own ground.
+def refuse_unfit(planner: Planner, rig: Rig) -> None:
+    """Refuse a model that reads what the robot does not measure: it would wait for it forever.
 
     Raises:
-        LiveError: it does.
+        LiveError: it reads the simulator's own ground, actuators that the rig lacks, or images without cameras.
     """
     if planner.knows_ground:
         how = "give a run trained on visual features, or on none"
         raise LiveError("reads the ground's true properties, which no robot has", where=planner.folder, how=how)
+    lacks = [name for name in planner.dynamics.vehicle.actuators if name not in rig.present_actuators]
+    if lacks:
+        how = "add their channels to the rig, or give a run trained without them"
+        what = f"the model reads {', '.join(lacks)}, which rig '{rig.name}' does not have"
+        raise LiveError(what, where=planner.folder, how=how)
+    if planner.extractor is not None and not rig.cameras:
+        how = "add its cameras to the rig, or give a run that reads no images"
+        raise LiveError(f"the model reads images, and rig '{rig.name}' has no cameras", where=planner.folder, how=how)
 
 
 STEP_NS = round(DT * 1e9)

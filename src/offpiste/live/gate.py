@@ -38,7 +38,8 @@ class Gate:
         self, limits: CommandLimits, enable: Enable | None, stop: float, last: Float[np.ndarray, " 3"] | None = None
     ) -> None:
         self._limits, self._enable, self._stop = limits, enable, stop
-        self._pressed, self._pressed_at, self._other_at = False, -np.inf, -np.inf
+        self._pressed: bool | None = False
+        self._pressed_at, self._other_at = -np.inf, -np.inf
         self._last = np.array((0.0, stop, 0.0)) if last is None else np.asarray(last, np.float64)
 
     @property
@@ -46,10 +47,11 @@ class Gate:
         """Steering that was sent last [-1..1]."""
         return float(self._last[2])
 
-    def enabled(self, pressed: bool, now: float) -> None:
+    def enabled(self, pressed: bool | None, now: float) -> None:
         """The switch was heard.
 
         Args:
+            pressed: None where its message has no such field.
             now: by the computer's steady clock [s], which no message sets; in lockstep, by its steps.
         """
         self._pressed, self._pressed_at = pressed, now
@@ -71,6 +73,8 @@ class Gate:
             return ""
         if not 0 <= now - self._pressed_at <= self._enable.timeout:
             return "the enable topic is not heard"
+        if self._pressed is None:
+            return f"the messages of the enable topic have no number '{self._enable.field}'"
         return "" if self._pressed else "not enabled"
 
     def passed(self, control: Float[np.ndarray, " 3"], speed: float, now: float, *, stopping: bool) -> Passed:

@@ -22,6 +22,8 @@ STAMP: Final = struct.Struct("<dd")
 """A stamp, and when it was heard by the steady clock [s]."""
 RUNS_ON: Final = 1.0
 """The clock runs on for so long after the last new stamp [s]; then it stands still, and nothing is driven by it."""
+BACK: Final = 0.1
+"""The clock went back where a stamp is older than the newest by more [s]; else messages came in another order."""
 AFTER: Final = 8.0
 """Once the parent is gone, what stops the vehicle is looked after for so long [s]."""
 
@@ -39,6 +41,7 @@ class Part:
         self._status, self._beat = session.ring(f"status-{name}"), -1.0
         self.dropped = Tally()
         self._started, self._orphaned_at = time.monotonic(), np.inf
+        self._newest_stamp = self._latest_now = -np.inf
 
     def ring(self, name: str) -> Ring:
         """A ring of the session."""
@@ -87,11 +90,18 @@ class Part:
         self.beat(state)
 
     def now(self) -> float:
-        """Time of the robot [s]; minus infinity before it is known."""
+        """Time of the robot [s]; minus infinity before it is known.
+
+        It runs on between stamps; where one comes late, it waits for the stamps to come up to it.
+        """
         if self.settings.clock == "system":
             return time.time()
         stamp, at = self._stamp()
-        return stamp + min(time.monotonic() - at, RUNS_ON)
+        if stamp < self._newest_stamp - BACK:
+            self._newest_stamp = self._latest_now = -np.inf
+        self._newest_stamp = max(self._newest_stamp, stamp)
+        self._latest_now = max(self._latest_now, stamp + min(time.monotonic() - at, RUNS_ON))
+        return self._latest_now
 
     @property
     def clock_stands_still(self) -> bool:
@@ -122,7 +132,7 @@ class TrackFeed:
 
     def update(self, now: float) -> bool:
         """Take what is new; whether the map no longer fits: the pose jumped, or the clock went back."""
-        changed = now < self.intake.now - 0.1 and self.intake.now < float("inf")
+        changed = now < self.intake.now - BACK and self.intake.now < float("inf")
         if changed:
             self.track.clear()
         self.intake.now = now

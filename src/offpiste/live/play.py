@@ -20,6 +20,9 @@ _KEPT: Final = ("/tf_static", "/robot_description", "/map")
 """Topics that ROS keeps for those who come later."""
 
 
+_OURS: Final = "/offpiste/"
+"""Beginning of the topics of `offpiste live`."""
+
 OnStep = Callable[[LogStep], None]
 """Is called with each step."""
 
@@ -42,12 +45,14 @@ class LogPlayer:
     """Publishes the messages of a log.
 
     Args:
-        without: topics that are left out, e.g. the commands that were recorded.
+        without: topics that are left out, e.g. the commands that were recorded; /clock, which is made anew, and what
+            offpiste published are left out, too.
     """
 
     def __init__(self, drive: RecordedDrive, transport: ZenohTransport, without: tuple[str, ...] = ()) -> None:
         self._drive, self._transport = drive, transport
-        known = {topic: kind for topic, kind in drive.types.items() if kind in transport.types and topic not in without}
+        others = {topic: kind for topic, kind in drive.types.items() if topic != CLOCK and not topic.startswith(_OURS)}
+        known = {topic: kind for topic, kind in others.items() if kind in transport.types and topic not in without}
         self.left_out = tuple(sorted(set(drive.types) - set(known)))
         self._publish = {
             topic: transport.raw_publisher(topic, kind, keep=topic in _KEPT or topic.endswith("/camera_info"))

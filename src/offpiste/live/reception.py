@@ -1,13 +1,14 @@
 """A robot's messages as the run time takes them: readings, images, scans, courses, and the dead man's switch."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from offpiste.errors import LiveError, OffpisteError
+from offpiste.errors import LiveError, OffpisteError, RigError
 from offpiste.live.course import course_from_message, course_to, read_course
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages
@@ -16,6 +17,7 @@ from offpiste.logs.ros.bag_files import field_getter
 from offpiste.planning.course import Course
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.transport.message_types import MessageTypes
 
 COURSE = "nav_msgs/msg/Path"
 """Type of a course that comes as a message."""
@@ -56,9 +58,9 @@ class CourseRequest:
 
 @dataclass(frozen=True)
 class Pressed:
-    """The dead man's switch was heard."""
+    """The dead man's switch was heard; None where its message has no such field."""
 
-    pressed: bool
+    pressed: bool | None
 
 
 Taken = VehicleReading | Image | Cloud | Course | Pressed
@@ -90,6 +92,7 @@ class Reception:
         self.vehicle, self.sensors = VehicleMessages(rig), SensorMessages(rig, cameras=cameras)
         self.course = None if request.file is None else read_course(request.file, request.speed)
         self._first: float | None = None
+        self._early: Any = None  # a course that came before the frame of the poses is known
         enable = rig.live.enable
         self._enable = None if enable is None else (enable.topic, field_getter(enable.field))
         self.refusals: deque[str] = deque(maxlen=3)
@@ -117,7 +120,9 @@ class Reception:
             return f"readings of the vehicle on {', '.join(self.vehicle.topics)}"
         if self.sensors.waiting_for:
             return self.sensors.waiting_for
-        return "" if self.course is not None else f"a course on {self._request.topic}"
+        if self.course is not None:
+            return ""
+        return f"a course on {self._request.topic}" if self._request.topic else f"a course: {self.refusals[-1]}"
 
     def take(self, topic: str, message: Any, received: float) -> list[Taken]:
         """What a message is.
@@ -127,7 +132,7 @@ class Reception:
         """
         taken: list[Taken] = []
         if self._enable is not None and topic == self._enable[0]:
-            taken.append(Pressed(_pressed(self._enable[1], message)))
+            taken.append(Pressed(is_pressed(self._enable[1], message)))
         if topic == self._request.topic:
             taken += self._new_course(message)
         if topic in self.vehicle.topics and (reading := self.vehicle.take(topic, message, received)) is not None:
@@ -140,22 +145,57 @@ class Reception:
             self._first = reading.time
         if reading.time - self._first > SETTLE:
             self.sensors.settle()
+        if self._early is not None:
+            early, self._early = self._early, None
+            return [*self._new_course(early), reading]
         if self._request.goal is None or self.course is not None:
             return [reading]
-        self.course = course_to(np.array(self._request.goal), reading.position[:2], self._request.speed)
+        try:
+            self.course = course_to(np.array(self._request.goal), reading.position[:2], self._request.speed)
+        except LiveError as error:  # it is there already: the goal is one once it is not
+            if str(error) not in self.refusals:
+                self.refusals.append(str(error))
+            return [reading]
         return [self.course, reading]
 
     def _new_course(self, message: Any) -> list[Taken]:
+        frame = self.vehicle.frame
         try:
-            self.course = course_from_message(message, self._request.speed, self._request.topic)
+            course = course_from_message(message, self._request.speed, self._request.topic, frame or "")
         except (OffpisteError, AttributeError, TypeError, ValueError) as error:
             self.refusals.append(str(error))
             return []
-        return [self.course]
+        if frame is None:
+            self._early = message
+            return []
+        self.course = course
+        return [course]
 
 
-def _pressed(get: Any, message: Any) -> bool:
+def is_pressed(get: Callable[[object], float], message: Any) -> bool | None:
+    """Whether a dead man's switch is pressed; None where its message has no such field.
+
+    Args:
+        get: reads `rig.outputs.Enable.field`.
+    """
     try:
         return float(get(message)) > 0.5
     except (AttributeError, TypeError, ValueError):
-        return False
+        return None
+
+
+def check_types(rig: Rig, types: MessageTypes) -> None:
+    """Refuse message types of [live.types] that are not known, and a dead man's switch without its field.
+
+    Raises:
+        RigError: which.
+    """
+    for topic, msgtype in rig.live.types.items():
+        if msgtype not in types:
+            how = "give the file of its definition in live.definitions"
+            raise RigError(f"message type {msgtype} is not known", where=f'live.types."{topic}"', how=how)
+    enable = rig.live.enable
+    msgtype = "" if enable is None else rig.live.types.get(enable.topic, "")
+    if enable is not None and msgtype and is_pressed(field_getter(enable.field), types.empty(msgtype)) is None:
+        how = f"give the path of a number or boolean of {msgtype}"
+        raise RigError(f"'{enable.field}' is no such field", where="live.enable.field", how=how)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.logs.ros.grid_map import grid_map_from_layers
 from offpiste.logs.ros.writer import header, make, quaternion, vector
@@ -22,14 +23,31 @@ _EVERY: Final = 5
 """Steps of a prediction from one published pose to the next."""
 
 
-def path_message(prediction: Prediction, stamp_ns: int, frame: str) -> Any:
-    """A nav_msgs/Path of a prediction, on the height 0."""
-    poses = []
-    for x, y, yaw in prediction.state[::_EVERY, :3].tolist():
+def path_message(prediction: Prediction, stamp_ns: int, frame: str, layers: TerrainLayers | None) -> Any:
+    """A nav_msgs/Path of a prediction.
+
+    Args:
+        layers: of the map, on whose ground it lies; where the ground is not known, on that of the nearest place along
+            the path, and on the height 0 without any.
+    """
+    places, poses = prediction.state[::_EVERY, :3], []
+    height = np.full(len(places), np.nan) if layers is None else ground_height(layers, places[:, :2])
+    known = np.flatnonzero(np.isfinite(height))
+    height = np.interp(np.arange(len(height)), known, height[known]) if len(known) else np.zeros(len(height))
+    for (x, y, yaw), z in zip(places.tolist(), height.tolist(), strict=True):
         turn = quaternion((0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
-        pose = make("geometry_msgs/Pose", position=vector((x, y, 0.0), "geometry_msgs/Point"), orientation=turn)
+        pose = make("geometry_msgs/Pose", position=vector((x, y, z), "geometry_msgs/Point"), orientation=turn)
         poses.append(make("geometry_msgs/PoseStamped", header=header(stamp_ns, frame), pose=pose))
     return make("nav_msgs/Path", header=header(stamp_ns, frame), poses=poses)
+
+
+def ground_height(layers: TerrainLayers, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
+    """Height of the ground at places x, y [m]; NaN where the map does not know it."""
+    cell = np.rint((xy - layers.origin) / layers.resolution).astype(int)
+    inside = ((cell >= 0) & (cell < layers.known.shape[::-1])).all(axis=1)
+    height = np.full(len(xy), np.nan)
+    height[inside] = layers.elevation[cell[inside, 1], cell[inside, 0]]
+    return height
 
 
 def map_message(layers: TerrainLayers, stamp_ns: int, frame: str) -> Any:

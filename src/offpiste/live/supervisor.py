@@ -33,6 +33,7 @@ from offpiste.live.reports import (
 from offpiste.live.ring import Ring
 from offpiste.live.session import PARTS, LiveSettings, Session, new_session
 from offpiste.live.status_table import StatusTable
+from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.transport.interface import Transport
 
 logger = logging.getLogger(__name__)
@@ -49,6 +50,7 @@ _LOADS: Final = 600.0
 _SAY: Final = 1.0
 """States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
+"""Of what is published, where the messages of the vehicle's position name none."""
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -85,6 +87,7 @@ class Supervisor:
             DIAGNOSTICS: transport.publisher(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray"),
         }
         self._numbers = {"plans": 0, "map": 0}
+        self._layers: TerrainLayers | None = None
         self._said: dict[str, tuple[str, float]] = {}
 
     def start(self) -> None:
@@ -100,11 +103,14 @@ class Supervisor:
         """Publish the diagnostics, and the newest plan and map."""
         now = time.time_ns()
         self._publish[DIAGNOSTICS](diagnostics_message(parts, now))
+        frame = str(parts["receive"][2].get("frame", "") if "receive" in parts else "") or _FRAME
+        if (values := self._newer("map")) is not None:
+            self._layers = layers_from(values)
+            if self._layers is not None:
+                self._publish[MAP](map_message(self._layers, round(values["scan_time"] * 1e9), frame))
         if (values := self._newer("plans")) is not None and "start" in values:
             timed, prediction = plan_from(values)
-            self._publish[PLAN](path_message(prediction, round(timed.start * 1e9), _FRAME))
-        if (values := self._newer("map")) is not None and (layers := layers_from(values)) is not None:
-            self._publish[MAP](map_message(layers, round(values["scan_time"] * 1e9), _FRAME))
+            self._publish[PLAN](path_message(prediction, round(timed.start * 1e9), frame, self._layers))
 
     def say(self, parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> None:
         """Log what has changed."""

@@ -43,6 +43,7 @@ class VehicleMessages:
     Attributes:
         topics: that are needed.
         position_topic: the one whose messages make readings.
+        frame: of the poses, as its messages say; "" where they say none, None before the first.
         dropped: number of values that are not usable, by channel.
 
     Raises:
@@ -62,6 +63,7 @@ class VehicleMessages:
                 self._sources.setdefault(entry.topic, []).append(source)
         self.position_topic = rig.channels["position"].topic
         self.topics = tuple(self._sources)
+        self.frame: str | None = None
 
     def take(self, topic: str, message: Any, received: float) -> VehicleReading | None:
         """Add a message; a reading if it has the position, and enough else is known.
@@ -74,6 +76,8 @@ class VehicleMessages:
         except (AttributeError, TypeError, ValueError):
             self.dropped[f"{topic}: its header has no stamp"] += 1
             return None
+        if topic == self.position_topic:
+            self.frame = str(getattr(getattr(message, "header", None), "frame_id", "")).lstrip("/")
         for source in self._sources.get(topic, ()):
             self._add(source, message, stamp)
         return self._reading() if topic == self.position_topic and self._fresh("position", np.inf) else None

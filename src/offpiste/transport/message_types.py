@@ -47,7 +47,7 @@ class MessageTypes:
         try:
             return str(self.store.hash_rihs01(msgtype))
         except KeyError as error:
-            how = "give the file of its definition in the rig: messages.definitions"
+            how = "give the file of its definition in the rig: live.definitions"
             raise TransportError(f"message type {msgtype} is not known", where=str(error.args[0]), how=how) from error
 
     def empty(self, msgtype: str) -> Any:

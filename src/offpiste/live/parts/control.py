@@ -16,6 +16,7 @@ from offpiste.live.packing import packed, plan_from, unpacked
 from offpiste.live.part import Part, TrackFeed
 from offpiste.live.parts.setup import NewestCourse, last_command
 from offpiste.live.parts.watchdog import ENDS, SILENCE
+from offpiste.live.reception import is_pressed
 from offpiste.live.session import Session
 from offpiste.live.steady_ages import SteadyAges
 from offpiste.logs.ros.bag_files import field_getter
@@ -65,11 +66,7 @@ class Controller:
 
     def _enable(self, received: Received, get: Any) -> None:
         message = self.transport.decode(received)
-        try:
-            pressed = message is not None and float(get(message)) > 0.5
-        except (AttributeError, TypeError, ValueError):
-            pressed = False
-        self._gate.enabled(pressed, received.steady)
+        self._gate.enabled(message is not None and is_pressed(get, message), received.steady)
 
     def _other(self, received: Received) -> None:
         if received.publisher[:8] != self.transport.identity:
@@ -121,6 +118,7 @@ class Controller:
         if not drive:  # who drives need not complete our stops
             follower.stopping = False
         passed: list[Passed] = []
+        driven = None if drive else self._feed.control
 
         def applied(controls: Controls) -> np.ndarray:
             stopping = controls.mode in ("stopping", "stopped")
@@ -128,8 +126,7 @@ class Controller:
             if stopping and acting is None:  # no plan says where to: straight ahead would lead out of a bend
                 command[2] = self._gate.steer
             passed.append(self._gate.passed(command, follower.speed, time.monotonic(), stopping=stopping))
-            given = self._feed.control
-            return passed[-1].control if drive or given is None else np.asarray(given)
+            return passed[-1].control if driven is None else np.asarray(driven)
 
         controls = follower.follow(now, decision, applied)
         del follower.events[:-1]
@@ -137,6 +134,7 @@ class Controller:
         self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
         about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
         about |= {"gear": controls.gear, "course": self._course.number, "progress": follower.tracker.progress}
+        about["given"] = about["applied"] if driven is None else driven  # plans begin from what the vehicle does
         self.part.hand_on("commands", packed(about))
         self._sent_at = time.monotonic()
         return controls

@@ -43,6 +43,7 @@ class Plans:
         part, now = self._part, self._part.now()
         if self._feed.update(now):
             self._layers = None
+            self._map_number = part.ring("map").written  # those that were not taken yet are of before, too
             self._maker.forget()
         self._take_over()
         latest = self._feed.track.latest
@@ -86,7 +87,7 @@ class Plans:
             self._layers, self._scan_time = layers_from(values), values.get("scan_time", -np.inf)
         for entry in self._part.ring("commands").since(self._commands):
             self._commands, values = entry.number, unpacked(entry.data)
-            self._feed.track.commanded(values["time"], values["applied"], values["gear"])
+            self._feed.track.commanded(values["time"], values["given"], values["gear"])
             if self._follower is not None:
                 self._follower.stopping, self._follower.gear = values["stopping"], values["gear"]
 

@@ -149,6 +149,7 @@ def receive(session: Session, *, cameras: bool) -> None:
             refused=dict(receiver.transport.refused),
             unusable=dict(receiver.reception.vehicle.dropped + receiver.reception.sensors.dropped),
             routers=routers,
+            frame=receiver.reception.vehicle.frame or "",
             courses_refused=list(receiver.reception.refusals),
         )
     receiver.transport.close()

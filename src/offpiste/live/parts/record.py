@@ -1,9 +1,12 @@
 """Records what is received and what is sent, as a log that `inspect`, `extract` and `live --replay` read."""
 
 import queue
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from offpiste.errors import LogError
 from offpiste.live.lockstep import CLOCK, COMMAND
@@ -46,6 +49,11 @@ def record(session: Session, *, cameras: bool) -> None:
     waiting: queue.Queue[Received] = queue.Queue(_WAITING)
 
     def deliver(received: Received) -> None:
+        if session.settings.clock != "system":  # its stamps are of that time, and what replays it steps by it
+            received = replace(received, received=part.now())
+        if not np.isfinite(received.received) and not topics[received.topic]:
+            part.dropped[f"{received.topic}: before the clock is known"] += 1
+            return
         try:
             waiting.put_nowait(received)
         except queue.Full:
@@ -55,7 +63,7 @@ def record(session: Session, *, cameras: bool) -> None:
     for topic, history in topics.items():
         msgtype = reception.type_of(topic) or known.get(topic, "")
         transport.subscribe(topic, deliver, msgtype=msgtype, history=history)
-    written = 0
+    written, early = 0, list[Received]()
     try:
         with McapWriter(path) as writer:
             while not part.ended:  # the stop at the end is recorded, too
@@ -63,11 +71,14 @@ def record(session: Session, *, cameras: bool) -> None:
                     received = waiting.get(timeout=0.1)
                 except queue.Empty:
                     received = None
-                if received is not None:
-                    definition = transport.types.definition(received.type)
-                    stamp = round(received.received * 1e9)
-                    writer.write_serialised(received.topic, received.type, received.data, definition, stamp)
-                    written += 1
+                early += [] if received is None else [received]
+                if received is not None and np.isfinite(received.received):
+                    for one in early:
+                        definition = transport.types.definition(one.type)
+                        time = one.received if np.isfinite(one.received) else received.received
+                        writer.write_serialised(one.topic, one.type, one.data, definition, round(time * 1e9))
+                    written += len(early)
+                    early.clear()
                 part.beat(f"records {path}", messages=written, refused=dict(transport.refused))
     except LogError as error:
         part.end_with(str(error))

@@ -11,6 +11,7 @@ from offpiste.closed_loop.recording import LIFT
 from offpiste.live.packing import course_from, image_from, layers_from, plan_from, reading_from, unpacked
 from offpiste.live.part import Part
 from offpiste.live.plan_regions import PlanRegions
+from offpiste.live.reports import ground_height
 from offpiste.live.session import PARTS, Session
 from offpiste.live.viewers.viewer import VIEWERS, ShownGround, ShownPlan, Viewer
 from offpiste.logs.measurements import Image
@@ -113,11 +114,8 @@ class Showing:
         """Places a little above the ground; at the vehicle's height where the map does not know it."""
         height = np.full(len(xy), self._height or 0.0)
         if self._layers is not None:
-            layers = self._layers
-            cell = np.rint((xy - layers.origin) / layers.resolution).astype(int)
-            inside = ((cell >= 0) & (cell < layers.known.shape[::-1])).all(axis=1)
-            on_map = layers.elevation[cell[inside, 1], cell[inside, 0]]
-            height[inside] = np.where(np.isfinite(on_map), on_map, height[inside])
+            on_map = ground_height(self._layers, xy)
+            height = np.where(np.isfinite(on_map), on_map, height)
         return np.column_stack((xy, height + LIFT))
 
     def _show_states(self, now: float) -> None:
