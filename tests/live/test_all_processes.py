@@ -127,6 +127,7 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path, router):
         live.send_signal(signal.SIGKILL)
         live.wait()
         assert until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), 30)
+        assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])

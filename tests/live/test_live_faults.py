@@ -2,6 +2,7 @@
 stop, signals to all processes at once, a server of processes that dies, and the end."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from offpiste.live.commands import run_live
 from offpiste.live.driver import refuse_unfit
 from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
 from offpiste.live.part import STAMP
+from offpiste.live.parts.control import MODE
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.logs.ros.writer import make
@@ -144,6 +146,29 @@ def test_the_last_that_is_heard_is_the_stop_whoever_ends_first(moving, first):
     stops = [after for after, drive in moving.since(moment) if drive.acceleration < 0]
     assert stops[-1] - stops[0] > 0.9
     assert max(np.diff(stops)) < 0.4, "until the end"
+
+
+def test_the_watchdog_stops_on_where_the_memory_was_removed_and_control_is_gone(moving):
+    assert moving.drives(), moving.supervisor.look()
+    moving.supervisor._ring("end")
+    shutil.rmtree(moving.session.folder)  # as control did at its end, once their parent was gone
+    os.kill(moving.pid("control"), signal.SIGKILL)
+    moment = time.monotonic()
+    time.sleep(1.0)
+    stops = [after for after, drive in moving.since(moment) if drive.acceleration < 0]
+    assert len(stops) > 5
+    assert stops[-1] > 0.8
+
+
+def test_before_the_first_command_none_counts_as_interrupted(tmp_path):
+    with closing(Moving(tmp_path)) as drive:
+        said = []
+        drive.vehicle.subscribe(MODE, lambda one: said.append(drive.vehicle.decode(one).data), history=True)
+        assert until(lambda: "waits for readings" in str(drive.supervisor.look()["control"][1]), 60)
+        time.sleep(0.3)
+        assert drive.drives(), drive.supervisor.look()
+        assert said
+        assert not any("interrupted" in one for one in said)
 
 
 def test_processes_leave_ending_to_their_parent(moving):

@@ -1,16 +1,19 @@
 """In lockstep over the transport the commands are those of a replay without it, to the bit."""
 
+import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from live.made_up_robot import ENABLE, planner, rig, small_settings, write_course, write_log
+from live.made_up_robot import ENABLE, planner, rig, small_settings, write_course, write_log, write_rig
 from offpiste.errors import LiveError
-from offpiste.live.command_messages import CommandMessages
+from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import Heard, StepDriver
-from offpiste.live.lockstep import Lockstep
+from offpiste.live.lockstep import READY, Lockstep
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer, clock_message
 from offpiste.live.reception import CourseRequest, Reception
@@ -20,6 +23,7 @@ from offpiste.transport.message_types import MessageTypes
 from transport.routers import network, until
 
 __all__ = ["network"]
+RUN = "pretrained:proving-ground/parametric"
 
 
 def driver_of(vehicle, request, **options):
@@ -161,6 +165,52 @@ def test_in_lockstep_another_publisher_makes_it_stop_and_a_frozen_clock_is_no_st
     stop.set()
     running.join(10)
     assert not running.is_alive()
+
+
+class Counting(StepDriver):
+    """A driver that counts its steps."""
+
+    stop = Command(0.0, np.array((0.0, 1.0, 0.0)), 1.0)
+
+    def __init__(self):
+        self.times = []
+
+    def step(self, heard, now):
+        self.times.append(now)
+        return None
+
+
+@pytest.mark.parametrize(("period", "expected"), [(1, 20), (5, 20), (20, 100), (25, 100), (100, 100)])
+def test_a_step_is_made_once_every_dt_of_a_clock_whatever_its_period(network, period, expected, tmp_path):
+    node, robot, driver, stop = network.session(), network.session(patient=True), Counting(), threading.Event()
+    lockstep = Lockstep(node, driver, Reception(rig(), CourseRequest(topic="/plan"), cameras=False), None)
+    clock = robot.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    running = threading.Thread(target=lockstep.run, args=(lambda *_: None, stop))
+    running.start()
+    assert until(lambda: driver.times or clock(clock_message(10**9)))
+    count = round(expected * 20 / min(period, 20))
+    for k in range(1, count + 1):
+        clock(clock_message(10**9 + k * period * 10**6))
+        assert until(lambda: lockstep._clocks == 0)
+    assert until(lambda: len(driver.times) >= expected)
+    stop.set()
+    running.join(10)
+    assert len(driver.times) == pytest.approx(expected + 1, abs=1)
+
+
+def test_a_signal_ends_a_lockstep_in_order(tmp_path, network):
+    said, ready, session = tmp_path / "said.txt", [], network.session()
+    session.subscribe(READY, ready.append, history=True)
+    command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path), "--run", RUN, "--endpoint",
+               network.endpoint, "--course", str(write_course(tmp_path)), "--drive", "--lockstep"]  # fmt: skip
+    with said.open("w") as file:
+        live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
+    try:
+        assert until(lambda: ready, 120), said.read_text()
+        live.send_signal(signal.SIGTERM)
+        assert live.wait(60) == 0, "the stop is sent where anything was commanded"
+    finally:
+        live.kill()
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ class Live:
     seconds: float = float("inf")
     """End after this time."""
     lockstep: bool = False
-    """A command for each message on /clock, however long it takes, in one process: for tests and `play --lockstep`."""
+    """A command for every 0.02 s on /clock, however long it takes, in one process: for tests and `play --lockstep`."""
     replay: Path | None = None
     """Take the messages from a log instead, without a robot: what would have been commanded."""
     commands: Path | None = None

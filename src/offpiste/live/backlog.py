@@ -25,7 +25,7 @@ class Backlog:
         with self._changed:
             self._waiting.append(received)
             if len(self._waiting) > self._most:
-                self._dropped[f"{self._waiting.popleft().topic}: comes faster than it is decoded"] += 1
+                self._dropped.add(f"{self._waiting.popleft().topic}: comes faster than it is decoded")
             self._changed.notify()
 
     def get(self, timeout: float) -> Received | None:

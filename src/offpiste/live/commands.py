@@ -2,7 +2,6 @@
 
 import csv
 import logging
-import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ from offpiste.live.play import LogPlayer
 from offpiste.live.reception import Reception, check_types
 from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings, ViewSettings
-from offpiste.live.supervisor import supervise
+from offpiste.live.supervisor import asked_to_end, supervise
 from offpiste.planning.caution import caution_of
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
@@ -134,9 +133,9 @@ def _replay(
 
 def _lockstep(settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, on_step: OnStep) -> None:
     definitions = [Path(name) for name in rig.live.definitions]
-    with closing(settings.robot.connect(definitions)) as transport:
+    with asked_to_end() as asked, closing(settings.robot.connect(definitions)) as transport:
         outputs = CommandMessages(rig, transport.types) if settings.drive else None
-        Lockstep(transport, driver, reception, outputs).run(on_step, threading.Event(), settings.seconds)
+        Lockstep(transport, driver, reception, outputs).run(on_step, asked, settings.seconds)
         for what, count in sorted(transport.refused.items()):
             logger.warning(f"refused {count} messages: {what}")
 

@@ -1,4 +1,4 @@
-"""Lockstep over the transport: a command for each message on /clock, however long it takes."""
+"""Lockstep over the transport: a command for each step of /clock, however long it takes."""
 
 import queue
 import threading
@@ -10,7 +10,7 @@ import numpy as np
 from offpiste.conventions import DT
 from offpiste.errors import LiveError
 from offpiste.live.command_messages import Command, CommandMessages
-from offpiste.live.driver import Heard, StepDriver
+from offpiste.live.driver import STEP_NS, Heard, StepDriver
 from offpiste.live.reception import Reception
 from offpiste.live.replay import OnStep
 from offpiste.logs.ros.writer import header, make
@@ -30,12 +30,14 @@ _STILL: Final = 2.0
 _LOOK: Final = 0.2
 _STOPS: Final = 5
 """Number of stops that are sent at the end."""
+_EARLY: Final = STEP_NS // 10
+"""So much before it is due, a step is made where /clock has another period [ns]."""
 _BEHIND: Final = 50
 """Steps that may wait; where more do, nobody waits for the commands, and they would come later and later."""
 
 
 class Lockstep:
-    """Answers each message on /clock with a command.
+    """Answers /clock with a command once every `conventions.DT`.
 
     Args:
         outputs: None in shadow mode: nothing is sent to the vehicle.
@@ -47,6 +49,7 @@ class Lockstep:
         self._transport, self._driver = transport, driver
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
         self._clocks, self._last, self._commanded = 0, -1, False
+        self._due, self._lock = 0, threading.Lock()
         for topic, history in reception.topics.items():
             transport.subscribe(topic, self._received.put, msgtype=reception.type_of(topic), history=history)
         transport.subscribe(CLOCK, self._clock, msgtype="rosgraph_msgs/msg/Clock")
@@ -99,13 +102,20 @@ class Lockstep:
             if self._clocks > _BEHIND:
                 how = "let it wait (`offpiste play --lockstep`), or leave out --lockstep"
                 raise LiveError("/clock does not wait for the commands", how=how)
-            clock, self._clocks = self._transport.decode(received), self._clocks - 1
+            with self._lock:
+                self._clocks -= 1
+            clock = self._transport.decode(received)
             nanoseconds = -1 if clock is None else clock.clock.sec * 10**9 + clock.clock.nanosec
             if nanoseconds in (-1, self._last):  # a clock that stands still is no step
                 continue
+            back = nanoseconds < self._last
             self._last, moved, first = nanoseconds, time.monotonic(), nanoseconds if first < 0 else first
-            self._step(batch, nanoseconds, on_step)
-            batch = []
+            if back or nanoseconds >= self._due - _EARLY:  # limits of rate count by steps
+                self._due += STEP_NS
+                if back or nanoseconds >= self._due:
+                    self._due = nanoseconds + STEP_NS
+                self._step(batch, nanoseconds, on_step)
+                batch = []
             if (nanoseconds - first) / 1e9 >= seconds:
                 return
 
@@ -133,7 +143,8 @@ class Lockstep:
 
     def _clock(self, received: Received) -> None:
         """Called in the transport's thread."""
-        self._clocks += 1
+        with self._lock:
+            self._clocks += 1
         self._received.put(received)
 
     def _other(self, received: Received) -> None:

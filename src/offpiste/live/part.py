@@ -52,7 +52,7 @@ class Part:
     def hand_on(self, name: str, data: bytes) -> None:
         """Write to a ring; what is larger than its slots is dropped and counted."""
         if not self.ring(name).write(data):
-            self.dropped[f"{name}: larger than the shared memory for it"] += 1
+            self.dropped.add(f"{name}: larger than the shared memory for it")
 
     @property
     def ending(self) -> bool:
@@ -79,7 +79,12 @@ class Part:
         if now - self._beat < BEAT:
             return
         self._beat = now
-        about = {"state": state, "cpu_s": time.process_time(), "rss_mb": _resident(), "dropped": dict(+self.dropped)}
+        about = {
+            "state": state,
+            "cpu_s": time.process_time(),
+            "rss_mb": _resident(),
+            "dropped": self.dropped.snapshot(),
+        }
         about |= {"pid": os.getpid(), "up_s": now - self._started}
         if not self._status.write(packed(about | values)):
             self._status.write(packed(about))  # a sign of life, whatever there is to say

@@ -101,7 +101,7 @@ class SensorMessages:
             return self._take(topic, message, received)
         except Exception as error:  # noqa: BLE001 - whatever fields of a robot's messages make NumPy and OpenCV raise
             reason = f"{type(error).__name__}: {error}".splitlines()[0][:100]
-            self.dropped[f"{self._of.get(topic, topic)}: {reason}"] += 1
+            self.dropped.add(f"{self._of.get(topic, topic)}: {reason}")
             return None
 
     def _take(self, topic: str, message: Any, received: float) -> Image | Cloud | None:
@@ -147,13 +147,13 @@ class SensorMessages:
     def _image(self, camera: Camera, topic: str, message: Any, time: float) -> Image | None:
         pixels = decompressed(message) if hasattr(message, "format") else raw_pixels(message, topic)
         if pixels is None or (pixels.shape[1], pixels.shape[0]) != (camera.model.width, camera.model.height):
-            self.dropped[f"{camera.name}: images that cannot be decoded, or of another size than calibrated"] += 1
+            self.dropped.add(f"{camera.name}: images that cannot be decoded, or of another size than calibrated")
             return None
         return Image(time - camera.source.delay, camera.name, pixels)
 
     def _cloud(self, lidar: Lidar, message: Any, time: float) -> Cloud | None:
         cloud = cloud_from_records(RawCloud(time, lidar.name, points_from_message(message)), lidar)
         if not len(cloud.points):
-            self.dropped[f"{lidar.name}: clouds without a usable point"] += 1
+            self.dropped.add(f"{lidar.name}: clouds without a usable point")
             return None
         return cloud

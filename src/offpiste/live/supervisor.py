@@ -209,7 +209,7 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
         OffpisteError: no connection, or no shared memory.
     """
     with ExitStack() as stack:
-        asked = stack.enter_context(_asked_to_end())
+        asked = stack.enter_context(asked_to_end())
         robot = stack.enter_context(settings.robot.hosted())
         transport = robot.connect(definitions)
         stack.callback(transport.close)
@@ -234,7 +234,7 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
 
 
 @contextmanager
-def _asked_to_end() -> Iterator[threading.Event]:
+def asked_to_end() -> Iterator[threading.Event]:
     """Set once a service manager (SIGTERM) or a terminal that is gone (SIGHUP) ends the drive; Ctrl-C raises."""
     asked = threading.Event()
     before = {number: signal.getsignal(number) for number in _ENDING}

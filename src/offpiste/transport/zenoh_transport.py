@@ -233,8 +233,7 @@ class ZenohTransport:
         return Received(topic, msgtype, bytes(sample.payload), received, number, publisher)
 
     def _refuse(self, topic: str, why: str) -> None:
-        with self._lock:
-            self.refused[f"{topic}: {why}"] += 1
+        self.refused.add(f"{topic}: {why}")
 
     def _announce(self, endpoint: Endpoint) -> None:
         for token in self.keys.tokens(self._session_id, self.settings.node, endpoint):

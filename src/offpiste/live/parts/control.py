@@ -47,7 +47,7 @@ class Controller:
         self._empty = self._stuck = False
         self._predictions: deque[Prediction] = deque(maxlen=32)
         self._steady, self._since = SteadyAges(), -np.inf
-        self._stops, self._sent_at = part.ring("stops").written, time.monotonic()
+        self._stops, self._sent_at = part.ring("stops").written, np.inf
         self._why = "control was started again" if before else ""
         self._gear = before.get("gear", settings.runtime.gear)
         self.transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
@@ -70,7 +70,7 @@ class Controller:
 
     def _other(self, received: Received) -> None:
         if received.publisher[:8] != self.transport.identity:
-            self.part.dropped[f"{received.topic}: commands of another publisher"] += 1
+            self.part.dropped.add(f"{received.topic}: commands of another publisher")
             self._gate.other(time.monotonic())
 
     @property
@@ -214,7 +214,7 @@ def control(session: Session) -> None:
             due = time.monotonic()
         time.sleep(max(due - time.monotonic(), 0.0))
     controller.transport.close()
-    if part.orphaned:  # nobody else is left to do so
+    if part.orphaned and not part.settings.drive:  # else the watchdog does so, which ends after it
         shutil.rmtree(session.folder, ignore_errors=True)
 
 
@@ -230,5 +230,5 @@ def _numbers(controller: Controller) -> dict[str, Any]:
         "plan_age_p99_ms": float(p99[1]),
         "speed_mps": controller.follower.speed if controller.follower is not None else np.nan,
         "progress_m": controller.follower.tracker.progress if controller.follower is not None else 0.0,
-        "refused": dict(controller.transport.refused),
+        "refused": controller.transport.refused.snapshot(),
     }

@@ -9,13 +9,13 @@ from contextlib import suppress
 from multiprocessing import connection, parent_process
 from pathlib import Path
 
-from offpiste.errors import OffpisteError
+from offpiste.errors import LiveError, OffpisteError
 from offpiste.live.part import AFTER, Part
 from offpiste.live.session import Session
 
 _NICE = {"codes": 5, "map": 5, "plan": 5, "record": 10, "view": 10}
 """How much other processes come first: where there are few cores, control is not held up."""
-_FIRST_KILLED = {"codes": 300, "map": 300, "plan": 300, "record": 500}
+_FIRST_KILLED = {"codes": 300, "map": 300, "plan": 300, "record": 500, "view": 500}
 """Where memory runs out, the kernel kills these rather than what stops the vehicle (oom_score_adj)."""
 
 
@@ -28,11 +28,17 @@ def run_part(name: str, session: Session, cameras: bool) -> None:
     try:
         _run(name, session, cameras)
     except OffpisteError as error:
-        Part(name, session).end_with(str(error))
+        _leave(name, session, str(error))
         sys.exit(1)
     except Exception as error:
-        Part(name, session).end_with(f"{type(error).__name__}: {error}"[:300])
+        _leave(name, session, f"{type(error).__name__}: {error}"[:300])
         raise
+
+
+def _leave(name: str, session: Session, state: str) -> None:
+    """Leave a last state, where the session's memory is still there."""
+    with suppress(LiveError):
+        Part(name, session).end_with(state)
 
 
 def _leave_ending_to_the_parent() -> None:

@@ -58,7 +58,7 @@ class Receiver:
         if received.topic in self._measured:
             with self._lock:
                 if received.topic in self._newest:
-                    self.part.dropped[f"{received.topic}: replaced by a newer one"] += 1
+                    self.part.dropped.add(f"{received.topic}: replaced by a newer one")
                 self._newest[received.topic] = received
             self._any.set()
         elif received.topic in self.reception.sensors.topics:
@@ -89,7 +89,7 @@ class Receiver:
         """Hand on the clock; a stamp that repeats is no sign that it runs."""
         if stamp != self._stamp:
             if self._stamp >= 0 and not -RUNS_ON <= stamp - self._stamp <= RUNS_ON:
-                self.part.dropped["the clock jumped"] += 1
+                self.part.dropped.add("the clock jumped")
             self._stamp = stamp
             self.part.hand_on("clock", STAMP.pack(stamp, steady))
 
@@ -142,12 +142,12 @@ def receive(session: Session, *, cameras: bool) -> None:
         receiver.check()
         waits, routers = receiver.reception.waiting_for, receiver.transport.routers()
         state = f"waits for {waits}" if waits else "ready"
-        part.dropped["connection to the router lost"] += connected and not routers
+        part.dropped.add("connection to the router lost", connected and not routers)
         connected = routers > 0
         part.beat(
             state if routers else "no router: nothing is heard or sent",
-            refused=dict(receiver.transport.refused),
-            unusable=dict(receiver.reception.vehicle.dropped + receiver.reception.sensors.dropped),
+            refused=receiver.transport.refused.snapshot(),
+            unusable=receiver.reception.vehicle.dropped.snapshot() | receiver.reception.sensors.dropped.snapshot(),
             routers=routers,
             frame=receiver.reception.vehicle.frame or "",
             courses_refused=list(receiver.reception.refusals),

@@ -1,5 +1,6 @@
 """The watchdog: sends the stop once commands stop coming, whatever became of the process that makes them."""
 
+import shutil
 import time
 from pathlib import Path
 from typing import Final
@@ -29,6 +30,8 @@ def watchdog(session: Session) -> None:
     outputs = CommandMessages(rig, transport.types)
     send = {topic: transport.publisher(topic, msgtype) for topic, msgtype in outputs.topics.items()}
     commands, stops, ends = part.ring("commands"), 0, np.inf
+    for name in ("stops", "clock", "end"):  # now: once the parent is gone, nobody keeps their files
+        part.ring(name)
     while not _is_over(part, time.monotonic() - ends):
         if ends == np.inf and part.ending:
             ends = time.monotonic()
@@ -43,6 +46,8 @@ def watchdog(session: Session) -> None:
         part.beat("stops the vehicle" if silent else "ready", stops=stops)
         time.sleep(DT)
     transport.close()
+    if part.orphaned:  # nobody else is left to do so
+        shutil.rmtree(session.folder, ignore_errors=True)
 
 
 def _is_over(part: Part, since: float) -> bool:
