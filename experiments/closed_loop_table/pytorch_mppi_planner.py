@@ -16,6 +16,7 @@ from offpiste.planning import mppi
 from offpiste.planning.driving_cost import Situation, terms_after
 from offpiste.planning.gear import complete
 from offpiste.planning.pedal import controls_of, pedals_of
+from offpiste.planning.rollouts import situation_terrain
 from offpiste.runtime.prediction import Area
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.state import ModelState
@@ -78,6 +79,8 @@ class PytorchMppi:
             u_min=before.new_tensor(limits.low), u_max=before.new_tensor(limits.high), U_init=before,
             num_support_pts=round(len(before) / steps) + 1, kernel=RBFKernel(steps),
         )  # fmt: skip
+        # It charges samples for their distance from 0, too, which offpiste's planner does not.
+        planner._compute_action_cost = torch.zeros_like
         planner.theta = before[planner.Tk[0].round().long()]
         return planner
 
@@ -87,7 +90,7 @@ def stepwise(dynamics: Dynamics, area: Area, at: Situation, settings: RuntimeSet
 
     Their state is the packed model state with the velocity and the control before the step, and its control.
     """
-    step = as_callable(dynamics, area.terrain(at.offset, at.wheels, samples))
+    step = as_callable(dynamics, situation_terrain(dynamics, at, samples, area.encode))
 
     def after(state: Float[Tensor, "K P"], pedal_and_steer: Float[Tensor, "K 2"]) -> Float[Tensor, "K P"]:
         control = controls_of(pedal_and_steer)

@@ -1,6 +1,6 @@
 """Gear along a plan: sampled controls are throttle, brake and steer; models that know a gear are given the held one.
 
-This is the one place that completes controls. A planner that samples changes of gear gives a fourth column instead.
+This is the one place that completes controls. Gears are not sampled: the run time chooses the gear of a plan.
 """
 
 import torch

@@ -22,7 +22,7 @@ from offpiste.planning.driving_cost import Situation
 from offpiste.planning.gear import complete
 from offpiste.planning.kernel import Codes, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
-from offpiste.planning.rollouts import driving_costs
+from offpiste.planning.rollouts import driving_costs, situation_terrain
 from offpiste.runtime.estimator import TrackRows
 from offpiste.state import History, ModelState, Terrain
 
@@ -184,7 +184,7 @@ def _stepped(
     model: Dynamics, model_state: ModelState, controls: Float[Tensor, "T 3"], area: Area, at: Situation
 ) -> Iterator[ModelState]:
     """Model state after each step."""
-    source, step = area.terrain(at.offset, at.wheels, 1), model.stepper()
+    source, step = situation_terrain(model, at, 1, area.encode), model.stepper()
     for t, given in enumerate(complete(model.vehicle, controls, at.gear)):
         model_state = step(model_state, given[None], source.at(t, model_state.state))
         yield model_state

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -22,7 +23,8 @@ def problem(model):
     """2 m beside the path, at 4 m/s where 5 are wanted."""
     torch.manual_seed(0)
     codes = len(model.encoder.missing()) if model.encoder else 0
-    area = coded_area(layers(channels=codes), model.encoder)
+    held = np.random.default_rng(0).normal(size=(81, 81, codes)).astype(np.float32)
+    area = coded_area(layers(features=held), model.encoder)
     at = replace(situation(state=(-5.0, 2.0, 0.0, 4.0, 0.0, 0.0)), ground=area.stack)
     size = sum(part.hidden for part in (model.compensator, model.actuators)) if model.encoder else 0
     start = ModelState(at.state[None], torch.full((1, 4), torch.nan), *torch.zeros(2, 1, size))
@@ -31,7 +33,14 @@ def problem(model):
     return area, at, start, replace(few, sampling=sampling)
 
 
-@pytest.mark.parametrize("made", [parametric, feature_model])
+def holding():
+    """A model that keeps the codes of the start."""
+    model = feature_model()
+    model.holds_codes = True
+    return model
+
+
+@pytest.mark.parametrize("made", [parametric, feature_model, holding])
 @torch.no_grad()
 def test_stepped_costs_are_those_of_rollouts(made):
     model = made()
@@ -66,6 +75,21 @@ def test_a_plan_costs_less_than_the_one_before_and_a_seed_gives_the_same():
     first, improved = cost_of(torch.stack((pedals_of(before), plans[0][0])))
     assert improved < first
     assert plans[0][0].abs().max() <= 1
+
+
+@torch.no_grad()
+def test_without_costs_a_plan_stays(monkeypatch):
+    pytest.importorskip("pytorch_mppi")
+    free = {"nothing": torch.zeros(SAMPLES)}
+    monkeypatch.setattr(pytorch_mppi_planner, "terms_after", lambda *_: free)
+    model = parametric()
+    area, at, start, given = problem(model)
+    at, wanted = replace(at, control=torch.tensor([0.4, 0.0, 0.0])), torch.tensor([0.4, 0.0])
+    before = controls_of(wanted.repeat(STEPS, 1))
+    planner, plans = PytorchMppi(model, given, 0), []
+    for _ in range(6):
+        plans.append(planner.improve(before, start, area, at).controls.mean(dim=0))
+    torch.testing.assert_close(torch.stack(plans).mean(dim=0), wanted, atol=0.05, rtol=0)
 
 
 @torch.no_grad()
