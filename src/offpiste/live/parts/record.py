@@ -1,11 +1,11 @@
 """Records what is received and what is sent, as a log that `inspect`, `extract` and `live --replay` read."""
 
-import queue
 from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
 from offpiste.errors import LogError
+from offpiste.live.backlog import Backlog
 from offpiste.live.lockstep import CLOCK, COMMAND
 from offpiste.live.part import Part
 from offpiste.live.parts.control import MODE
@@ -14,10 +14,11 @@ from offpiste.live.reports import DIAGNOSTICS, PLAN
 from offpiste.live.session import Session
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.rig.rig import load_rig
-from offpiste.transport.interface import Received
 
-_WAITING = 400
-"""Messages that may wait for the disk; more are dropped, and counted."""
+_WAITING: Final = 10_000
+"""Messages that may wait for the disk; where more do, the oldest are dropped, and counted."""
+_SIZE: Final = 256 << 20
+"""The same, of all of them [bytes]."""
 _OURS: Final = {
     COMMAND: "sensor_msgs/msg/Joy",
     MODE: "std_msgs/msg/String",
@@ -43,32 +44,21 @@ def record(session: Session, *, cameras: bool) -> None:
     topics |= {COMMAND: False, MODE: True, PLAN: False, DIAGNOSTICS: False}
     if session.settings.clock == "clock":
         topics[CLOCK] = False
-    waiting: queue.Queue[Received] = queue.Queue(_WAITING)
-
-    def deliver(received: Received) -> None:
-        try:
-            waiting.put_nowait(received)
-        except queue.Full:
-            part.dropped[f"{received.topic}: the disk is too slow"] += 1
-
+    waiting = Backlog(_WAITING, part.dropped, size=_SIZE, why="the disk is too slow")
     known = _OURS | {output.topic: output.type for output in rig.outputs.values()}
     for topic, history in topics.items():
         msgtype = reception.type_of(topic) or known.get(topic, "")
-        transport.subscribe(topic, deliver, msgtype=msgtype, history=history)
+        transport.subscribe(topic, waiting.put, msgtype=msgtype, history=history)
     written = 0
     try:
         with McapWriter(path) as writer:
             while not part.ended:  # the stop at the end is recorded, too
-                try:
-                    received = waiting.get(timeout=0.1)
-                except queue.Empty:
-                    received = None
-                if received is not None:
+                if (received := waiting.get(0.1)) is not None:
                     definition = transport.types.definition(received.type)
                     stamp = round(received.received * 1e9)
                     writer.write_serialised(received.topic, received.type, received.data, definition, stamp)
                     written += 1
-                part.beat(f"records {path}", messages=written, refused=dict(transport.refused))
+                part.beat(f"records {path}", messages=written, refused=transport.refused.snapshot())
     except LogError as error:
         part.end_with(str(error))
     transport.close()
