@@ -170,3 +170,13 @@ def test_a_log_is_not_recorded_over_another(tmp_path, capsys):
         main(["live", write_rig(tmp_path), "--record", str(log), "--course", course])
     assert ended.value.code == 1
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "what"), [("file/a.mcap", "cannot be written"), ("a.csv", "ending .mcap")])
+def test_a_log_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, name, what):
+    (tmp_path / "file").write_text("x")
+    course = str(write_course(tmp_path))
+    with pytest.raises(SystemExit) as ended:
+        main(["live", write_rig(tmp_path), "--run", RUN, "--record", str(tmp_path / name), "--course", course])
+    assert ended.value.code == 1
+    assert what in capsys.readouterr().err

@@ -6,9 +6,11 @@ import pytest
 
 from live.made_up_robot import START, odometry, write_log
 from offpiste.errors import LiveError
+from offpiste.live.commands import play_log
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer, clock_message
 from offpiste.logs.ros.writer import McapWriter, make
+from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import network, until
 
 __all__ = ["network"]
@@ -51,3 +53,9 @@ def test_a_rate_that_is_none_is_refused(tmp_path, network):
     player = LogPlayer(RecordedDrive(write_log(tmp_path / "a.mcap", seconds=0.1)), network.session())
     with pytest.raises(LiveError, match="--rate"):
         player.play(0.0, 1.0)
+
+
+@pytest.mark.parametrize("seconds", [float("nan"), 0.0])
+def test_a_length_that_is_none_is_refused(tmp_path, seconds):
+    with pytest.raises(LiveError, match="--seconds"):
+        play_log(tmp_path / "a.mcap", "", ZenohSettings(), 1.0, seconds, lockstep=False, without=())

@@ -1,10 +1,12 @@
 """The proving ground as a robot: what it sends, which commands it takes, and that nothing of it is left at the end."""
 
 import threading
+from importlib import resources
 
 import numpy as np
 import pytest
 
+from offpiste.cli import main
 from offpiste.closed_loop.courses import choose_course
 from offpiste.live import simulated_robot
 from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
@@ -71,6 +73,33 @@ def test_it_sends_readings_sensors_clock_and_course_and_takes_commands(place, mo
     assert transport.sent["/tf_static"]
     np.testing.assert_allclose(robot.commands.given[0][:3], (0.4, 0.0, 0.1))
     assert threads() == before
+
+
+def test_it_is_the_vehicle_that_is_given_and_positions_have_the_noise_that_is(place, tmp_path):
+    file = tmp_path / "heavy.toml"
+    shipped = (resources.files("offpiste.simulation.vehicle") / "side_by_side.toml").read_text()
+    file.write_text(shipped.replace("\nmass = 1150.0", "\nmass = 2000.0"))
+    robot = SimulatedRobot(Recorded(), *place, "none", 0, vehicle=str(file), pose_noise=5.0)
+    assert robot._parameters.mass == 2000.0
+    samples = robot.drive(1.0).samples
+    sent = np.array([(m.pose.pose.position.x, m.pose.pose.position.y) for m in robot._transport.sent["/odometry"]])
+    assert np.std(sent - [sample.position[:2] for sample in samples]) == pytest.approx(5.0, rel=0.3)
+
+
+@pytest.mark.parametrize("seconds", ["inf", "nan", "0"])
+def test_a_length_that_is_none_is_one_line(seconds, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "--live", "--seconds", seconds])
+    assert ended.value.code == 1
+    assert f"--seconds: a drive of {seconds} s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--out a.mcap", "--twins 1", "--pose-drift 1", "--manoeuvres", "--drives 2"])
+def test_options_of_recorded_drives_are_refused(option, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "--live", *option.split()])
+    assert ended.value.code == 1
+    assert f"{option.split()[0]} would do nothing" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("axes", "gear"), [((0.4, 0.0, 0.1), 1.0), ((0.4, 0.0, 0.1, -1.0), -1.0)])

@@ -80,8 +80,60 @@ def test_messages_arrive_as_they_were_sent_and_say_whether_they_are_ours(connect
     assert from_us.get(timeout=5).publisher[:8] == ours.identity == beside.identity
     assert ours.topics() == {"/odom": "nav_msgs/msg/Odometry"}, "of others"
     robot.publisher("/drive", STRING)
-    command(text())
-    assert from_us.get(timeout=5).publisher == b"", "another publisher is there: it may have been its message"
+    assert until(lambda: command(text()) or from_us.get(timeout=5).publisher == b""), (
+        "it may have been another's message"
+    )
+
+
+def test_who_publishes_is_not_asked_with_each_message(connect, graph, monkeypatch):
+    ours, robot, heard = connect(), connect("robot"), []
+    publish = robot.publisher("/odom", STRING)
+    ours.subscribe("/odom", heard.append, msgtype=STRING)
+    asked, who = ours._publishers, []
+    monkeypatch.setattr(ours, "_publishers", lambda topic: who.append(threading.current_thread()) or asked(topic))
+    publish(text())
+    assert len(heard) == 1
+    assert threading.current_thread() not in who
+
+
+def test_a_message_whose_publisher_is_not_found_yet_counts_as_anothers(connect, graph):
+    ours, robot, heard = connect(), connect("robot"), []
+    publish = robot.publisher("/drive", STRING)
+    ours.subscribe("/drive", heard.append, msgtype=STRING)
+    hidden = graph.publishers.pop()
+    assert until(lambda: ours._names == {"/drive": []})
+    hidden.publish(bytes(8))
+    assert heard[-1].publisher == b""
+    assert publish is not None
+
+
+def test_a_publisher_that_appears_during_a_look_is_subscribed_to_once(connect, graph, monkeypatch):
+    ours, robot, heard = connect(), connect("robot"), []
+    robot.publisher("/points", STRING)
+    answers, asked = iter([[]]), ours._publishers
+    monkeypatch.setattr(ours, "_publishers", lambda topic: next(answers, asked(topic)))
+    ours.subscribe("/points", heard.append)
+    assert until(lambda: graph.subscriptions)
+    assert not until(lambda: len(graph.subscriptions) > 1, 0.2)
+
+
+def test_a_type_that_ros_does_not_know_leaves_the_node_hearing(connect, graph, monkeypatch):
+    from offpiste_ros import rclpy_transport
+
+    ours, robot, heard, known = connect(), connect("robot"), [], rclpy_transport._class_of
+
+    def class_of(msgtype):
+        if msgtype == "std_msgs/msg/Float64":
+            raise TransportError("ROS does not know it")
+        return known(msgtype)
+
+    robot.publisher("/number", "std_msgs/msg/Float64")
+    monkeypatch.setattr(rclpy_transport, "_class_of", class_of)
+    ours.subscribe("/number", heard.append)
+    assert until(lambda: list(ours.refused) == ["/number: ROS does not know it"])
+    ours.subscribe("/text", heard.append)
+    publish = robot.publisher("/text", STRING)
+    assert until(lambda: publish(text()) or heard)
 
 
 def test_types_are_those_of_publishers_that_come_later_and_what_they_kept_is_delivered(connect, graph):

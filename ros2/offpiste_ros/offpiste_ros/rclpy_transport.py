@@ -76,6 +76,8 @@ class RclpyTransport:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._waiting: list[tuple[str, Deliver, str, bool]] = []
+        self._names: dict[str, list[str]] = {}
+        self._lock = threading.RLock()  # of both: they are used here and in the node's thread
         self._node.create_timer(LOOK, self._look)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
         self._thread.start()
@@ -109,17 +111,19 @@ class RclpyTransport:
         Where the type is not given, or messages before ours are asked for, this waits until a publisher is there: the
         type and the quality of service are its.
         """
-        if unchecked:
-            self._waiting.append((topic, lambda one: deliver(replace(one, type="", data=b"")), "", False))
-        elif not msgtype or history:
-            self._waiting.append((topic, deliver, msgtype, history))
-        else:
+        if msgtype and not history and not unchecked:
             self._subscribe(topic, deliver, msgtype, history=False)
+            return
+        wanted = (topic, deliver, msgtype, history)
+        if unchecked:
+            wanted = (topic, lambda one: deliver(replace(one, type="", data=b"")), "", False)
+        with self._lock:
+            self._waiting.append(wanted)
 
     def topics(self) -> dict[str, str]:
         """Topics that others publish, with their types."""
         found = {topic: kinds[0] for topic, kinds in self._node.get_topic_names_and_types() if kinds}
-        return {topic: kind for topic, kind in found.items() if not self._ours(topic)}
+        return {topic: kind for topic, kind in found.items() if not self._ours(self._publishers(topic))}
 
     def routers(self) -> int:
         """1: DDS has no router that could be lost."""
@@ -130,7 +134,7 @@ class RclpyTransport:
         try:
             return self.types.store.deserialize_cdr(message.data, message.type)
         except Exception:  # noqa: BLE001 - whatever bytes from outside make rosbags raise: they are refused
-            self.refused[f"{message.topic}: cannot be decoded"] += 1
+            self.refused.add(f"{message.topic}: cannot be decoded")
             return None
 
     def close(self) -> None:
@@ -141,18 +145,25 @@ class RclpyTransport:
         self._context.try_shutdown()
 
     def _look(self) -> None:
-        """Subscribe to the topics whose publishers have come."""
-        known, waiting = dict(self._node.get_topic_names_and_types()), self._waiting
-        self._waiting = [wanted for wanted in waiting if wanted[0] not in known or not self._publishers(wanted[0])]
-        for topic, deliver, msgtype, history in waiting:
-            if topic in known and self._publishers(topic):
-                self._subscribe(topic, deliver, msgtype or known[topic][0], history=history)
+        """Subscribe to the topics whose publishers have come, and see who publishes what is heard."""
+        with self._lock:
+            self._names = {topic: self._publishers(topic) for topic in self._names}
+            known, waiting, self._waiting = dict(self._node.get_topic_names_and_types()), self._waiting, []
+            for wanted in waiting:
+                topic, deliver, msgtype, history = wanted
+                if not known.get(topic) or not self._publishers(topic):
+                    self._waiting.append(wanted)
+                    continue
+                try:
+                    self._subscribe(topic, deliver, msgtype or known[topic][0], history=history)
+                except TransportError as error:  # from here it would end the node's thread
+                    self.refused.add(f"{topic}: {error}")
 
     def _subscribe(self, topic: str, deliver: Deliver, msgtype: str, *, history: bool) -> None:
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         if msgtype not in self.types:
-            self.refused[f"{topic}: unknown type {msgtype}"] += 1
+            self.refused.add(f"{topic}: unknown type {msgtype}")
             return
         # Best effort hears every publisher, also one that comes later; what was kept only reliable ones are given.
         quality = QoSProfile(depth=10, durability=DurabilityPolicy.VOLATILE, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -162,20 +173,24 @@ class RclpyTransport:
 
         def heard(data: bytes) -> None:
             if len(data) > LARGEST:
-                self.refused[f"{topic}: too large"] += 1
+                self.refused.add(f"{topic}: too large")
                 return
-            publisher = self.identity if self._ours(topic) else b""
+            names = self._names[topic] or self._publishers(topic)
+            publisher = self.identity if self._ours(names) else b""
             deliver(Received(topic, msgtype, bytes(data), time.time(), publisher=publisher))
 
-        self._node.create_subscription(_class_of(msgtype), topic, heard, quality, raw=True)
+        kind = _class_of(msgtype)
+        with self._lock:
+            self._names[topic] = self._publishers(topic)
+        self._node.create_subscription(kind, topic, heard, quality, raw=True)
 
-    def _ours(self, topic: str) -> bool:
-        """Whether all publishers of a topic are of this drive.
+    def _ours(self, names: list[str]) -> bool:
+        """Whether a topic's publishers, of which there are some, are all of this drive.
 
-        rclpy does not say who published a message; so with another publisher on the topic, all its messages count as
-        another's.
+        rclpy does not say who published a message; so with another publisher on the topic, or none that was found yet,
+        all its messages count as another's.
         """
-        return all(name.startswith(self._settings.run) for name in self._publishers(topic))
+        return bool(names) and all(name.startswith(self._settings.run) for name in names)
 
     def _publishers(self, topic: str) -> list[str]:
         """Names of the nodes that publish a topic."""

@@ -13,6 +13,12 @@ from offpiste.cli.robot_options import RobotOptions
 if TYPE_CHECKING:
     from offpiste.simulation.simulate import DriveSettings
 
+_NOT_LIVE = (
+    "out", "drives", "drive_seed", "manoeuvres", "mounting_turn", "twins", "pose_drift", "extrinsic_error",
+    "stamp_offset", "processes", "cluster",
+)  # fmt: skip
+"""Options of recorded drives alone."""
+
 
 @COMMANDS.register("simulate")
 @dataclass(frozen=True)
@@ -59,7 +65,9 @@ class Simulate:
     """Record several drives on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
     live: bool = False
-    """In real time, as a robot: `offpiste live proving_ground --drive` drives it along a course (extra `live`)."""
+    """In real time, as a robot: `offpiste live proving_ground --drive` drives it along a course (extra `live`).
+
+    Only world, seconds, seed, sensors, vehicle, pose noise, contrast and appearance of the above apply."""
     speed: float = 5.0
     """Of --live: the course is chosen for it [m/s]."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
@@ -86,11 +94,19 @@ class Simulate:
         return 0
 
     def _run_live(self) -> int:
+        from offpiste.errors import OffpisteError
         from offpiste.live.simulated_robot import simulate_live
 
+        if ignored := [
+            f"--{name.replace('_', '-')}" for name in _NOT_LIVE if getattr(self, name) != getattr(Simulate, name)
+        ]:
+            raise OffpisteError(f"{' and '.join(ignored)} would do nothing", where="--live", how="leave it out")
         world = self._settings(self.seed, self.seed).world
         robot = self.robot.settings()
-        simulate_live(world, robot, sensors=self.sensors, seconds=self.seconds, speed=self.speed)
+        simulate_live(
+            world, robot, sensors=self.sensors, seconds=self.seconds, speed=self.speed, vehicle=self.vehicle,
+            pose_noise=self.pose_noise,
+        )  # fmt: skip
         return 0
 
     def _record_all(self) -> None:

@@ -1,4 +1,4 @@
-"""Messages that wait in a process: a bounded number, of which the oldest give way."""
+"""Messages that wait in a process: a bounded number and size, of which the oldest give way."""
 
 import threading
 from collections import deque
@@ -13,10 +13,15 @@ class Backlog:
     Args:
         most: number of messages that may wait.
         dropped: counts those that gave way.
+        size: of all that may wait [bytes].
+        why: they gave way.
     """
 
-    def __init__(self, most: int, dropped: Tally) -> None:
-        self._most, self._dropped = most, dropped
+    def __init__(
+        self, most: int, dropped: Tally, *, size: int = 1 << 62, why: str = "comes faster than it is decoded"
+    ) -> None:
+        self._most, self._size, self._dropped, self._why = most, size, dropped, why
+        self._held = 0
         self._waiting: deque[Received] = deque()
         self._changed = threading.Condition()
 
@@ -24,8 +29,9 @@ class Backlog:
         """Add a message."""
         with self._changed:
             self._waiting.append(received)
-            if len(self._waiting) > self._most:
-                self._dropped.add(f"{self._waiting.popleft().topic}: comes faster than it is decoded")
+            self._held += len(received.data)
+            while len(self._waiting) > self._most or self._held > self._size:
+                self._dropped.add(f"{self._taken().topic}: {self._why}")
             self._changed.notify()
 
     def get(self, timeout: float) -> Received | None:
@@ -33,4 +39,9 @@ class Backlog:
         with self._changed:
             if not self._waiting:
                 self._changed.wait(timeout)
-            return self._waiting.popleft() if self._waiting else None
+            return self._taken() if self._waiting else None
+
+    def _taken(self) -> Received:
+        received = self._waiting.popleft()
+        self._held -= len(received.data)
+        return received

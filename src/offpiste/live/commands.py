@@ -2,6 +2,7 @@
 
 import csv
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -45,8 +46,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
     if settings.view is not None:
         _refuse_showing(settings.view, lockstep=lockstep, replay=replay)
-    if settings.record is not None and settings.record.exists():
-        raise LiveError("exists already", where=settings.record, how="remove it, or give another name")
+    if settings.record is not None:
+        _refuse_recording(settings.record)
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
     driver = StepDriver(rig, planner, reception, settings.runtime, shadow=not settings.drive, seed=settings.seed)
     with _table_of(commands) as on_step:
@@ -98,6 +99,24 @@ def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
             f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the keys of the bridge do not say it'
         )
         raise LiveError(f"the type of the enable topic {enable.topic} is not known", where=settings.rig, how=how)
+
+
+def _refuse_recording(path: Path) -> None:
+    """Refuse a log that could not be written, before anything drives.
+
+    Raises:
+        LiveError: why.
+    """
+    if path.suffix != ".mcap":
+        raise LiveError("a recording is an MCAP file", where=path, how="give it the ending .mcap")
+    if path.exists():
+        raise LiveError("exists already", where=path, how="remove it, or give another name")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LiveError(f"cannot be written: {error.strerror}", where=path, how="give another name") from error
+    if not os.access(path.parent, os.W_OK):
+        raise LiveError("cannot be written: the folder is read-only", where=path, how="give another name")
 
 
 def _refuse_showing(view: ViewSettings, *, lockstep: bool, replay: Path | None) -> None:
@@ -168,8 +187,10 @@ def play_log(
     """Play a log.
 
     Raises:
-        OffpisteError: the log, the rig or the connection is wrong.
+        OffpisteError: a setting, the log, the rig or the connection is wrong.
     """
+    if not seconds > 0:
+        raise LiveError(f"{seconds:g} seconds", where="--seconds", how="give more than 0")
     require("live", "zenoh")
     known = load_rig(rig) if rig else None
     topics = None if known is None else _topics(known)

@@ -15,7 +15,7 @@ from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_co
 from offpiste.closed_loop.lockstep import Driving, time_of
 from offpiste.closed_loop.scores import summary, trace_of
 from offpiste.conventions import DT
-from offpiste.errors import require
+from offpiste.errors import LiveError, require
 from offpiste.live.lockstep import CLOCK
 from offpiste.live.play import clock_message
 from offpiste.logs.ros.writer import header, make, quaternion, vector
@@ -131,11 +131,17 @@ class SimulatedRobot:
     Args:
         world, chosen: where it drives.
         sensors: profile of `simulation.sensors`.
+        vehicle: a TOML file; "" for the side-by-side.
+        pose_noise: further white noise of the positions that are sent [m].
     """
 
-    def __init__(self, transport: Transport, world: World, chosen: ChosenCourse, sensors: str, seed: int) -> None:
+    def __init__(
+        self, transport: Transport, world: World, chosen: ChosenCourse, sensors: str, seed: int, *,
+        vehicle: str = "", pose_noise: float = 0.0,
+    ) -> None:  # fmt: skip
         self._transport, self.world, self.chosen = transport, world, chosen
-        self._rig, self._parameters = load_rig("proving_ground"), load_vehicle()
+        self._rig, self._parameters = load_rig("proving_ground"), load_vehicle(vehicle or None)
+        self._imperfections = Imperfections(pose_noise)
         self.commands = RemoteCommands()
         self._rng, self._publish = np.random.default_rng([seed, 3]), dict[str, Any]()
         transport.subscribe(_command_topic(self._rig), self._commanded, msgtype="sensor_msgs/msg/Joy")
@@ -187,7 +193,7 @@ class SimulatedRobot:
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:
         stamp = stamp_ns(sample.time)
-        measured = with_noise(sample, Noise(), Imperfections(), self._rng)
+        measured = with_noise(sample, Noise(), self._imperfections, self._rng)
         messages = vehicle_messages(measured, stamp, wheel_radius=self._parameters.rolling_radius)
         del messages[_command_topic(self._rig)]
         odometry = messages.pop("/odometry")  # last: a reading is made when it comes
@@ -204,23 +210,33 @@ class SimulatedRobot:
 
 
 def simulate_live(
-    world: WorldSettings, robot: ZenohSettings, *, sensors: str, seconds: float, speed: float
+    world: WorldSettings,
+    robot: ZenohSettings,
+    *,
+    sensors: str,
+    seconds: float,
+    speed: float,
+    vehicle: str = "",
+    pose_noise: float = 0.0,
 ) -> dict[str, Any]:
     """Let the proving ground's vehicle be driven over the transport; what its drive came to is logged and returned.
 
     Raises:
-        OffpisteError: no such world, or no connection.
+        OffpisteError: no such world, vehicle or length, or no connection.
     """
     require("live", "zenoh")
+    if not DT / 2 < seconds < np.inf:
+        raise LiveError(f"a drive of {seconds:g} s", where="--seconds", how="give a number above zero")
+    parameters = load_vehicle(vehicle or None)
     made = make_world(world)
     chosen = choose_course(made, world.seed, CourseSettings(speed=speed))
     with closing(ZenohTransport(robot)) as transport:
-        simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed)
+        simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed, vehicle=vehicle, pose_noise=pose_noise)
         logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
         driving = simulated.drive(seconds)
     trace = trace_of(driving, chosen.course)
     length = float(np.linalg.norm(np.diff(chosen.course.driven, axis=0), axis=1).sum())
-    result = summary(driving, trace, length, seconds, CostWeights(path=5.0), load_vehicle())
+    result = summary(driving, trace, length, seconds, CostWeights(path=5.0), parameters)
     result["steps_without_command"] = simulated.commands.lost
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {length:.0f} m"
     logger.info(

@@ -1,6 +1,5 @@
 """Records what is received and what is sent, as a log that `inspect`, `extract` and `live --replay` read."""
 
-import queue
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.errors import LogError
+from offpiste.live.backlog import Backlog
 from offpiste.live.lockstep import CLOCK, COMMAND
 from offpiste.live.part import Part
 from offpiste.live.parts.control import MODE
@@ -19,8 +19,10 @@ from offpiste.logs.ros.writer import McapWriter
 from offpiste.rig.rig import load_rig
 from offpiste.transport.interface import Received
 
-_WAITING = 400
-"""Messages that may wait for the disk; more are dropped, and counted."""
+_WAITING: Final = 10_000
+"""Messages that may wait for the disk; where more do, the oldest are dropped, and counted."""
+_SIZE: Final = 256 << 20
+"""The same, of all of them [bytes]."""
 _OURS: Final = {
     COMMAND: "sensor_msgs/msg/Joy",
     MODE: "std_msgs/msg/String",
@@ -46,18 +48,15 @@ def record(session: Session, *, cameras: bool) -> None:
     topics |= {COMMAND: False, MODE: True, PLAN: False, DIAGNOSTICS: False}
     if session.settings.clock == "clock":
         topics[CLOCK] = False
-    waiting: queue.Queue[Received] = queue.Queue(_WAITING)
+    waiting = Backlog(_WAITING, part.dropped, size=_SIZE, why="the disk is too slow")
 
     def deliver(received: Received) -> None:
         if session.settings.clock != "system":  # its stamps are of that time, and what replays it steps by it
             received = replace(received, received=part.now())
         if not np.isfinite(received.received) and not topics[received.topic]:
-            part.dropped[f"{received.topic}: before the clock is known"] += 1
+            part.dropped.add(f"{received.topic}: before the clock is known")
             return
-        try:
-            waiting.put_nowait(received)
-        except queue.Full:
-            part.dropped[f"{received.topic}: the disk is too slow"] += 1
+        waiting.put(received)
 
     known = _OURS | {output.topic: output.type for output in rig.outputs.values()}
     for topic, history in topics.items():
@@ -67,10 +66,7 @@ def record(session: Session, *, cameras: bool) -> None:
     try:
         with McapWriter(path) as writer:
             while not part.ended:  # the stop at the end is recorded, too
-                try:
-                    received = waiting.get(timeout=0.1)
-                except queue.Empty:
-                    received = None
+                received = waiting.get(0.1)
                 early += [] if received is None else [received]
                 if received is not None and np.isfinite(received.received):
                     for one in early:
@@ -79,7 +75,7 @@ def record(session: Session, *, cameras: bool) -> None:
                         writer.write_serialised(one.topic, one.type, one.data, definition, round(time * 1e9))
                     written += len(early)
                     early.clear()
-                part.beat(f"records {path}", messages=written, refused=dict(transport.refused))
+                part.beat(f"records {path}", messages=written, refused=transport.refused.snapshot())
     except LogError as error:
         part.end_with(str(error))
     transport.close()
