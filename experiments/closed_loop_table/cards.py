@@ -7,7 +7,6 @@ import msgspec
 
 from experiments.closed_loop_table.drives import entries
 from experiments.closed_loop_table.table import by_row, driven_cost_against
-from experiments.provenance import commit, today
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import RunError
 from offpiste.evaluation.model_card import CARD, CourseFigures, load_card, write_card
@@ -21,8 +20,12 @@ def write_driving(planners: Sequence[Planner], results: Sequence[dict[str, Any]]
         limit: of a drive's time [s].
 
     Raises:
-        RunError: none of the planners is `b`, or there are too few courses for an interval.
+        RunError: none of the planners is `b`, there are too few courses for an interval, or not all were driven by the
+            same code.
     """
+    commits = sorted({result["commit"] for result in results})
+    if len(commits) > 1:
+        raise RunError(f"drives of several commits: {', '.join(commits)}", where="--out", how="give another folder")
     drives = by_row(results)
     rows = {entry.planner.folder: entry.row for entry in entries(planners, ())}
     base = next((row for row in rows.values() if row.startswith("b-")), None)
@@ -35,5 +38,5 @@ def write_driving(planners: Sequence[Planner], results: Sequence[dict[str, Any]]
         if found is None:
             raise RunError("too few courses for an interval", where=folder, how="give --courses 20")
         courses = len(next(iter(drives[row].values())))
-        driving = CourseFigures(courses, found, commit(), today())
+        driving = CourseFigures(courses, found, commits[0], max(result["date"] for result in results))
         write_card(folder, msgspec.structs.replace(load_card(folder), driving=driving))

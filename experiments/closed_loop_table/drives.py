@@ -40,7 +40,19 @@ OFFPISTE, PYTORCH_MPPI = "offpiste", "pytorch-mppi"
 PLANNERS: Final[dict[str, MakeImprover]] = {OFFPISTE: PlanImprover, PYTORCH_MPPI: PytorchMppi}
 """What improves plans, by name."""
 
-NEEDED: Final = ("world", "seed", "course", "firm_way", "driven_xy", "modes", "final_speed_mps", *MEASURES, *COUNTED)
+NEEDED: Final = (
+    "world",
+    "seed",
+    "course",
+    "firm_way",
+    "driven_xy",
+    "modes",
+    "final_speed_mps",
+    "commit",
+    "date",
+    *MEASURES,
+    *COUNTED,
+)
 """What is read from results."""
 
 NEWER: Final = ("fault_start", "sensors", "weights_sha256", "novelty")

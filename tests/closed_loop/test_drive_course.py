@@ -15,6 +15,7 @@ from offpiste.closed_loop.stretches import surprise_along, traction_along
 from offpiste.errors import OffpisteError, RunError
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
+from offpiste.provenance import commit, today
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -50,6 +51,7 @@ def test_what_is_written_can_be_read(driven):
     _, out = driven
     result = json.loads((out / "result.json").read_text())
     assert (result["planner"], result["fault_start"], result["sensors"]) == ("parametric", 10.0, "light")
+    assert (result["improver"], result["commit"], result["date"]) == ("PlanImprover", commit(), today())
     assert set(NEEDED) <= set(result), "what resuming needs of a result"
     assert sorted(file.name for file in out.iterdir()) == ["drive.mcap", "drive.png", "result.json"]
     assert (out / "drive.png").stat().st_size > 10_000

@@ -22,6 +22,7 @@ from offpiste.evaluation.errors import Progress
 from offpiste.files import check_folder, remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.progress import track
+from offpiste.provenance import commit, today
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
@@ -149,6 +150,7 @@ def drive_course(
     )  # fmt: skip
     trace = trace_of(driving, chosen.course)
     result = _result(planner, settings, chosen, runtime, driving, trace, parameters)
+    result |= {"improver": getattr(improver, "__name__", repr(improver)), "commit": commit(), "date": today()}
     title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
     scored = round(result["time_s"] / DT)
     figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)

@@ -12,10 +12,11 @@ from offpiste.evaluation.model_card import load_card
 from offpiste.shipped import run_folder
 
 
-def results(costs):
+def results(costs, **about):
     """Of each row's driven costs, course after course."""
+    about = {"commit": "abc1234", "date": "2026-11-20", **about}
     return [
-        {"row": row, "run_seed": 0, "world": "mojave", "seed": seed, "driven_cost": cost}
+        {"row": row, "run_seed": 0, "world": "mojave", "seed": seed, "driven_cost": cost, **about}
         for row, values in costs.items()
         for seed, cost in enumerate(values)
     ]
@@ -36,8 +37,15 @@ def test_each_card_says_the_cost_against_b(planners):
     write_driving(planners, results(costs), 40.0)
     driving = load_card(planners[0].folder).driving
     assert (driving.courses, driving.against_b.mean) == (3, pytest.approx(1.0))
+    assert (driving.commit, driving.date) == ("abc1234", "2026-11-20")
     assert driving.against_b.ci95 == (pytest.approx(1.0), pytest.approx(1.0))
     assert load_card(planners[1].folder) == before, "b is not compared with itself"
+
+
+def test_drives_of_several_commits_are_one_line(planners):
+    costs = {"parametric-100ms": [20.0] * 4}, {"b-100ms": [10.0] * 4}
+    with pytest.raises(RunError, match="drives of several commits: abc1234, def5678; give another folder"):
+        write_driving(planners, [*results(costs[0]), *results(costs[1], commit="def5678")], 40.0)
 
 
 def test_without_b_or_with_too_few_courses_it_is_one_line(planners):
