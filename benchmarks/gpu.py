@@ -1,8 +1,11 @@
-"""Parity and times on an NVIDIA GPU: rollouts with map and cost, whole plans, training steps. `gpu.sh` runs all of it.
+"""Parity and times on an NVIDIA GPU; `gpu.sh` runs all stages, each in a process of its own (gpu_stages.py).
 
-`python benchmarks/gpu.py [--device cuda] [--out gpu.json] [--small]`. Without a GPU, `PYTHONPATH=tests python
-benchmarks/gpu.py --device cpu --small` runs the same script on kernels that g++ compiled for this machine (from
-tests/host_kernels.py), which checks the script, not the GPU: its times mean nothing.
+`python benchmarks/gpu.py [STAGE ...] [--device cuda] [--out FILE] [--small]`. Stages: `plans` (rollouts with map and
+cost, whole plans, and the packing and copying in them), `training` (rollouts forward and back), `pytorch-mppi` (the
+same rollouts by it, eager and compiled), `train` (a short training, and its validation loss on the CPU). Rows are
+written as they come. Without a GPU, `PYTHONPATH=tests python benchmarks/gpu.py plans --device cpu --small` runs a stage
+on kernels that g++ compiled for this machine (from tests/host_kernels.py), which checks the script, not the GPU: its
+times mean nothing.
 """
 
 import argparse
@@ -10,8 +13,10 @@ import json
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,10 +26,12 @@ from torch import Tensor
 
 from offpiste.conventions import ACTUATORS, HORIZON_STEPS
 from offpiste.cuda_kernels import Kernels, cuda_kernels
+from offpiste.dataset.store import open_dataset
 from offpiste.dynamics import rollout
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.gpu import check_kernels
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
+from offpiste.errors import OffpisteError
 from offpiste.mapping.terrain_sampler import stack_maps
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
@@ -36,10 +43,18 @@ from offpiste.planning.gpu import check_planner
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import encode_map
-from offpiste.planning.mppi import Settings
+from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, limited, sample
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.planning.plan_graph import captured
 from offpiste.state import ModelState, RecordedTerrain, Terrain
-from offpiste.training.run import pretrained
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import kept_epochs, pretrained
+from offpiste.training.train import train
+
+Row = dict[str, Any]
+
+SAME = 0.02
+"""Largest relative difference of validation losses of a few epochs on two devices."""
 
 
 def open_kernels(text: str, device: torch.device) -> Kernels:
@@ -51,8 +66,8 @@ def open_kernels(text: str, device: torch.device) -> Kernels:
     return HostKernels(text, "-O2")
 
 
-def milliseconds(run: Callable[[], Any], device: torch.device, turns: int) -> tuple[float, float]:
-    """Median and best time of a function, the device's work included."""
+def timed(what: str, run: Callable[[], Any], device: torch.device, turns: int) -> Row:
+    """Median and best time of a function [ms], the device's work included."""
     taken = []
     for turn in range(turns + 2):
         before = time.perf_counter()
@@ -61,7 +76,7 @@ def milliseconds(run: Callable[[], Any], device: torch.device, turns: int) -> tu
             torch.cuda.synchronize(device)
         if turn >= 2:
             taken.append(1e3 * (time.perf_counter() - before))
-    return statistics.median(taken), min(taken)
+    return {"what": what, "median": statistics.median(taken), "best": min(taken)}
 
 
 def situation() -> Situation:
@@ -89,38 +104,118 @@ def windows(dynamics: Dynamics, batch: int, device: torch.device) -> tuple[Model
     return start, controls.to(device), Terrain(up.to(device), known.to(device), latent.to(device))
 
 
-def of_plans(dynamics: Dynamics, device: torch.device, sizes: list[int], turns: int) -> dict[str, Any]:
-    """Rollouts with map and cost, and whole plans."""
+def of_plans(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+    """Rollouts with map and cost, whole plans, and what is packed and copied for them."""
     at, weights = situation(), CostWeights(path=5.0)
     codes = encode_map(at.ground, dynamics.encoder)
     units = torch.zeros(1, dynamics.recurrent_size)
     start = ModelState(at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units, units)
     there = ModelState(*(part.to(device) for part in vars(start).values()))
-    kernels, rows = open_kernels(plan_text(dynamics, at.costs.table), device), {}
-    for samples in sizes:
+    kernels = open_kernels(plan_text(dynamics, at.costs.table), device)
+    # memcheck follows the kernels themselves, not a graph of them.
+    capture = captured if device.type == "cuda" and not small else None
+    plan = torch.zeros(HORIZON_STEPS, 2)
+    for turn, samples in enumerate([96] if small else [1024, 8192]):
         settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
-        planner = DevicePlanner(kernels, dynamics, settings, torch.Generator(device).manual_seed(0))
-        plan = torch.zeros(HORIZON_STEPS, 2)
-        if samples == sizes[0]:
-            check_planner(planner, plan, start, at, weights, codes)
+        generator = torch.Generator(device).manual_seed(0)
+        planner = DevicePlanner(kernels, dynamics, settings, generator, capture)
+        given, size = (plan, start, at, weights, codes), f"{samples} x {HORIZON_STEPS}"
+        if turn == 0:
+            check_planner(planner, *given)
+            yield {"what": "costs and limits agree with the CPU's"}
         cost_of = costs_by_kernels(kernels, dynamics, there, at, weights, codes)
         controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))).to(device)
-        rows[f"rollouts with map and cost, {samples} x {HORIZON_STEPS}"] = milliseconds(
-            lambda cost_of=cost_of, controls=controls: cost_of(controls), device, turns
-        )
-        rows[f"a whole plan of one iteration, {samples} x {HORIZON_STEPS}"] = milliseconds(
-            lambda planner=planner, plan=plan: planner.improve(plan, start, at, weights, codes), device, turns
-        )
-    return rows
+        yield timed(f"rollouts with map and cost, {size}", lambda c=cost_of, u=controls: c(u), device, turns)
+        yield timed(f"a whole plan of one iteration, {size}", lambda p=planner, g=given: p.improve(*g), device, turns)
+        if capture:
+            yield {"what": f"the graph of {samples} samples plans as its kernels do"}
+        if turn == 0:
+            yield timed(
+                "packing and copying, the map of the last plan", lambda p=planner, g=given: p.load(*g), device, turns
+            )
+            others = [situation() for _ in range(turns + 2)]
+
+            def load(planner: DevicePlanner = planner, others: list[Situation] = others) -> None:
+                at = others.pop()
+                planner.load(plan, start, at, weights, (codes[0].clone(), codes[1]))
+
+            yield timed("packing and copying, another map", load, device, turns)
 
 
-def of_training(dynamics: Dynamics, device: torch.device, sizes: list[int], turns: int) -> dict[str, Any]:
-    """Rollouts forward and back; the eager model on the same device for the smallest batch."""
+def moved(at: Situation, codes: tuple[Tensor, Tensor], device: torch.device) -> Situation:
+    """A situation with a map of codes, on a device."""
+    at = on_cpu.codes_first(at, codes)
+    ground, costs = at.ground, at.costs
+    there = {
+        "origin": ground.origin.to(device),
+        "slope": ground.slope.to(device),
+        "features": ground.features.to(device),
+    }
+    return replace(
+        at, ground=replace(ground, **there), costs=replace(costs, **on_device(costs, device)), **on_device(at, device)
+    )
+
+
+def on_device(item: object, device: torch.device) -> dict[str, Tensor]:
+    """The fields of a dataclass that are tensors, on a device."""
+    return {name: value.to(device) for name, value in vars(item).items() if isinstance(value, Tensor)}
+
+
+def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+    """The same rollouts with map and cost by the kernels and by pytorch_mppi, step by step and compiled."""
+    samples, weights = 96 if small else 1024, CostWeights()
+    at, model = situation(), on_cpu.network("dc")
+    codes = encode_map(at.ground, model.encoder)
+    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=samples)
+    drawn = sample(torch.tensor([0.3, 0.0, 0.0]).repeat(HORIZON_STEPS, 1), settings, torch.Generator().manual_seed(0))
+    controls = limited(drawn, settings, at.control).to(device)
+    begin = on_cpu.start(model, at)
+    there = ModelState(*(part.to(device) for part in vars(begin).values()))
+    kernels = open_kernels(plan_text(model, at.costs.table), device)
+    cost_of = costs_by_kernels(kernels, model, there, at, weights, codes)
+    yield timed(f"kernels, {samples} x {HORIZON_STEPS}", lambda: cost_of(controls), device, turns)
+    wanted, size = cost_of(controls), f"{samples} x {HORIZON_STEPS}"
+    coded, model = moved(at, codes, device), model.to(device)
+    for compiled in (False, True):
+        name = "pytorch_mppi, " + ("compiled" if compiled else "eager")
+        with torch.device(device):
+            roll = on_cpu.pytorch_mppi(model, coded, weights, controls, compiled=compiled)
+            yield timed(f"{name}, {size}", roll, device, min(turns, 5))
+            yield {
+                "what": f"{name}: {on_cpu.agreement(roll(), wanted):.2f} of the costs are within 1 % of the kernels'"
+            }
+
+
+def of_train(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+    """A short training on made-up drives; its validation loss must be that on the CPU."""
+    from feature_datasets import dataset_with_features
+
+    losses = {}
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "dataset.zarr"
+        dataset_with_features(path)
+        for place in ("cpu", str(device)):
+            config = TrainConfig("dc", epochs=2, bicycle_epochs=2, actuator_epochs=1, stride=25, device=place)
+            began = time.perf_counter()
+            train(open_dataset(path), config, Path(folder) / f"run-{len(losses)}")
+            loss = kept_epochs(Path(folder) / f"run-{len(losses)}")["model"].validation_loss
+            losses[f"{place}, {len(losses)}"] = loss
+            took = time.perf_counter() - began
+            yield {"what": f"a short training on {place}: {took:.1f} s, validation loss {loss:.5f}"}
+    first, second = losses.values()
+    if not abs(second - first) <= SAME * abs(first):
+        raise SystemExit(f"validation losses differ: {first:.5f} on the CPU, {second:.5f} on {device}")
+
+
+def of_training(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+    """Rollouts forward and back; the eager model on the same device for the smallest batch, unless the run is small."""
     dynamics = dynamics.to(device)
     for part in (dynamics.kernel_parts().compensator, dynamics.encoder):
         part.requires_grad_(True)
-    kernels, rows = open_kernels(recorded_text(dynamics), device), {}
-    check_kernels(kernels, dynamics, device)
+    kernels, sizes = open_kernels(recorded_text(dynamics), device), [40] if small else [1024, 4096, 16384]
+    if not small:
+        check_kernels(kernels, dynamics, device)
+        yield {"what": "states and gradients agree with the eager model's"}
     for batch in sizes:
         start, controls, terrain = windows(dynamics, batch, device)
 
@@ -130,32 +225,48 @@ def of_training(dynamics: Dynamics, device: torch.device, sizes: list[int], turn
         def eagerly(start: ModelState = start, controls: Tensor = controls, terrain: Terrain = terrain) -> None:
             rollout(dynamics, start, controls, RecordedTerrain(terrain)).state.square().mean().backward()
 
-        rows[f"training, forward and back, {batch} windows"] = milliseconds(by_kernels, device, turns)
-        if batch == sizes[0]:
-            rows[f"the same eagerly, {batch} windows"] = milliseconds(eagerly, device, min(turns, 3))
-    return rows
+        yield timed(f"forward and back, {batch} windows", by_kernels, device, turns)
+        if batch == sizes[0] and not small:
+            yield timed(f"the same eagerly, {batch} windows", eagerly, device, min(turns, 3))
+
+
+STAGES = {"plans": of_plans, "training": of_training, "pytorch-mppi": of_pytorch_mppi, "train": of_train}
+
+
+def opened(name: str) -> torch.device:
+    """A device; one line where there is none."""
+    device = torch.device(name)
+    if device.type == "cuda" and not torch.cuda.is_available():
+        built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
+        raise SystemExit(f"no GPU '{name}': torch {torch.__version__} {built}, and sees none here")
+    return device
 
 
 def main() -> None:
-    """Check, time, print."""
+    """Check, time, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("stages", nargs="*", metavar="STAGE", help=f"of {', '.join(STAGES)}; none: names the device")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--out", type=Path, default=Path("gpu.json"))
-    parser.add_argument("--small", action="store_true", help="few samples: for compute-sanitizer, or without a GPU")
+    parser.add_argument("--small", action="store_true", help="few samples, no graph: for memcheck, or without a GPU")
     parser.add_argument("--turns", type=int, default=30)
     given = parser.parse_args()
-    device, small = torch.device(given.device), given.small
-    dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
-    turns = 2 if small else given.turns
-    rows = of_plans(dynamics, device, [96] if small else [1024, 8192], turns)
-    rows |= of_training(dynamics, device, [40] if small else [1024, 4096, 16384], turns)
+    if unknown := set(given.stages) - set(STAGES):
+        parser.error(f"no stage {', '.join(sorted(unknown))}")
+    device = opened(given.device)
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor()
-    print(f"{name}, torch {torch.__version__}: kernels agree with the CPU's and with the eager model")
-    print("| what | median [ms] | best [ms] |\n|---|---|---|")
-    for what, (median, best) in rows.items():
-        print(f"| {what} | {median:.2f} | {best:.2f} |")
-    given.out.write_text(json.dumps({"device": name, "torch": torch.__version__, "ms": rows}, indent=2) + "\n")
+    print(f"{name}, torch {torch.__version__}, CUDA {torch.version.cuda}", flush=True)
+    rows: list[Row] = []
+    for stage in given.stages:
+        dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
+        for row in STAGES[stage](dynamics, device, given.small, 2 if given.small else given.turns):
+            rows.append(row)
+            given.out.write_text(json.dumps(rows, indent=2) + "\n")
+            print(row, flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except OffpisteError as error:
+        raise SystemExit(str(error)) from error

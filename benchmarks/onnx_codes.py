@@ -21,7 +21,7 @@ from torch import Tensor
 
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dynamics import Dynamics, rollout
-from offpiste.export.formats import export_run
+from offpiste.export.formats import ImageOptions, export_run
 from offpiste.export.onnx_files import encoder_of, extractor_of
 from offpiste.export.onnx_graphs import SIZE, ImageToCodes
 from offpiste.export.onnx_precision import codes_of, loss_of
@@ -41,7 +41,7 @@ def pictures_of(log: Path, rig_name: str, count: int) -> list[np.ndarray]:
     rig = load_rig(rig_name)
     sensors = open_sensors(open_log(log, clock=rig.clock), rig)
     name, camera = next(iter(sensors.cameras.items()))
-    rectify = make_pinhole_camera(camera, 1, size=SIZE[::-1]).rectifier
+    rectify = make_pinhole_camera(camera, 1, size=SIZE).rectifier
     index = np.linspace(0, len(sensors.stamps(name)) - 1, count).round().astype(int)
     return [rectify(image.pixels) for image in sensors.picked({name: index})]
 
@@ -123,7 +123,7 @@ def main() -> None:
         calibrating.mkdir()
         for number, picture in enumerate(pictures[::2]):
             cv2.imwrite(str(calibrating / f"{number:03}.png"), picture[..., ::-1])
-        export_run("pretrained:proving-ground/dc", folder, "onnx", calibrating)
+        export_run("pretrained:proving-ground/dc", folder, "onnx", ImageOptions(calibrating))
         images = torch.from_numpy(np.stack(pictures[1::2]))
         print_losses(run, folder, images)
         print_times(run, folder, images[:1], given.turns)

@@ -76,7 +76,7 @@ def codes_first(at: Situation, codes: tuple[Tensor, Tensor]) -> Situation:
 
 def stepwise(model: Hybrid, at: Situation, weights: CostWeights, samples: int) -> tuple[Callable, Callable]:
     """Dynamics and running cost for pytorch_mppi; velocity and control before a step travel with the state."""
-    zeros, offset = torch.zeros(samples, dtype=torch.long), at.offset.expand(samples, 2)
+    zeros, offset = torch.zeros(samples, dtype=torch.long, device=at.state.device), at.offset.expand(samples, 2)
     encode = as_codes(model.encoder.missing()) if model.codes else None
     step = as_callable(model, MapTerrain(at.ground, zeros, offset, at.wheels, encode))
 
@@ -104,7 +104,7 @@ def pytorch_mppi(model: Hybrid, at: Situation, weights: CostWeights, controls: T
     first = torch.cat((start(model, at).pack()[0].nan_to_num(), at.state[3:5], at.control, at.control))
     planner = MPPI(
         dynamics, cost, len(first), torch.eye(3), num_samples=len(controls), horizon=controls.shape[1],
-        U_init=torch.zeros(controls.shape[1:]),
+        U_init=torch.zeros(controls.shape[1:]), device=at.state.device,
     )  # fmt: skip
     planner.state = first
     if compiled:

@@ -3,6 +3,9 @@
 Needs the extra `cuda` (cuda-core) and a torch that was built for CUDA.
 """
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, Final, Protocol, final, runtime_checkable
 
@@ -11,7 +14,9 @@ import torch
 from torch import Tensor
 
 from offpiste.cache import cache_folder
-from offpiste.errors import extra
+from offpiste.errors import OffpisteError, extra
+
+logger = logging.getLogger(__name__)
 
 BLOCK: Final = 64
 """Threads of a block, as OFFPISTE_BLOCK in kernels.h."""
@@ -38,26 +43,33 @@ class CudaKernels:
 
     Raises:
         MissingExtra: cuda-core is not installed.
+        OffpisteError: no driver, no NVRTC, or one that does not know this GPU.
     """
 
     def __init__(self, text: str, device: torch.device) -> None:
         with extra("cuda"):
             from cuda.core import Device
-        major, minor = torch.cuda.get_device_capability(device)
         self._device = device
-        Device(torch.cuda.current_device() if device.index is None else device.index).set_current()
+        with _errors_of_cuda(f"no work on {device}", "check that nvidia-smi lists the GPU, or use the CPU"):
+            major, minor = torch.cuda.get_device_capability(device)
+            Device(torch.cuda.current_device() if device.index is None else device.index).set_current()
         self._code = machine_code(text, f"sm_{major}{minor}")
         self._kernels: dict[str, Any] = {}
 
     def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
-        """Run a kernel for `count` items on torch's current stream."""
+        """Run a kernel for `count` items on torch's current stream.
+
+        Raises:
+            OffpisteError: the driver does not run it.
+        """
         from cuda.core import LaunchConfig, Stream, launch
 
-        if name not in self._kernels:
-            self._kernels[name] = self._code.get_kernel(name)
         given = [argument_of(argument) for argument in (*arguments, count)]
-        stream = Stream.from_handle(torch.cuda.current_stream(self._device).cuda_stream)
-        launch(stream, LaunchConfig(grid=-(-count // BLOCK), block=BLOCK), self._kernels[name], *given)
+        with _errors_of_cuda(f"{name} does not run on {self._device}", "report GPU, driver and this line"):
+            if name not in self._kernels:
+                self._kernels[name] = self._code.get_kernel(name)
+            stream = Stream.from_handle(torch.cuda.current_stream(self._device).cuda_stream)
+            launch(stream, LaunchConfig(grid=-(-count // BLOCK), block=BLOCK), self._kernels[name], *given)
 
 
 def argument_of(argument: Tensor | int | None) -> int | np.int32:
@@ -76,17 +88,34 @@ def argument_of(argument: Tensor | int | None) -> int | np.int32:
 
 
 def machine_code(text: str, architecture: str) -> Any:
-    """Machine code of a text (`cuda.core.ObjectCode`), kept on disk; compiling needs no GPU.
+    """Machine code of a text (`cuda.core.ObjectCode`), kept on disk where that can be; compiling needs no GPU.
 
     Raises:
         MissingExtra: cuda-core is not installed.
+        OffpisteError: no NVRTC, or one that does not know the architecture.
     """
     with extra("cuda"):
         from cuda.core import Program, ProgramOptions
         from cuda.core.utils import FileStreamProgramCache
-    options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177)
-    kept = FileStreamProgramCache(cache_folder() / "cuda", max_size_bytes=LARGEST_CACHE)
-    return Program(text, "c++", options).compile("cubin", cache=kept)
+    folder = cache_folder() / "cuda"
+    how = "install cuda-core[cu12] or cuda-core[cu13], as torch.version.cuda says; a newer NVRTC knows newer GPUs"
+    with _errors_of_cuda(f"NVRTC does not compile for {architecture}", how):
+        options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177)
+        try:
+            kept = FileStreamProgramCache(folder, max_size_bytes=LARGEST_CACHE)
+            return Program(text, "c++", options).compile("cubin", cache=kept)
+        except OSError as error:
+            logger.warning("GPU kernels are compiled at each start, as %s cannot be used: %s", folder, error)
+            return Program(text, "c++", options).compile("cubin")
+
+
+@contextmanager
+def _errors_of_cuda(what: str, how: str) -> Iterator[None]:
+    """Turn errors of NVRTC, the driver and the loader of their libraries into one line."""
+    try:
+        yield
+    except Exception as error:  # those of cuda-core have no base in its public names
+        raise OffpisteError(f"{what}: {str(error).replace(chr(0), '')}", how=how) from error
 
 
 @cache

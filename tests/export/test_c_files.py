@@ -74,7 +74,9 @@ def made_up(kind):
 @pytest.mark.parametrize("kind", ["no actuators", "gear without throttle", "features as they are", "held"])
 def test_every_kind_of_model_agrees(kind, tmp_path):
     dynamics = made_up(kind)
-    (tmp_path / "offpiste.h").write_text(model_header(dynamics, "Made up."))
+    header = model_header(dynamics, "Made up.")
+    assert ("gear, which is -1 (reverse), 0 (neutral) or 1 (forward)" in header) == ("gear" in kind)
+    (tmp_path / "offpiste.h").write_text(header)
     case = parity_case(dynamics, steps=100)
     (tmp_path / "parity.bin").write_bytes(parity_bytes(case))
     for name in ("example.c", "parity.h"):
@@ -87,6 +89,10 @@ def test_every_kind_of_model_agrees(kind, tmp_path):
     (tmp_path / "parity.bin").write_bytes(parity_bytes(case)[:-4])
     cut = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
     assert (cut.returncode, cut.stderr) == (1, "the parity file ends too soon\n")
+    other = parity_case(unsettled(made_up(kind), scale=0.01), steps=100)
+    (tmp_path / "parity.bin").write_bytes(parity_bytes(other))
+    alien = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
+    assert (alien.returncode, alien.stderr) == (1, "parity.bin: belongs to another model than offpiste.h\n")
 
 
 @needs_nvcc

@@ -11,13 +11,26 @@ import torch
 from dynamics.kernels.test_rollout import CHANNELS, example
 from offpiste.dynamics import Hybrid
 from offpiste.errors import OffpisteError, RunError
-from offpiste.export.formats import export_run
+from offpiste.export.formats import ImageOptions, export_run, size_of
 from offpiste.export.onnx_files import checked_graph, encoder_of, extractor_of, past_inputs
 from offpiste.export.onnx_graphs import PastToMemory, run_graph, sample_images
 from offpiste.export.onnx_precision import read_images
 from offpiste.training.run import pretrained
 
+onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
 pytest.importorskip("onnxscript", reason="the extra onnx is not installed")
+
+
+def what_tensorrt_refuses(file):
+    """Bytes that go into anything but a cast, zero points other than 0, and biases of 32 bits."""
+    graph = onnx.load(file).graph
+    constants = {each.name: onnx.numpy_helper.to_array(each) for each in graph.initializer}
+    found = [node.op_type for node in graph.node if "images" in node.input and node.op_type != "Cast"]
+    for node in graph.node:
+        if node.op_type in ("QuantizeLinear", "DequantizeLinear") and len(node.input) > 2:
+            zero = constants[node.input[2]]
+            found += [f"{node.name}: {zero.dtype}"] if zero.any() or zero.dtype != np.int8 else []
+    return found
 
 
 def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
@@ -25,7 +38,7 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
     pictures.mkdir()
     for number, image in enumerate(sample_images().numpy()):
         cv2.imwrite(str(pictures / f"{number}.png"), image[..., ::-1])
-    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx", pictures)
+    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(pictures))
     run = pretrained("proving-ground/dc")
     images = sample_images()[[1, 0, 1]]
     found = run_graph(tmp_path / "out" / "codes.onnx", {"images": images})[0]
@@ -37,7 +50,11 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
     kept = np.load(tmp_path / "out" / "codes-parity.npz")
     torch.testing.assert_close(found[1], torch.from_numpy(kept["codes"][0]), atol=1e-4, rtol=0)
 
-    losses = json.loads((tmp_path / "out" / "model.json").read_text())["precisions"]
+    about = json.loads((tmp_path / "out" / "model.json").read_text())
+    losses = about["precisions"]
+    assert about["image"] == [360, 640, 3]
+    for name in ("codes.onnx", *losses):
+        assert what_tensorrt_refuses(tmp_path / "out" / name) == []
     assert losses.keys() == {"codes-float16.onnx", "codes-int8.onnx"}
     for name, loss in losses.items():
         again = run_graph(tmp_path / "out" / name, {"images": sample_images()})[0]
@@ -45,6 +62,24 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
         assert float((again - torch.from_numpy(kept["codes"])).abs().max()) == pytest.approx(loss["largest"], abs=1e-3)
     started = np.load(tmp_path / "out" / "start-parity.npz")
     assert (started["hidden"].shape, started["known"].shape) == ((16, run.dynamics.recurrent_size), (16, 10, 4))
+
+
+def test_images_of_another_size_have_a_graph_of_their_own(tmp_path):
+    run, size = pretrained("proving-ground/dc"), (203, 121)
+    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(size=size))
+    about = json.loads((tmp_path / "out" / "model.json").read_text())
+    assert about["image"] == [121, 203, 3]
+    assert "[cameras, 121, 203, 3]" in (tmp_path / "out" / "README.md").read_text()
+    images = sample_images(size)
+    found = run_graph(tmp_path / "out" / "codes.onnx", {"images": images})[0]
+    assert found.shape[1:3] == extractor_of(run).extract(images[0].numpy()).shape[:2]
+
+
+def test_a_size_is_two_numbers():
+    assert size_of("1280x720") == (1280, 720)
+    for text in ("1280", "1280x", "0x10", "-5x7", "12.5x3", "1280 x 720"):
+        with pytest.raises(OffpisteError, match=r"--size is '.*'; give width and height in pixels, as 640x360"):
+            size_of(text)
 
 
 @pytest.mark.parametrize("channels", ["gear without throttle", "no actuators"])
@@ -68,9 +103,11 @@ def test_a_graph_that_computes_something_else_and_pictures_of_another_size_are_r
         checked_graph(pretrained("proving-ground/dc"), tmp_path / "x", Drawn(), {"x": torch.ones(2, 3)}, ("y",))
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 5, 3), np.uint8))
     with pytest.raises(OffpisteError, match="a picture of 5 x 4"):
-        read_images(tmp_path)
+        read_images(tmp_path, (640, 360))
     with pytest.raises(OffpisteError, match="--images is for --format onnx"):
-        export_run("pretrained:proving-ground/dc", tmp_path / "new", "c", tmp_path)
+        export_run("pretrained:proving-ground/dc", tmp_path / "new", "c", ImageOptions(tmp_path))
+    with pytest.raises(OffpisteError, match=r"--size is for --format onnx"):
+        export_run("pretrained:proving-ground/dc", tmp_path / "new", "c", ImageOptions(size=(640, 360)))
 
 
 def test_runs_without_features_or_with_those_of_another_pca_are_refused():

@@ -24,11 +24,15 @@ class Export:
     images to codes and from the last 0.2 s to the start (extra `onnx`)."""
     images: Path | None = None
     """Of onnx: a folder of rectified pictures, by which int8 is calibrated; without one there is no int8."""
+    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
+    """Of onnx: width and height of the rectified images [px], those with which features were extracted; 640x360 unless
+    given."""
 
     def run(self) -> int:
         """Read the run, write the folder."""
-        from offpiste.export.formats import export_run
+        from offpiste.export.formats import ImageOptions, export_run, size_of
 
-        export_run(self.model, self.to, self.format, self.images)
+        size = None if self.size is None else size_of(self.size)
+        export_run(self.model, self.to, self.format, ImageOptions(self.images, size))
         show(f"{self.to}: see README.md there")
         return 0

@@ -6,12 +6,13 @@ from pathlib import Path
 from string import Template
 from typing import Any, Final
 
+from offpiste.conventions import HISTORY_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.start_text import encoder_text, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.dynamics.header.weights_text import weights_text
-from offpiste.export.formats import FORMATS, refuse_images, refuse_without_kernels, write_about
-from offpiste.export.parity import parity_bytes, parity_case
+from offpiste.export.formats import FORMATS, ImageOptions, refuse_images, refuse_without_kernels, write_about
+from offpiste.export.parity import digest_of, features_of, parity_bytes, parity_case
 from offpiste.files import write_bytes, write_text
 from offpiste.training.run import Run
 
@@ -28,19 +29,21 @@ def model_header(dynamics: Dynamics, about: str) -> str:
     if dynamics.encoder is not None:
         parts.append(encoder_text(dynamics.encoder))
     parts.append(weights_text(dynamics))
-    top = (f"/* {about} */", "#ifndef OFFPISTE_H", "#define OFFPISTE_H", "")
+    sizes = {"DIGEST": f'"{digest_of(dynamics)}"', "FEATURES": features_of(dynamics), "PAST": HISTORY_STEPS}
+    own = (f"#define OFFPISTE_{name} {value}" for name, value in sizes.items())
+    top = (f"/* {about} */", "#ifndef OFFPISTE_H", "#define OFFPISTE_H", "", *own, "")
     return "\n".join((*top, *parts, "#endif /* OFFPISTE_H */", ""))
 
 
 @FORMATS.register("c")
-def write_c(run: Run, folder: Path, images: Path | None) -> None:
+def write_c(run: Run, folder: Path, images: ImageOptions) -> None:
     """C99: `offpiste.h`, and `example.c`, which drives over the map of the parity file."""
     refuse_images(images)
     _write(run, folder, ("example.c",), command="cc -std=c99 -O2 example.c -o example -lm", language="C99 and C++")
 
 
 @FORMATS.register("cuda")
-def write_cuda(run: Run, folder: Path, images: Path | None) -> None:
+def write_cuda(run: Run, folder: Path, images: ImageOptions) -> None:
     """CUDA: the same header, and `example.cu`, a drive a thread."""
     refuse_images(images)
     write_text(folder / "kernels.h", shipped_text("kernels.h"))
@@ -49,7 +52,7 @@ def write_cuda(run: Run, folder: Path, images: Path | None) -> None:
 
 
 @FORMATS.register("mppi-generic")
-def write_mppi_generic(run: Run, folder: Path, images: Path | None) -> None:
+def write_mppi_generic(run: Run, folder: Path, images: ImageOptions) -> None:
     """C++ for ACDSLab's MPPI-Generic: `OffpisteDynamics` over the same header, an example of a cost, a planner."""
     refuse_images(images)
     names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "planner.cu")

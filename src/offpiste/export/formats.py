@@ -1,7 +1,8 @@
 """Formats of exports: each writes its files into a folder, and registers where it is defined."""
 
+import re
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,20 +17,34 @@ from offpiste.registry import Registry
 from offpiste.training.checkpoint import save_json
 from offpiste.training.run import WEIGHTS, Run, load_run
 
-Format = Callable[[Run, Path, Path | None], None]
-"""Writes an export of a run into a folder that is there; also given a folder of images, if the user named one."""
+
+@dataclass(frozen=True)
+class ImageOptions:
+    """What a user says of a format's images.
+
+    Attributes:
+        folder: of rectified pictures, which formats with less precision are calibrated with.
+        size: width and height of rectified images [px]; None: the format's own.
+    """
+
+    folder: Path | None = None
+    size: tuple[int, int] | None = None
+
+
+Format = Callable[[Run, Path, ImageOptions], None]
+"""Writes an export of a run into a folder that is there."""
 
 FORMATS: Final[Registry[Format]] = Registry("export format", package=__package__)
 
 
-def export_run(run: str | Path, to: Path, kind: str, images: Path | None = None) -> None:
+def export_run(run: str | Path, to: Path, kind: str, images: ImageOptions = ImageOptions()) -> None:
     """Export a run; the folder is written whole or not at all.
 
     Args:
         run: folder that `offpiste train` wrote, or `pretrained:NAME`.
         to: folder to write, which is not there yet, or empty.
         kind: name of a format.
-        images: folder of rectified pictures, which formats with less precision are calibrated with.
+        images: of formats that read any.
 
     Raises:
         OffpisteError: no such format, no such run, a folder with files, or a model that the format cannot hold.
@@ -44,14 +59,28 @@ def export_run(run: str | Path, to: Path, kind: str, images: Path | None = None)
     write_folder(to, lambda folder: write(loaded, folder, images))
 
 
-def refuse_images(images: Path | None) -> None:
-    """Raise where images are given to a format that has no use for them.
+def refuse_images(images: ImageOptions) -> None:
+    """Raise where something is said of images to a format that reads none.
 
     Raises:
-        OffpisteError: there are images.
+        OffpisteError: names the option.
     """
-    if images is not None:
-        raise OffpisteError("--images is for --format onnx", where=images, how="leave it out")
+    if images.folder is not None:
+        raise OffpisteError("--images is for --format onnx", where=images.folder, how="leave it out")
+    if images.size is not None:
+        raise OffpisteError("--size is for --format onnx", how="leave it out")
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height [px] of "WIDTHxHEIGHT".
+
+    Raises:
+        OffpisteError: it is none.
+    """
+    numbers = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if numbers is None:
+        raise OffpisteError(f"--size is '{text}'", how="give width and height in pixels, as 640x360")
+    return int(numbers[1]), int(numbers[2])
 
 
 def refuse_without_kernels(run: Run) -> None:
@@ -88,7 +117,7 @@ def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
         "frames": "world: right-handed, z up; body: x forward, y left, z up; vx, vy: horizontal world velocity turned "
         "by minus yaw",
         "units": "SI units and radians; engine in 1000 rev/min; throttle, brake and brake pressure 0 to 1, steering "
-        "command -1 to 1, + left",
+        "command -1 to 1, + left; gear -1 (reverse), 0 (neutral) or 1 (forward)",
         **more,
     }
     save_json(folder / "model.json", about)

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import RunError, extra
 from offpiste.export.c_files import write_readme
-from offpiste.export.formats import FORMATS, write_about
+from offpiste.export.formats import FORMATS, ImageOptions, write_about
 from offpiste.export.onnx_graphs import SIZE, ImageToCodes, PastToMemory, run_graph, sample_images, write_graph
 from offpiste.export.onnx_precision import codes_of, loss_of, read_images, write_float16, write_int8
 from offpiste.export.parity import parity_case, past_of
@@ -25,18 +25,19 @@ TOLERANCE: Final = 1e-4
 
 
 @FORMATS.register("onnx")
-def write_onnx(run: Run, folder: Path, images: Path | None) -> None:
+def write_onnx(run: Run, folder: Path, images: ImageOptions) -> None:
     """ONNX: `codes.onnx` from rectified images to codes, in float32, float16 and int8, `start.onnx` from the past."""
     with extra("onnx"):
         import onnx  # noqa: F401
         import onnxruntime  # noqa: F401
         import onnxscript  # noqa: F401
-    given = None if images is None else read_images(images)
-    model, pictures = ImageToCodes(extractor_of(run), encoder_of(run)), sample_images()
+    size = images.size or SIZE
+    given = None if images.folder is None else read_images(images.folder, size)
+    model, pictures = ImageToCodes(extractor_of(run), encoder_of(run), size), sample_images(size)
     codes = checked_graph(run, folder / "codes", model, {"images": pictures}, ("codes",))
     start = _write_start(run, folder)
     losses = _write_precisions(folder, pictures if given is None else given, calibrated=given is not None)
-    height, width = SIZE
+    width, height = size
     about = write_about(
         run, folder, image=[height, width, 3], difference=codes, start_difference=start, precisions=losses
     )

@@ -15,8 +15,8 @@ from offpiste.errors import extra
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.state import History, Terrain
 
-SIZE: Final = (360, 640)
-"""Height and width of the images that the graph of codes is traced and checked with [px]."""
+SIZE: Final = (640, 360)
+"""Width and height of the images of the graph of codes, where nothing else is said [px]."""
 
 OPSET: Final = 18
 
@@ -29,9 +29,10 @@ class ImageToCodes(nn.Module):
     Args:
         extractor: the backbone and PCA that the model's features come from.
         encoder: of the model.
+        size: width and height of the images [px].
     """
 
-    def __init__(self, extractor: FeatureExtractor, encoder: nn.Module) -> None:
+    def __init__(self, extractor: FeatureExtractor, encoder: nn.Module, size: tuple[int, int] = SIZE) -> None:
         super().__init__()
         self._backbone, self.encoder = extractor.backbone, encoder
         self.mean: Tensor
@@ -39,13 +40,13 @@ class ImageToCodes(nn.Module):
         pca = extractor.pca
         self.register_buffer("mean", torch.as_tensor(pca.mean, dtype=torch.float32))
         self.register_buffer("basis", torch.as_tensor(pca.basis, dtype=torch.float32))
-        height, width = SIZE
-        self._crop = extractor.backbone.grid(width, height).crop
+        self._crop = extractor.backbone.grid(*size).crop
 
     def forward(self, images: UInt8[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns E"]:
         """Codes of the patches of rectified images, of the whole patches in their middle."""
         rows, columns = self._crop
-        planes = images[:, rows, columns].permute(0, 3, 1, 2).float() / 255
+        # TensorRT takes bytes only where the first operation makes floats of them.
+        planes = images.float().permute(0, 3, 1, 2)[:, :, rows, columns] / 255
         features = (self._backbone.features(planes) - self.mean) @ self.basis
         patches = features.flatten(0, 2)
         codes: Tensor = self.encoder(patches, torch.ones_like(patches[:, 0], dtype=torch.bool))
@@ -96,11 +97,11 @@ def run_graph(path: Path, inputs: Mapping[str, Tensor]) -> list[Tensor]:
     return [torch.from_numpy(output) for output in session.run(None, given)]
 
 
-def sample_images() -> UInt8[Tensor, "2 h w 3"]:
-    """Two images of blurred noise, always the same."""
+def sample_images(size: tuple[int, int] = SIZE) -> UInt8[Tensor, "2 h w 3"]:
+    """Two images of blurred noise, always the same for a width and height [px]."""
     draw = torch.Generator().manual_seed(0)
-    height, width = SIZE
-    coarse = torch.rand(2, 3, height // 8, width // 8, generator=draw)
-    fine = torch.nn.functional.interpolate(coarse, SIZE, mode="bilinear")
+    width, height = size
+    coarse = torch.rand(2, 3, max(height // 8, 1), max(width // 8, 1), generator=draw)
+    fine = torch.nn.functional.interpolate(coarse, (height, width), mode="bilinear")
     grain = 0.1 * torch.rand(2, 3, height, width, generator=draw)
     return (255 * (0.9 * fine + grain)).to(torch.uint8).permute(0, 2, 3, 1).contiguous()

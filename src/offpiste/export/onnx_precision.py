@@ -13,10 +13,13 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from offpiste.errors import OffpisteError, extra
-from offpiste.export.onnx_graphs import SIZE, run_graph
+from offpiste.export.onnx_graphs import run_graph
 
 MOST: Final = 64
 """Images that a graph is calibrated with, at most."""
+
+FOR_TENSORRT: Final = {"ActivationSymmetric": True, "WeightSymmetric": True, "QuantizeBias": False}
+"""What TensorRT refuses otherwise: zero points other than 0, and biases of 32 bits."""
 
 QUANTISED: Final = ["Conv", "Gemm", "MatMul"]
 """Operations whose numbers become bytes; the others stay float32."""
@@ -74,13 +77,18 @@ def write_int8(graph: Path, to: Path, images: UInt8[Tensor, "N h w 3"]) -> None:
 
     logging.disable(logging.WARNING)  # it recommends a step of its own that these graphs do not need
     try:
-        quantize_static(graph, to, Images(), per_channel=True, op_types_to_quantize=QUANTISED)
+        quantize_static(
+            graph, to, Images(), per_channel=True, op_types_to_quantize=QUANTISED, extra_options=dict(FOR_TENSORRT)
+        )
     finally:
         logging.disable(logging.NOTSET)
 
 
-def read_images(folder: Path) -> UInt8[Tensor, "N h w 3"]:
+def read_images(folder: Path, size: tuple[int, int]) -> UInt8[Tensor, "N h w 3"]:
     """Rectified pictures in a folder, RGB, by name, `MOST` of them spread evenly.
+
+    Args:
+        size: their width and height [px].
 
     Raises:
         OffpisteError: no picture, or one of another size.
@@ -89,14 +97,16 @@ def read_images(folder: Path) -> UInt8[Tensor, "N h w 3"]:
     if not files:
         raise OffpisteError("no picture (.png, .jpg)", where=folder, how="give a folder with rectified images")
     chosen = np.unique(np.linspace(0, len(files) - 1, min(MOST, len(files))).round().astype(int))
-    return torch.from_numpy(np.stack([_picture(files[number]) for number in chosen]))
+    return torch.from_numpy(np.stack([_picture(files[number], size) for number in chosen]))
 
 
-def _picture(file: Path) -> UInt8[np.ndarray, "h w 3"]:
+def _picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+    width, height = size
     picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if picture is None or picture.shape[:2] != SIZE:
-        size = "no picture" if picture is None else f"a picture of {picture.shape[1]} x {picture.shape[0]}"
-        raise OffpisteError(size, where=file, how=f"give rectified pictures of {SIZE[1]} x {SIZE[0]}")
+    if picture is None or picture.shape[:2] != (height, width):
+        found = "no picture" if picture is None else f"a picture of {picture.shape[1]} x {picture.shape[0]}"
+        how = f"give rectified pictures of {width} x {height}, or their size: --size WIDTHxHEIGHT"
+        raise OffpisteError(found, where=file, how=how)
     return np.ascontiguousarray(picture[..., ::-1])
 
 

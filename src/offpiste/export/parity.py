@@ -1,6 +1,7 @@
 """Parity files: inputs, and what a model predicts from them, to run on the machine that an export is for."""
 
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -23,7 +24,10 @@ TRACK: Final = 1.5
 """Distance between left and right wheels of vehicles that were declared without [m]."""
 
 HEADER: Final = b"opar"
-VERSION: Final = 1
+VERSION: Final = 2
+
+DIGEST: Final = 16
+"""Characters of a digest of a model."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,7 @@ class ParityCase:
         start: state and actuators.
         controls: of each step.
         expected: states and actuators after each step, by `rollout` in torch.
+        model: digest of the model (`digest_of`).
     """
 
     ground: MapStack
@@ -47,6 +52,7 @@ class ParityCase:
     start: Float[Tensor, "D 10"]
     controls: Float[Tensor, "D T U"]
     expected: Float[Tensor, "D T 10"]
+    model: str
 
 
 @torch.no_grad()
@@ -63,7 +69,7 @@ def parity_case(dynamics: Dynamics, *, drives: int = 16, steps: int = HORIZON_ST
     held = HeldCodes.of(ahead, start[:, :6]) if dynamics.holds_codes else ahead
     trajectory = rollout(dynamics, model_state, controls, held)
     expected = torch.cat((trajectory.state, trajectory.actuators), dim=-1)
-    return ParityCase(ground, wheels, past, past_controls, start, controls, expected)
+    return ParityCase(ground, wheels, past, past_controls, start, controls, expected, digest_of(dynamics))
 
 
 def past_of(dynamics: Dynamics, case: ParityCase) -> History:
@@ -78,6 +84,19 @@ def _history(dynamics: Dynamics, ground: MapStack, wheels: Tensor, past: Tensor,
     return History(past[..., :6], past[..., 6:], controls, terrain)
 
 
+def digest_of(dynamics: Dynamics) -> str:
+    """Digest of a model's weights and channels, by which an export knows its own parity file."""
+    digest = sha256(repr((dynamics.vehicle, dynamics.holds_codes)).encode())
+    for name, values in sorted(dynamics.state_dict().items()):
+        digest.update(name.encode() + values.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:DIGEST]
+
+
+def features_of(dynamics: Dynamics) -> int:
+    """Number of terrain features that a model reads of a cell."""
+    return 0 if dynamics.encoder is None else len(dynamics.encoder.mean)
+
+
 def parity_bytes(case: ParityCase) -> bytes:
     """A case as the file that parity.h reads."""
     _, rows, columns, features = case.ground.features.shape
@@ -89,7 +108,8 @@ def parity_bytes(case: ParityCase) -> bytes:
         case.start, case.controls, case.expected,
     )  # fmt: skip
     numbers = [np.nan_to_num(part.numpy(), nan=0.0) if part is case.start else part.numpy() for part in parts]
-    return HEADER + np.array(sizes, "<i4").tobytes() + b"".join(part.astype("<f4").tobytes() for part in numbers)
+    head = HEADER + np.array(sizes, "<i4").tobytes() + case.model.encode()
+    return head + b"".join(part.astype("<f4").tobytes() for part in numbers)
 
 
 def _source(dynamics: Dynamics, ground: MapStack, wheels: Tensor, count: int) -> MapTerrain:
@@ -109,7 +129,7 @@ def _ground(dynamics: Dynamics, draw: torch.Generator) -> MapStack:
     y, x = torch.meshgrid(*(torch.linspace(-half, half, CELLS),) * 2, indexing="ij")
     slope = torch.stack((0.1 * torch.sin(x / 6), 0.08 * torch.cos(y / 8)), dim=-1)
     slope[(x > 12) & (x < 14)] = torch.nan
-    count = 0 if dynamics.encoder is None else len(dynamics.encoder.mean)
+    count = features_of(dynamics)
     waves = torch.randn(4, count, generator=draw) * 0.15
     features = torch.randn(count, generator=draw) + torch.stack(
         [waves[n] * torch.sin((x if n % 2 else y) / (7 + 3 * n))[..., None] for n in range(4)]

@@ -98,15 +98,9 @@ class DevicePlanner:
 
     @torch.no_grad()
     def load(
-        self,
-        controls: Float[Tensor, "T U"],
-        model_state: ModelState,
-        situation: Situation,
-        weights: CostWeights,
-        codes: Codes,
-        *,
-        previous: Float[Tensor, " U"] | None = None,
-    ) -> None:
+        self, controls: Float[Tensor, "T U"], model_state: ModelState, situation: Situation, weights: CostWeights,
+        codes: Codes, *, previous: Float[Tensor, " U"] | None = None,
+    ) -> None:  # fmt: skip
         """Copy to the device what a plan depends on; cells of maps that are those of the last call are there already.
 
         Maps are the same where their tensors are, unless torch changed them since.

@@ -265,7 +265,10 @@ def check_device(name: str) -> torch.device:
         RunError: no such device, or torch was built without it.
     """
     try:
-        return torch.zeros(1, device=name).device
+        device = torch.zeros(1, device=name).device
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error
+    if device.type == "cuda":
+        torch.backends.cudnn.allow_tf32 = False  # LSTMs would round to 10 bits, and differ from the CPU's
+    return device

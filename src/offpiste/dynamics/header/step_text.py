@@ -143,9 +143,12 @@ def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
         ]
     body.append("offpiste_advance(w, params->constants);")
     body += [f"state[{row}] = w[{NEXT + row}];" for row in range(MOVED) if row not in absent]
+    columns = ", ".join(dynamics.vehicle.control_columns)
+    gear = ", which is -1 (reverse), 0 (neutral) or 1 (forward)" if "gear" in dynamics.vehicle.control_columns else ""
     head = (
         f"/* One step of 0.02 s. state: {', '.join(layout.STEPPED)}; then hidden units and cells of the networks.\n"
         "   SI units and radians; vx, vy: horizontal world velocity turned by minus yaw; engine in 1000 rev/min.\n"
+        f"   given->control: {columns}{gear}.\n"
         "   Slots of absent actuators are left alone. */\n"
         "OFFPISTE_FN void offpiste_step_kept(\n"
         "    const offpiste_params* params, const offpiste_given* given, offpiste_real* state,\n"

@@ -10,10 +10,6 @@ int main(int count, char** arguments) {
     float* codes = offpiste_code_cells(&p);
     std::vector<float> states(10 * p.drives * p.steps);
     Dynamics& dynamics = *new Dynamics; /* left to the system: MPPI-Generic frees nothing without a GPU */
-    if (p.controls != OFFPISTE_CONTROLS || p.past != Dynamics::PAST) {
-        fprintf(stderr, "the parity file belongs to another model\n");
-        return 1;
-    }
     dynamics.set_map(offpiste_map_of(&p, codes));
     for (int drive = 0; drive < p.drives; drive++) {
         const float* past = p.past_states + 10 * p.past * drive;

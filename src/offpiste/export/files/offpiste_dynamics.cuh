@@ -57,7 +57,7 @@ public:
     using PARENT_CLASS = MPPI_internal::Dynamics<OffpisteDynamics, OffpisteParams>;
     using PARENT_CLASS::initializeDynamics;
     static const int NUMBERS = 10; /* of a state, without what the networks remember */
-    static const int PAST = 10;    /* rows of 0.02 s before now that these begin with */
+    static const int PAST = OFFPISTE_PAST; /* rows of 0.02 s before now that these begin with */
 
     explicit OffpisteDynamics(cudaStream_t stream = nullptr) : PARENT_CLASS(stream) {
         std::array<float2, CONTROL_DIM> ranges = {make_float2(0.0f, 1.0f), make_float2(0.0f, 1.0f), make_float2(-1.0f, 1.0f)};

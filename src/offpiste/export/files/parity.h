@@ -1,11 +1,13 @@
 /* Reads a parity file: inputs, and the outputs that offpiste computed from them. All numbers are little-endian; int32
    sizes first, then float32:
      "opar", version, rows, columns, features, drives, past rows, steps, controls
+     16 characters: digest of the model (OFFPISTE_DIGEST)
      x, y of the centre of cell [0, 0], cell size [m]; wheels [4, 2]
      slope [rows, columns, 2]; features [rows, columns, F], NaN where missing
      past states [drives, past, 10], past controls [drives, past, U], start [drives, 10], controls [drives, steps, U]
      expected states [drives, steps, 10]
-   A state is px, py, yaw, vx, vy, yaw rate, brake, steer, steer rate, engine. */
+   A state is px, py, yaw, vx, vy, yaw rate, brake, steer, steer rate, engine.
+   Include offpiste.h before. */
 #ifndef OFFPISTE_PARITY_H
 #define OFFPISTE_PARITY_H
 
@@ -31,18 +33,23 @@ static float* offpiste_numbers(FILE* file, size_t count) {
 
 static offpiste_parity offpiste_read_parity(const char* path) {
     offpiste_parity p;
-    char magic[4];
+    char magic[4], model[16];
     int32_t sizes[8];
     size_t cells, drives;
     float* place;
     FILE* file = fopen(path, "rb");
     if (!file || fread(magic, 1, 4, file) != 4 || memcmp(magic, "opar", 4) || fread(sizes, 4, 8, file) != 8 ||
-        sizes[0] != 1) {
-        fprintf(stderr, "%s: no parity file of version 1\n", path);
+        sizes[0] != 2 || fread(model, 1, 16, file) != 16) {
+        fprintf(stderr, "%s: no parity file of version 2\n", path);
         exit(1);
     }
     p.rows = sizes[1], p.columns = sizes[2], p.features = sizes[3], p.drives = sizes[4];
     p.past = sizes[5], p.steps = sizes[6], p.controls = sizes[7];
+    if (memcmp(model, OFFPISTE_DIGEST, 16) || p.controls != OFFPISTE_CONTROLS || p.features != OFFPISTE_FEATURES ||
+        p.past != OFFPISTE_PAST) {
+        fprintf(stderr, "%s: belongs to another model than offpiste.h\n", path);
+        exit(1);
+    }
     place = offpiste_numbers(file, 11);
     p.x = place[0], p.y = place[1], p.resolution = place[2];
     memcpy(p.wheels, place + 3, sizeof p.wheels);
@@ -90,9 +97,8 @@ static offpiste_map offpiste_map_of(const offpiste_parity* p, const float* codes
 
 /* State of a drive at its start: what was measured, and what the networks remember of the past. */
 static void offpiste_start_of(const offpiste_parity* p, const offpiste_map* map, int drive, float* state) {
-    offpiste_given given[64];
+    offpiste_given given[OFFPISTE_PAST];
     int row;
-    if (p->past > 64) exit(1);
     memset(given, 0, sizeof given);
     memcpy(state, p->start + 10 * drive, 10 * sizeof(float));
     for (row = 0; row < p->past; row++) {

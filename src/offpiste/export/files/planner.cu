@@ -37,11 +37,12 @@ int main(int count, char** arguments) {
     }
     Sampler sampler(noise);
     Feedback feedback(&dynamics, 0.02f);
-    Planner planner(&dynamics, &cost, &feedback, &sampler, 0.02f, 1, 3.0f, 0.0f);
-    auto settings = planner.getParams();
+    Planner::TEMPLATED_PARAMS settings; /* given at once: the constructor times kernels of these blocks */
+    settings.dt_ = 0.02f;
+    settings.lambda_ = 3.0f;
     settings.dynamics_rollout_dim_ = dim3(64, 1, 1); /* a step is one thread's work */
     settings.cost_rollout_dim_ = dim3(64, 1, 1);
-    planner.setParams(settings);
+    Planner planner(&dynamics, &cost, &feedback, &sampler, settings);
 
     for (int t = 0; t < STEPS; t++) {
         const auto before = std::chrono::steady_clock::now();
