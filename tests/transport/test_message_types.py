@@ -57,7 +57,7 @@ def test_a_definition_that_is_wrong_is_named(tmp_path, name, text, what):
 
 
 def test_an_unknown_type_has_no_hash():
-    with pytest.raises(TransportError, match=r"messages\.definitions"):
+    with pytest.raises(TransportError, match=r"live\.definitions"):
         MessageTypes().hash_of("my_msgs/msg/Wheels")
     with pytest.raises(TransportError, match="no message definition"):
         MessageTypes([Path("/nowhere/my_msgs/msg/Wheels.msg")])
