@@ -201,8 +201,9 @@ def test_a_step_is_made_once_every_dt_of_a_clock_whatever_its_period(network, pe
 def test_a_signal_ends_a_lockstep_in_order(tmp_path, network):
     said, ready, session = tmp_path / "said.txt", [], network.session()
     session.subscribe(READY, ready.append, history=True)
-    command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path, actuators=True), "--run", RUN, "--endpoint",
-               network.endpoint, "--course", str(write_course(tmp_path)), "--drive", "--lockstep"]  # fmt: skip
+    command = [sys.executable, "-m", "offpiste", "live", write_rig(tmp_path, actuators=True), "--run", RUN,
+               "--endpoint", network.endpoint, "--course", str(write_course(tmp_path)),
+               "--drive", "--lockstep"]  # fmt: skip
     with said.open("w") as file:
         live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
     try:
