@@ -16,7 +16,7 @@ import tyro
 from experiments.command import run
 from experiments.live_drives.programs import started
 from experiments.live_drives.status import Part, draw, read_status
-from experiments.live_faults.network import free_port
+from experiments.live_faults.network import Router
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
@@ -86,9 +86,10 @@ class LiveDrives:
         """Drive a course over the transport; what the simulator says of it, and how late everything was."""
         folder.mkdir(parents=True, exist_ok=True)
         said, status = folder / "simulate.txt", folder / "status.csv"
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
-        simulator = ["simulate", "--live", "--router", "--endpoint", endpoint, "--world", self.world, "--seed",
-                     str(seed), "--speed", str(self.speed), "--seconds", str(LIMIT + _WAITS)]  # fmt: skip
+        router = Router()
+        endpoint = f"tcp/127.0.0.1:{router.port}"
+        simulator = ["simulate", "--live", "--endpoint", endpoint, "--world", self.world, "--seed", str(seed),
+                     "--speed", str(self.speed), "--seconds", str(LIMIT + _WAITS)]  # fmt: skip
         live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--drive", "--clock", "clock",
                 "--course-topic", "/course", "--speed", str(self.speed), "--status", str(status)]  # fmt: skip
         with started(simulator, said) as one, started(live, folder / "live.txt"):
@@ -96,6 +97,8 @@ class LiveDrives:
                 one.wait(LIMIT + 2 * _WAITS)
             except subprocess.TimeoutExpired as error:
                 raise LiveError("the simulator does not end", where=said, how="see live.txt beside it") from error
+            finally:
+                router.kill()
         found = _COST.search(said.read_text("utf-8"))
         if found is None:
             raise LiveError("the vehicle was not driven", where=said, how="see live.txt beside it")
@@ -128,8 +131,9 @@ class LiveDrives:
 
     def _play(self, log: Path, status: Path) -> None:
         """Play a log to a drive in shadow mode, again and again; each time the clock goes back."""
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
-        live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--router", "--clock", "clock",
+        router = Router()
+        endpoint = f"tcp/127.0.0.1:{router.port}"
+        live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--clock", "clock",
                 "--goal", "1000", "0", "--speed", str(self.speed), "--seconds", str(60 * self.minutes),
                 "--status", str(status)]  # fmt: skip
         end = time.monotonic() + 60 * self.minutes + _WAITS
@@ -138,6 +142,7 @@ class LiveDrives:
                 with started(["play", str(log), "--rig", RIG, "--endpoint", endpoint], self.out / "play.txt") as player:
                     while player.poll() is None and drives.poll() is None and time.monotonic() < end:
                         time.sleep(0.5)
+        router.kill()
 
 
 def courses_table(rows: Sequence[dict[str, Any]]) -> TextTable:
