@@ -150,6 +150,7 @@ def test_the_last_that_is_heard_is_the_stop_whoever_ends_first(moving, first):
 
 def test_the_watchdog_stops_on_where_the_memory_was_removed_and_control_is_gone(moving):
     assert moving.drives(), moving.supervisor.look()
+    assert until(lambda: moving.run(0.1)["watchdog"][1] == "ready", 30)
     moving.supervisor._ring("end")
     shutil.rmtree(moving.session.folder)  # as control did at its end, once their parent was gone
     os.kill(moving.pid("control"), signal.SIGKILL)
