@@ -34,8 +34,11 @@ def problem(model):
 
 
 def holding():
-    """A model that keeps the codes of the start."""
+    """A model that keeps the codes of the start, and that codes move."""
     model = feature_model()
+    with torch.no_grad():
+        for weights in model.compensator.parameters():
+            weights += torch.randn_like(weights)
     model.holds_codes = True
     return model
 
