@@ -11,7 +11,7 @@ from torch import Tensor
 
 from offpiste.conventions import DT
 from offpiste.dynamics.base import Dynamics, as_callable
-from offpiste.errors import OffpisteError, PlanningError, is_installed
+from offpiste.errors import NoPlan, OffpisteError, is_installed
 from offpiste.planning import mppi
 from offpiste.planning.driving_cost import Situation, terms_after
 from offpiste.planning.gear import complete
@@ -53,7 +53,7 @@ class PytorchMppi:
         """A plan of pedal and steering, from one of throttle, brake and steering.
 
         Raises:
-            PlanningError: a cost is not finite: it weighs samples by all costs.
+            NoPlan: a cost is not finite: it weighs samples by all costs.
         """
         sampling, before = self._settings.sampling, pedals_of(controls)
         first = torch.cat((model_state.pack()[0], at.state[3:5], at.control, at.control))
@@ -64,7 +64,7 @@ class PytorchMppi:
                 planner.command(first, shift_nominal_trajectory=False)
             self._random = torch.get_rng_state()
         if not planner.cost_total.isfinite().all():
-            raise PlanningError("a sample of pytorch_mppi has a cost that is not finite")
+            raise NoPlan("a sample of pytorch_mppi has a cost that is not finite")
         plan = mppi.limited(planner.U[None], sampling, pedals_of(at.control))[0]
         return mppi.Plan(plan, planner.cost_total, planner.omega)
 

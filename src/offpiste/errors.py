@@ -75,7 +75,11 @@ class MapError(OffpisteError):
 
 
 class PlanningError(OffpisteError):
-    """A plan cannot be made, e.g. no sampled trajectory has a finite cost."""
+    """Plans cannot be made, e.g. with such settings."""
+
+
+class NoPlan(PlanningError):
+    """No plan can be made this time: no sampled trajectory has a finite cost. The next one may have."""
 
 
 class CourseError(OffpisteError):

@@ -1,4 +1,4 @@
-"""Plans by a declared risk: slower where the model is unsure, and refused where it cannot know."""
+"""Plans by a declared risk: slower where the model is unsure, refused where it cannot know; and what is an error."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import torch
 
 from offpiste.errors import PlanningError
 from offpiste.planning.caution import AddSpread, AsPredicted, WorstShare
+from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.uncertainty.spread import MOTION, Spread, inputs_of
 from runtime.stream import parametric, straight_drive
 
@@ -37,3 +38,22 @@ def test_a_risk_without_a_spread_is_refused_in_a_line():
     with pytest.raises(PlanningError, match=r"needs a spread, which the run does not have.*offpiste calibrate") as one:
         straight_drive(risk=WorstShare())
     assert "\n" not in str(one.value)
+
+
+@pytest.mark.parametrize("device", ["cuda:7", "coda"])
+def test_a_missing_gpu_is_said_at_once_and_not_by_each_plan(device):
+    if device == "cuda:7" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(PlanningError, match=f"no GPU '{device}' for planning"):
+        straight_drive(device=device)
+
+
+def test_settings_that_no_plan_can_be_made_with_are_an_error(monkeypatch):
+    stream = straight_drive()
+
+    def refuses(*_, **__):
+        raise PlanningError("the GPU computes something else")
+
+    monkeypatch.setattr(PlanImprover, "improve", refuses)
+    with pytest.raises(PlanningError, match="something else"):
+        stream.run(1.5)

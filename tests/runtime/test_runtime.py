@@ -8,7 +8,7 @@ import torch
 
 from offpiste.conventions import CONTROL, DT
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.errors import PlanningError
+from offpiste.errors import NoPlan, PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
 from offpiste.runtime import plan_maker, prediction
@@ -233,7 +233,7 @@ def test_a_plan_that_fails_leaves_the_last_one_for_a_while(monkeypatch):
     planned = stream.runtime.follower.schedule.latest.controls
 
     def fails(*_, **__):
-        raise PlanningError("none of 64 sampled trajectories has a finite cost")
+        raise NoPlan("none of 64 sampled trajectories has a finite cost")
 
     monkeypatch.setattr(mppi, "improve", fails)
     stream.run(0.5)

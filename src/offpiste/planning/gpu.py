@@ -37,11 +37,24 @@ def gpu_planner(
     """
     if situation.caution is not None:
         raise PlanningError("no spread on a GPU", how="plan on the CPU, or with the risk none")
-    place = torch.device(device)
-    if place.type != "cuda" or not torch.cuda.is_available():
-        raise PlanningError(f"no GPU '{device}' for planning", how="plan on the CPU, or install torch for CUDA")
+    place = gpu_of(device)
     kernels = cuda_kernels(plan_text(dynamics, situation.costs.table), place)
     return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed), captured)
+
+
+def gpu_of(name: str) -> torch.device:
+    """The GPU of a name.
+
+    Raises:
+        PlanningError: there is none.
+    """
+    try:
+        place = torch.device(name)
+    except RuntimeError:
+        place = torch.device("cpu")
+    if place.type != "cuda" or not torch.cuda.is_available():
+        raise PlanningError(f"no GPU '{name}' for planning", how="plan on the CPU, or install torch for CUDA")
+    return place
 
 
 def check_planner(

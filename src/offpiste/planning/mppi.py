@@ -17,7 +17,7 @@ from torch import Generator, Tensor
 
 from offpiste.compilation import single_threaded_torch
 from offpiste.conventions import DT
-from offpiste.errors import PlanningError
+from offpiste.errors import NoPlan
 from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within
 from offpiste.planning.noise import Noise, coloured, covariance
 
@@ -118,7 +118,7 @@ def improve(
         previous: control before the first step, where limits of rates start.
 
     Raises:
-        PlanningError: no sample has a finite cost.
+        NoPlan: no sample has a finite cost.
     """
     for _ in range(settings.iterations):
         with single_threaded_torch():  # threads that are woken for so little spin for longer than it takes
@@ -228,7 +228,7 @@ def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]
     """Weights exp(-cost / temperature), scaled to sum to 1; 0 where the cost is not finite.
 
     Raises:
-        PlanningError: no cost is finite.
+        NoPlan: no cost is finite.
     """
     finite = costs.isfinite()
     if not finite.any():
@@ -238,10 +238,10 @@ def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]
     return torch.softmax(-above / temperature, dim=0)
 
 
-def no_finite_cost(samples: int) -> PlanningError:
+def no_finite_cost(samples: int) -> NoPlan:
     """What is wrong where no sample can be weighed."""
     how = "stop, and check start, map and cost for values that are not finite"
-    return PlanningError(f"none of {samples} sampled trajectories has a finite cost", how=how)
+    return NoPlan(f"none of {samples} sampled trajectories has a finite cost", how=how)
 
 
 def smoothed(controls: Float[Tensor, "T U"], window: int) -> Float[Tensor, "T U"]:

@@ -13,7 +13,7 @@ from offpiste.errors import PlanningError
 from offpiste.planning import mppi
 from offpiste.planning.device_planner import DevicePlanner
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.gpu import check_planner, gpu_planner
+from offpiste.planning.gpu import check_planner, gpu_of, gpu_planner
 from offpiste.planning.pedal import pedals_of, with_pedal
 from offpiste.runtime.prediction import Area, costs_from
 from offpiste.runtime.settings import RuntimeSettings
@@ -29,7 +29,7 @@ class Improver(Protocol):
         """A plan of pedal and steering, from one of throttle, brake and steering.
 
         Raises:
-            PlanningError: none can be made.
+            NoPlan: none can be made this time.
         """
 
 
@@ -44,22 +44,26 @@ class PlanImprover:
         seed: of the sampled controls.
 
     Raises:
-        PlanningError: no GPU kernels can step the model.
+        PlanningError: there is no such GPU, or no kernels can step the model there.
     """
 
     def __init__(self, dynamics: Dynamics, settings: RuntimeSettings, seed: int) -> None:
         self._dynamics, self._settings, self._seed = dynamics, settings, seed
         self._generator = torch.Generator().manual_seed(seed)
         self._on_gpu: DevicePlanner | None = None
+        if settings.device == "cpu":
+            return
+        gpu_of(settings.device)
         with torch.no_grad():
-            if settings.device != "cpu" and not supports(dynamics, CPU, torch.float32):
+            if not supports(dynamics, CPU, torch.float32):
                 raise PlanningError("no kernels for this model on a GPU", how="plan on the CPU: device='cpu'")
 
     def improve(self, controls: Float[Tensor, "T 3"], model_state: ModelState, area: Area, at: Situation) -> mppi.Plan:
         """A plan of pedal and steering, from one of throttle, brake and steering.
 
         Raises:
-            PlanningError: no sample has a finite cost; or the GPU is missing, or computes something else.
+            NoPlan: no sample has a finite cost.
+            PlanningError: the GPU computes something else than the CPU.
         """
         settings, before, previous = self._settings, pedals_of(controls), pedals_of(at.control)
         if settings.device == "cpu":

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import PlanningError
+from offpiste.errors import NoPlan
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.caution import caution_of
 from offpiste.planning.cost_map import CostMap, cost_map
@@ -198,7 +198,7 @@ class PlanMaker:
         start = now + settings.latency
         try:
             plan = self._improver.improve(before, model_state, area, at)
-        except PlanningError as error:
+        except NoPlan as error:
             self.failures.append(str(error))
             return None
         if not plan.controls.isfinite().all():
