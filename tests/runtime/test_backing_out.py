@@ -318,6 +318,31 @@ def test_what_holds_it_for_good_is_given_up_and_said():
     assert stream.controls[-1].command[1] == pytest.approx(0.5)
 
 
+def test_a_place_counts_of_which_there_is_no_map_at_the_moment_it_is_found_stuck(monkeypatch):
+    class Wall(Held):
+        def step(self, model_state, command, terrain):
+            return model_state
+
+    changed = BackingOutSettings(after=0.6, longest=0.6, attempts=1)
+    stream = straight_drive(dynamics=geared(), stream={"truth": Wall()}, backing_out=changed)
+    maker = stream.runtime._maker
+    update, reachable, found = maker._backing_out.update, maker._reachable, []
+
+    def noticed(*given, **named):
+        found.append(update(*given, **named))
+        return found[-1]
+
+    def empty_then(*given):
+        layers = reachable(*given)
+        return replace(layers, known=np.zeros_like(layers.known)) if found[-1] else layers
+
+    monkeypatch.setattr(maker._backing_out, "update", noticed)
+    monkeypatch.setattr(maker, "_reachable", empty_then)
+    stream.run(4.0)
+    assert any(found)
+    assert stream.modes()[-1] == ("stopped", "stuck")
+
+
 def test_a_model_without_a_gear_never_reverses():
     changed = BackingOutSettings(after=0.4, longest=0.4)
     stream = straight_drive(stream={"truth": Held()}, backing_out=changed)

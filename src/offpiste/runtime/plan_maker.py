@@ -15,6 +15,7 @@ from offpiste.errors import NoPlan
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.caution import caution_of
 from offpiste.planning.cost_map import CostMap, cost_map
+from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.pedal import controls_of
 from offpiste.runtime.backing_out import BackingOut
@@ -95,6 +96,7 @@ class PlanMaker:
         self._along_ways: dict[int, Planned] = {}  # the last plans, by the numbers of their ways
         self._way = 0  # that is taken
         self._stuck_at = -np.inf  # position along the course, the last time
+        self._found_stuck: tuple[np.ndarray, Course] | None = None  # place and course, until there is a map of it
         self.map_empty = False
         self.failures: list[str] = []
 
@@ -115,9 +117,8 @@ class PlanMaker:
         driven = not follower.stopping and follower.tracker.target > settings.standstill
         behind = self._backing_out.away or follower.tracker.progress <= self._stuck_at
         stretch = follower.tracker.stretch(at_most=settings.slow if slow else np.inf, backed_out=behind)
-        found_stuck = self._backing_out.update(now, state[:3], stretch, driven=driven)
-        if found_stuck:
-            self._stuck_at = follower.tracker.progress
+        if self._backing_out.update(now, state[:3], stretch, driven=driven):
+            self._stuck_at, self._found_stuck = follower.tracker.progress, (state[:2].copy(), stretch)
         if self.stuck:
             return None
         near = self._reachable(layers, state, follower.tracker.target)
@@ -130,9 +131,11 @@ class PlanMaker:
             hazards = self._backing_out.hazards(settings.hazards)
             ways = ways_from(self._backing_out.course(stretch), state[:2])
             costs = [cost_map(near, way.course, hazards) for way in ways]
-            if found_stuck:
-                in_full = cost_map(near, stretch, settings.hazards)
-                self._backing_out.choose_side(state[:2], stretch, partial(_hazard, in_full))
+            if self._found_stuck is not None:
+                place, followed = self._found_stuck
+                in_full = cost_map(near, followed, settings.hazards)
+                self._backing_out.choose_side(place, followed, partial(_hazard, in_full))
+                self._found_stuck = None
         with self._watch.of("start"):
             offset = torch.from_numpy(state[:2].copy())
             given = follower.committed(read, now + settings.latency, rows)
@@ -177,7 +180,7 @@ class PlanMaker:
     def forget(self) -> None:
         """Forget where the vehicle was stuck, and plans along ways: poses to come are in another frame."""
         self._backing_out.forget()
-        self._along_ways, self._stuck_at = {}, -np.inf
+        self._along_ways, self._stuck_at, self._found_stuck = {}, -np.inf, None
 
     @property
     def stuck(self) -> bool:
