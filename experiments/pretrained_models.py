@@ -22,6 +22,7 @@ from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
 from experiments.control_experiments.strata import strata
+from offpiste._version import commit, today
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
@@ -30,7 +31,6 @@ from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
-from offpiste.provenance import commit, today
 from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import ReproductionSettings, sized

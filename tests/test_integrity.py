@@ -180,8 +180,12 @@ def test_check_names_a_damaged_file_and_what_to_do(
     top = Path(name).parts[0]
     (shutil.copytree if (made / top).is_dir() else shutil.copy)(made / top, tmp_path / top)
     content = bytearray((tmp_path / name).read_bytes())
-    # In JSON a digit, so that it stays JSON.
-    at = next(k for k in range(len(content) // 2, len(content)) if name.endswith("json") <= chr(content[k]).isdigit())
+    # In JSON a digit behind another one, so that it stays JSON.
+    at = next(
+        k
+        for k in range(len(content) // 2, len(content))
+        if not name.endswith("json") or content[k - 1 : k + 1].isdigit()
+    )
     content[at] ^= 1
     (tmp_path / name).write_bytes(content)
     assert run_check(tmp_path / top) == 1

@@ -1,8 +1,28 @@
-"""The version of the installed package."""
+"""The version of the installed package, and of which code and day a result is."""
 
+import subprocess
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 try:
     __version__ = version("offpiste")
 except PackageNotFoundError:  # a source tree that is not installed
     __version__ = "0+unknown"
+
+
+def commit() -> str:
+    """The checkout's commit, with "-dirty" where files differ from it; empty where the package is in no checkout."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):  # no git, or not the user's checkout
+        return ""
+
+
+def today() -> str:
+    """The day, as 2026-11-22."""
+    return datetime.now(UTC).date().isoformat()

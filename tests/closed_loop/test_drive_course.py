@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.closed_loop_table.drives import NEEDED
+from offpiste._version import commit, today
 from offpiste.closed_loop.courses import CourseSettings, choose_course
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
@@ -15,7 +16,6 @@ from offpiste.closed_loop.stretches import surprise_along, traction_along
 from offpiste.errors import OffpisteError, RunError
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
-from offpiste.provenance import commit, today
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from offpiste._version import commit, today
 from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
@@ -22,7 +23,6 @@ from offpiste.evaluation.errors import Progress
 from offpiste.files import check_folder, remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.progress import track
-from offpiste.provenance import commit, today
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
