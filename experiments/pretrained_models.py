@@ -137,8 +137,7 @@ def candidates(of: Reproduced, controls: Path, epochs: int) -> Iterator[Candidat
     for name in ABOUT:
         knowing = name == "oracle"
         config = replace(of.member("df" if knowing else name).config(size, 0, "cpu"), epochs=epochs)
-        if knowing:
-            config = replace(config, pca=0)
+        config = replace(config, pca=0) if knowing else config  # all that the truth has, which is no PCA's
         dataset, runs = (truth, folder / "oracle") if knowing else (of.dataset, folder / "runs")
         stages = controls / "oracle" / "runs" if knowing else of.folder / "runs"
         trained = trained_seeds(dataset, config, runs, size.seeds, stages=stages)

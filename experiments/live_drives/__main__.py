@@ -5,7 +5,8 @@ import logging
 import re
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -14,9 +15,9 @@ import numpy as np
 import tyro
 
 from experiments.command import run
-from experiments.live_drives.programs import started
 from experiments.live_drives.status import Part, draw, read_status
 from experiments.live_faults.network import Router
+from experiments.live_faults.programs import started
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
@@ -86,19 +87,19 @@ class LiveDrives:
         """Drive a course over the transport; what the simulator says of it, and how late everything was."""
         folder.mkdir(parents=True, exist_ok=True)
         said, status = folder / "simulate.txt", folder / "status.csv"
-        router = Router()
-        endpoint = f"tcp/127.0.0.1:{router.port}"
-        simulator = ["simulate", "--live", "--endpoint", endpoint, "--world", self.world, "--seed", str(seed),
-                     "--speed", str(self.speed), "--seconds", str(LIMIT + _WAITS)]  # fmt: skip
-        live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--drive", "--clock", "clock",
-                "--course-topic", "/course", "--speed", str(self.speed), "--status", str(status)]  # fmt: skip
-        with started(simulator, said) as one, started(live, folder / "live.txt"):
+        simulator = ["simulate", "--live", "--world", self.world, "--seed", str(seed), "--speed", str(self.speed),
+                     "--seconds", str(LIMIT + _WAITS)]  # fmt: skip
+        live = ["live", RIG, "--run", self.run_folder, "--drive", "--clock", "clock", "--course-topic", "/course",
+                "--speed", str(self.speed), "--status", str(status)]  # fmt: skip
+        with (
+            router_at() as at,
+            started([*simulator, "--endpoint", at], said) as one,
+            started([*live, "--endpoint", at], folder / "live.txt"),
+        ):
             try:
                 one.wait(LIMIT + 2 * _WAITS)
             except subprocess.TimeoutExpired as error:
                 raise LiveError("the simulator does not end", where=said, how="see live.txt beside it") from error
-            finally:
-                router.kill()
         found = _COST.search(said.read_text("utf-8"))
         if found is None:
             raise LiveError("the vehicle was not driven", where=said, how="see live.txt beside it")
@@ -131,17 +132,24 @@ class LiveDrives:
 
     def _play(self, log: Path, status: Path) -> None:
         """Play a log to a drive in shadow mode, again and again; each time the clock goes back."""
-        router = Router()
-        endpoint = f"tcp/127.0.0.1:{router.port}"
-        live = ["live", RIG, "--run", self.run_folder, "--endpoint", endpoint, "--clock", "clock",
-                "--goal", "1000", "0", "--speed", str(self.speed), "--seconds", str(60 * self.minutes),
-                "--status", str(status)]  # fmt: skip
+        live = ["live", RIG, "--run", self.run_folder, "--clock", "clock", "--goal", "1000", "0",
+                "--speed", str(self.speed), "--seconds", str(60 * self.minutes), "--status", str(status)]  # fmt: skip
+        play = ["play", str(log), "--rig", RIG]
         end = time.monotonic() + 60 * self.minutes + _WAITS
-        with started(live, self.out / "live.txt") as drives:
+        with router_at() as at, started([*live, "--endpoint", at], self.out / "live.txt") as drives:
             while drives.poll() is None and time.monotonic() < end:
-                with started(["play", str(log), "--rig", RIG, "--endpoint", endpoint], self.out / "play.txt") as player:
+                with started([*play, "--endpoint", at], self.out / "play.txt") as player:
                     while player.poll() is None and drives.poll() is None and time.monotonic() < end:
                         time.sleep(0.5)
+
+
+@contextmanager
+def router_at() -> Iterator[str]:
+    """A router in a process of its own: its endpoint."""
+    router = Router()
+    try:
+        yield f"tcp/127.0.0.1:{router.port}"
+    finally:
         router.kill()
 
 
@@ -169,7 +177,10 @@ def courses_table(rows: Sequence[dict[str, Any]]) -> TextTable:
         "map's age p99 [ms]",
         "plan's age p99 [ms]",
     )
-    about = "Driven costs of the same courses; ticks of control late by, and ages at the worst moment of each drive."
+    about = (
+        "Driven costs of the same courses; ticks of control late by, and ages at the worst moment of each drive. One "
+        f"that does not finish counts as standing until its limit, {LIMIT:g} s in lockstep and longer live."
+    )
     return TextTable("Courses live", names, tuple(lines), about)
 
 

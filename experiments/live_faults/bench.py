@@ -1,8 +1,5 @@
 """A simulator, `offpiste live --drive`, and a listener of its own that hears what the vehicle hears."""
 
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from experiments.live_faults.network import Link, Router
-from offpiste.errors import LiveError
+from experiments.live_faults.programs import begun, ended
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.interface import Received
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
@@ -51,7 +48,7 @@ class Bench:
         live = ["live", "proving_ground", "--run", run, "--endpoint", f"tcp/127.0.0.1:{self.link.port}", "--drive",
                 "--clock", "clock", "--course-topic", "/course", "--speed", str(speed),
                 "--record", str(self.recording)]  # fmt: skip
-        self._programs = [_started(simulator, folder / "simulate.txt"), _started(live, folder / "live.txt")]
+        self._programs = [begun(simulator, folder / "simulate.txt"), begun(live, folder / "live.txt")]
 
     @property
     def runs(self) -> bool:
@@ -102,14 +99,7 @@ class Bench:
 
     def end(self) -> None:
         """End both as Ctrl-C does."""
-        for program in reversed(self._programs):
-            if program.poll() is None:
-                program.send_signal(signal.SIGINT)
-        for program in self._programs:
-            try:
-                program.wait(30)
-            except subprocess.TimeoutExpired:
-                program.kill()
+        ended(*reversed(self._programs))
         self.session.close()
         self.link.close()
         self.router.kill()
@@ -154,12 +144,3 @@ class Bench:
 def _is_stop(throttle: float, brake: float) -> bool:
     """Whether a command is the stop, whose brake no plan has to the digit."""
     return throttle == 0.0 and abs(brake - RuntimeSettings().stop) < 1e-6
-
-
-def _started(arguments: list[str], said: Path) -> "subprocess.Popen[str]":
-    try:
-        with said.open("w") as file:
-            command = [sys.executable, "-m", "offpiste", *arguments]
-            return subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, text=True)
-    except OSError as error:
-        raise LiveError(f"cannot be started: {error}", where=said) from error

@@ -1,7 +1,7 @@
 """The process that plans: what it keeps does not grow, and a course is continued where it was."""
 
 import time
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -61,15 +61,20 @@ class Maker:
         return Planned(TimedPlan(now + 0.2, now, torch.zeros(250, 3)), Prediction(now + 0.2, states), 0.0)
 
 
-def test_it_keeps_no_plan_that_is_over_and_continues_a_course_where_control_is(tmp_path):
-    settings = LiveSettings(write_rig(tmp_path), RUN, None, CourseRequest(write_course(tmp_path)), small_settings())
+@contextmanager
+def planning(folder):
+    """What plans on a straight course, its session, and its clock."""
+    settings = LiveSettings(write_rig(folder), RUN, None, CourseRequest(write_course(folder)), small_settings())
     with new_session(settings) as session:
         session.ring("course").write(pack_course(STRAIGHT))
-        part = Part("plan", session)
-        plans = Plans(part)
-        plans._maker = Maker()
-        clock = [100.0]
+        part, clock = Part("plan", session), [100.0]
         part.now = lambda: clock[0]
+        yield Plans(part), session, clock
+
+
+def test_it_keeps_no_plan_that_is_over_and_continues_a_course_where_control_is(tmp_path):
+    with planning(tmp_path) as (plans, session, clock):
+        plans._maker = Maker()
         session.ring("commands").write(packed(COMMANDED | {"time": clock[0]}))
         for _ in range(300):
             clock[0] += 0.1
@@ -128,14 +133,8 @@ def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in
 
 
 def test_after_a_jump_a_map_of_before_is_not_taken(tmp_path):
-    settings = LiveSettings(write_rig(tmp_path), RUN, None, CourseRequest(write_course(tmp_path)), small_settings())
-    with new_session(settings) as session:
-        session.ring("course").write(pack_course(STRAIGHT))
-        part = Part("plan", session)
-        plans = Plans(part)
+    with planning(tmp_path) as (plans, session, clock):
         plans._maker.plan = Maker().plan
-        clock = [100.0]
-        part.now = lambda: clock[0]
 
         def plan(x, *, mapped):
             clock[0] += 0.1

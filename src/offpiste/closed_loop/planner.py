@@ -1,11 +1,11 @@
 """A trained run as a planner: its model, and the feature extractor with the PCA that it was trained with."""
 
-import hashlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from offpiste.checksums import sha256_of
 from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
@@ -94,7 +94,7 @@ def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelt
 
 
 def _without_features(run: Run) -> Planner:
-    weights = hashlib.sha256((run.folder / WEIGHTS).read_bytes()).hexdigest()[:16]
+    weights = sha256_of(run.folder / WEIGHTS)[:16]
     spread = load_spread(run) if (run.folder / FILE).exists() else None
     return Planner(run.model, run.folder, run.dynamics, weights=weights, seed=run.seed, spread=spread)
 

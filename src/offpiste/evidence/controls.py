@@ -140,7 +140,7 @@ def _below(difference: PairedDifference) -> str:
 
 
 def _no_gain(difference: PairedDifference, allowed: float) -> str:
-    """Whether an interval is not below zero, by no more than `allowed`: a wide one rules out nothing."""
+    """Whether an interval rules out a gain, but for one below `allowed`: one that is too wide rules out nothing."""
     low, high = difference.ci95
     if not (np.isfinite(low) and np.isfinite(high)):
         return UNKNOWN

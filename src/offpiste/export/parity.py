@@ -1,7 +1,6 @@
 """Parity files: inputs, and what a model predicts from them, to run on the machine that an export is for."""
 
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -15,6 +14,7 @@ from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.mapping.terrain_sampler import HeldCodes, MapStack, MapTerrain
 from offpiste.state import History, Terrain
+from offpiste.training.checkpoint import sha256_of_tensors
 
 CELLS: Final = 80
 RESOLUTION: Final = 1.0
@@ -86,10 +86,8 @@ def _history(dynamics: Dynamics, ground: MapStack, wheels: Tensor, past: Tensor,
 
 def digest_of(dynamics: Dynamics) -> str:
     """Digest of a model's weights and channels, by which an export knows its own parity file."""
-    digest = sha256(repr((dynamics.vehicle, dynamics.holds_codes)).encode())
-    for name, values in sorted(dynamics.state_dict().items()):
-        digest.update(name.encode() + values.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:DIGEST]
+    about = {"vehicle": repr(dynamics.vehicle), "holds_codes": dynamics.holds_codes}
+    return sha256_of_tensors(dynamics.state_dict(), about)[:DIGEST]
 
 
 def features_of(dynamics: Dynamics) -> int:

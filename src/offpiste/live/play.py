@@ -18,8 +18,6 @@ _ANSWER: Final = 120.0
 """Longest time that an answer is waited for in lockstep [s]: the first plan may wait for the compiler."""
 _KEPT: Final = ("/tf_static", "/robot_description", "/map")
 """Topics that ROS keeps for those who come later."""
-
-
 _OURS: Final = "/offpiste/"
 """Beginning of the topics of `offpiste live`."""
 

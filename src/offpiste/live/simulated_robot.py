@@ -186,10 +186,9 @@ class SimulatedRobot:
         if self._sensors.left_out:
             measured = self._sensors.left_out + self._sensors.published
             logger.warning(f"this machine is too slow: {self._sensors.left_out} of {measured} measurements left out")
-        samples = samples[(waited := self.commands.waited) :] or samples
-        driven = zip(samples, self.commands.given[waited:], strict=False)
+        driven = list(zip(samples, self.commands.given, strict=False))[self.commands.waited :]
         controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
-        return Driving(samples, controls)
+        return Driving([sample for sample, _ in driven], controls)
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:
         stamp = stamp_ns(sample.time)

@@ -83,7 +83,8 @@ class DevicePlanner:
         """Improve a plan, as `mppi.improve`; all that is given and returned lies on the CPU.
 
         Raises:
-            PlanningError: no sample has a finite cost, or a new graph computes something else than its work.
+            NoPlan: no sample has a finite cost.
+            PlanningError: a new graph computes something else than its work.
         """
         self.load(controls, model_state, situation, weights, codes, previous=previous)
         assert self._buffers is not None

@@ -1,6 +1,5 @@
 """Errors of runs on the same windows, kept in files, and what one model gains over another."""
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import evaluation_windows, run_errors
+from offpiste.training.checkpoint import sha256_of_tensors
 from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import on_map
@@ -92,7 +92,8 @@ def errors_of(
         scale: of the loss, the same for all that is compared.
         map_source: the map that is read, where it is not the windows' own.
     """
-    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), _digest(run)))}.safetensors"
+    weights = sha256_of_tensors(run.dynamics.state_dict(), {})[:12]  # a run may be trained again in its folder
+    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), weights))}.safetensors"
 
     def compute() -> Errors:
         return run_errors(run, windows, index, reading, scale=scale, map_source=map_source)
@@ -104,15 +105,6 @@ def errors_of(
         errors = compute()  # kept were those of other windows
         save_errors(path, errors)
     return errors
-
-
-def _digest(run: Run) -> str:
-    """Of a run's weights as they are in memory: a run may be trained again in its folder."""
-    digest = hashlib.sha256()
-    for name, values in run.dynamics.state_dict().items():
-        digest.update(name.encode())
-        digest.update(values.cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:12]
 
 
 def gain(

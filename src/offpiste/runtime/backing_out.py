@@ -63,7 +63,7 @@ class BackingOutSettings:
     longest: float = 6.0
     speed: float = 4.0
     obstacles: float = 0.05
-    tall: float = 1.5
+    tall: float = Hazards.tall
     slow: float = 3.0
     back: float = 2.0
     against: float = 1.75

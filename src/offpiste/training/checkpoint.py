@@ -2,6 +2,7 @@
 
 import json
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +24,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
     """Write tensors, with a few JSON values and a SHA-256 of it all in the file's own header."""
     kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     # One entry: safetensors writes several in an order that differs from process to process.
-    header = {"about": json.dumps({**about, "sha256": _digest(kept, about)})}
+    header = {"about": json.dumps({**about, "sha256": sha256_of_tensors(kept, about)})}
     write_bytes(path, save(kept, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
@@ -40,12 +41,13 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             written = about.pop("sha256", None)
     except (OSError, SafetensorError, json.JSONDecodeError, AttributeError) as error:
         raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
-    _refuse_changed(path, written, _digest(tensors, about))
+    _refuse_changed(path, written, sha256_of_tensors(tensors, about))
     return tensors, about
 
 
-def _digest(tensors: dict[str, Tensor], about: dict[str, Any]) -> str:
-    return sha256_of_arrays({name: tensor.numpy() for name, tensor in tensors.items()}, about)
+def sha256_of_tensors(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
+    """SHA-256 of named tensors, such as a `state_dict`, and of JSON values about them."""
+    return sha256_of_arrays({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, about)
 
 
 def _refuse_changed(path: Path, written: object, found: str) -> None:

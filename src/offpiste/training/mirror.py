@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from offpiste.conventions import STATE, WHEELS
@@ -60,13 +60,12 @@ class _Signs:
         return self._signed(values, self.mirror.actuators)
 
     def terrain(self, terrain: Terrain) -> Terrain:
-        normal = self._signed(self.sides(terrain.normal, 2), terrain.normal.new_tensor(NORMAL_SIGNS))
-        return Terrain(normal, self.sides(terrain.known, 2), self.sides(terrain.latent, 2))
+        normal = self._signed(self.sides(terrain.normal), terrain.normal.new_tensor(NORMAL_SIGNS))
+        return Terrain(normal, self.sides(terrain.known), self.sides(terrain.latent))
 
-    def sides(self, values: Tensor, axis: int) -> Tensor:
-        """Left and right exchanged along the axis of the wheels."""
-        other = values.index_select(axis, torch.tensor(OPPOSITE, device=values.device))
-        return torch.where(self._broadcast(values), other, values)
+    def sides(self, values: Shaped[Tensor, "B T 4 *S"]) -> Shaped[Tensor, "B T 4 *S"]:
+        """Left and right exchanged."""
+        return torch.where(self._broadcast(values), values[:, :, list(OPPOSITE)], values)
 
     def _signed(self, values: Tensor, signs: Tensor) -> Tensor:
         return torch.where(self._broadcast(values), values * signs, values)
@@ -97,7 +96,7 @@ def _mirrored(batch: Batch, signs: _Signs) -> Batch:
 
 
 def _mirrored_ground(ground: FeaturesUnderWheels, signs: _Signs) -> FeaturesUnderWheels:
-    return replace(ground, past=signs.sides(ground.past, 2), ahead=signs.sides(ground.ahead, 2))
+    return replace(ground, past=signs.sides(ground.past), ahead=signs.sides(ground.ahead))
 
 
 def mirror_of(windows: Windows) -> Mirror:

@@ -27,8 +27,8 @@ class Hazards:
     Attributes:
         obstacle: cost of cells within `margin` of anything higher than `height` [1/s].
         height: [m].
-        low: share of that cost that counts near obstacles lower than `tall`.
-        tall: [m].
+        low: share of that cost that counts near obstacles that are all lower than `tall`.
+        tall: height from which obstacles count in full [m].
         margin: around the wheels' centres; half the track covers what lies between the wheels [m].
         unknown: cost of cells of which nothing is known, and off the map [1/s].
         steep: cost per rise over run above `steepest` [1/s].
