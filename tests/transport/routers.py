@@ -15,13 +15,13 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def until(condition, seconds=5.0):
-    """Whether a condition comes true within some seconds."""
+def until(condition, seconds=5.0, every=0.01):
+    """Whether a condition comes true within some seconds; it is looked at once every so many."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():
             return True
-        time.sleep(0.01)
+        time.sleep(every)
     return False
 
 
