@@ -22,6 +22,7 @@ from offpiste.errors import OffpisteError
 from offpiste.evaluation.errors import Progress
 from offpiste.files import check_folder, remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
+from offpiste.planning.course import FASTEST
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
@@ -40,9 +41,6 @@ logger = logging.getLogger(__name__)
 
 EVERY = 10
 """Rows from one place of the driven path in result.json to the next."""
-
-FASTEST = 30.0
-"""Largest target speed [m/s]."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LiveError
-from offpiste.planning.course import Course
+from offpiste.planning.course import FASTEST, Course
 
 _LONGEST: Final = 100_000
 """Number of points of a course that is accepted."""
-_FASTEST: Final = 30.0
 _APART: Final = 0.05
 """Points that are nearer to each other count once [m]."""
 
@@ -78,8 +77,8 @@ def course_of(xy: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], *, w
     """
     if len(xy) > _LONGEST:
         raise LiveError(f"a course of more than {_LONGEST} points", where=where, how="thin it out")
-    if not np.isfinite(xy).all() or not ((speed > 0) & (speed <= _FASTEST)).all():
-        how = f"give finite metres, and speeds above 0 and at most {_FASTEST:g} m/s"
+    if not np.isfinite(xy).all() or not ((speed > 0) & (speed <= FASTEST)).all():
+        how = f"give finite metres, and speeds above 0 and at most {FASTEST:g} m/s"
         raise LiveError("a point of the course is no place, or its speed is none", where=where, how=how)
     keep = [0] if len(xy) else []
     for k in range(1, len(xy)):

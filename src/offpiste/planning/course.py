@@ -105,6 +105,9 @@ def _fill(
 SHORTEST: Final = 0.01
 """Length of the shortest valid path [m]."""
 
+FASTEST: Final = 30.0
+"""Largest wanted speed [m/s] that users may ask for."""
+
 
 @dataclass(frozen=True)
 class Course:
