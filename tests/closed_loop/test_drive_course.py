@@ -13,9 +13,10 @@ from offpiste.closed_loop.courses import CourseSettings, choose_course
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.closed_loop.stretches import surprise_along, traction_along
-from offpiste.errors import OffpisteError, RunError
+from offpiste.errors import OffpisteError, PlanningError, RunError
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
+from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -130,6 +131,13 @@ def test_settings_out_of_range_are_refused_at_once(changed, message, tmp_path):
 def test_a_latency_between_steps_is_refused_at_once(tmp_path):
     with pytest.raises(OffpisteError, match=r"a latency of 0\.03 s"):
         drive_course(PLANNER, replace(SETTINGS, runtime=settings(latency=0.03)), tmp_path)
+
+
+def test_a_risk_without_a_spread_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
+    monkeypatch.setattr("offpiste.closed_loop.drive_course.course_world", None)
+    wary = replace(SETTINGS, runtime=replace(SETTINGS.runtime, risk=AddSpread(1.0)))
+    with pytest.raises(PlanningError, match="the risk 'spread' needs a spread"):
+        drive_course(PLANNER, wary, tmp_path)
 
 
 def test_a_file_instead_of_a_folder_is_refused(tmp_path):

@@ -22,6 +22,7 @@ from offpiste.errors import OffpisteError
 from offpiste.evaluation.errors import Progress
 from offpiste.files import check_folder, remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
+from offpiste.planning.caution import caution_of
 from offpiste.planning.course import FASTEST
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
@@ -112,9 +113,11 @@ def drive_course(
         improver: makes what improves the plans, MPPI unless another planner is tried.
 
     Raises:
-        OffpisteError: a setting is out of range, or there is a drive in the folder already.
+        OffpisteError: a setting is out of range, the risk needs a spread that the run lacks, or there is a drive in the
+            folder already.
     """
     check_settings(settings)
+    caution_of(settings.runtime.risk, planner.spread)  # complains itself, before a world is built
     out = Path(out)
     check_folder(out)
     for name in ("drive.mcap", "result.json"):
