@@ -23,8 +23,10 @@ from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError
 from offpiste.files import write_text
+from offpiste.live.simulated_robot import scores
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, number
+from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.world import WorldSettings
 
 logger = logging.getLogger("experiments")
@@ -103,8 +105,8 @@ class LiveDrives:
         found = _COST.search(said.read_text("utf-8"))
         if found is None:
             raise LiveError("the vehicle was not driven", where=said, how="see live.txt beside it")
-        control = read_status(status)["control"].numbers
-        worst = {key: float(np.nanmax(control[key])) for key in ("tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms")}
+        control = read_status(status)["control"]
+        worst = {key: control.worst(key) for key in ("tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms")}
         return {
             "finished": found["ending"] == "finished",
             "cost": int(found["cost"]),
@@ -115,7 +117,8 @@ class LiveDrives:
         settings = CourseDriveSettings(
             WorldSettings(self.world, seed), LIMIT, course=CourseSettings(speed=self.speed), keep_log=False
         )
-        result = drive_course(load_planner(self.run_folder), settings, folder / "lockstep").result
+        driven = drive_course(load_planner(self.run_folder), settings, folder / "lockstep")
+        result = scores(driven.driving.from_first_throttle, driven.chosen, LIMIT, load_vehicle())
         return {"finished": result["finished"], "cost": result["driven_cost"], "time_s": result["time_s"]}
 
     def _memory(self) -> TextTable:
@@ -178,8 +181,9 @@ def courses_table(rows: Sequence[dict[str, Any]]) -> TextTable:
         "plan's age p99 [ms]",
     )
     about = (
-        "Driven costs of the same courses; ticks of control late by, and ages at the worst moment of each drive. One "
-        f"that does not finish counts as standing until its limit, {LIMIT:g} s in lockstep and longer live."
+        "Driven costs of the same courses, from the first throttle on; ticks of control late by, and ages at the worst "
+        "moment of each drive. One that does not finish counts as standing until its limit, "
+        f"{LIMIT:g} s in lockstep and longer live."
     )
     return TextTable("Courses live", names, tuple(lines), about)
 

@@ -18,10 +18,16 @@ SETTLED: Final = 300.0
 
 
 class Part(NamedTuple):
-    """One process: times [s] and `NUMBERS` by column."""
+    """One process: times [s], `NUMBERS` by column, and its states in words."""
 
     time: Float[np.ndarray, " n"]
     numbers: dict[str, Float[np.ndarray, " n"]]
+    states: tuple[str, ...]
+
+    def worst(self, name: str) -> float:
+        """The largest of some numbers while the vehicle is driven."""
+        driven = [state.startswith(("driving", "degraded")) for state in self.states]
+        return float(np.nanmax(self.numbers[name][driven]))
 
     def share_of_core(self) -> float:
         """Processor time over the clock's, while it was there; restarts begin anew."""
@@ -53,7 +59,8 @@ def read_status(path: Path) -> dict[str, Part]:
     for name in dict.fromkeys(row["part"] for row in rows):
         own = [row for row in rows if row["part"] == name]
         numbers = {key: np.array([float(row[key] or "nan") for row in own]) for key in NUMBERS}
-        parts[name] = Part(np.array([float(row["time"]) for row in own]), numbers)
+        states = tuple(row["state"] for row in own)
+        parts[name] = Part(np.array([float(row["time"]) for row in own]), numbers, states)
     return parts
 
 

@@ -87,6 +87,14 @@ def hand_made(rows=10):
     return Driving(driven, [Controls(time_of(s.time), np.zeros(3), m) for s, m in zip(driven, modes, strict=True)])
 
 
+def test_what_a_drive_is_from_its_first_throttle_on():
+    whole = hand_made(6)
+    assert whole.from_first_throttle.samples == whole.samples, "nobody drove"
+    whole.controls[2].command[0] = whole.controls[4].command[0] = 0.3
+    later = whole.from_first_throttle
+    assert (later.samples, later.controls) == (whole.samples[2:], whole.controls[2:])
+
+
 def test_the_trace_by_hand():
     trace = trace_of(hand_made(), COURSE)
     np.testing.assert_allclose(trace.place[:, 0], np.arange(10))

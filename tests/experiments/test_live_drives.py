@@ -15,7 +15,7 @@ def part(minutes: float, megabytes, core: float) -> Part:
     numbers = dict.fromkeys(
         ("tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms", "plan_ms", "map_ms", "dropped"), nothing
     )
-    return Part(time, {**numbers, "cpu_s": core * time, "rss_mb": megabytes(time)})
+    return Part(time, {**numbers, "cpu_s": core * time, "rss_mb": megabytes(time)}, len(time) * ("ready",))
 
 
 def test_memory_that_fills_first_and_then_stays_does_not_grow():
@@ -42,11 +42,14 @@ def test_the_table_of_live_is_read(tmp_path):
     with StatusTable(path) as table:
         for step in range(4):
             numbers = {"cpu_s": 0.1 * step, "rss_mb": 90.0, "dropped": {"late": step}}
-            table.add(10 + 0.5 * step, {"map": (0, "maps", numbers), "control": (0, "driving", {"tick_p99_ms": 2.0})})
+            state = ("stopped: no scan", "driving", "degraded: late scan", "stopped: end of the course")[step]
+            control = (0, state, {"tick_p99_ms": (9.0, 2.0, 3.0, 8.0)[step]})
+            table.add(10 + 0.5 * step, {"map": (0, "maps", numbers), "control": control})
     parts = read_status(path)
     assert list(parts) == ["map", "control"]
     np.testing.assert_allclose(parts["map"].numbers["dropped"], [0, 1, 2, 3])
     assert np.isnan(parts["control"].numbers["rss_mb"]).all()
+    assert parts["control"].worst("tick_p99_ms") == 3.0, "while it drives"
     with pytest.raises(LiveError, match="no table"):
         read_status(tmp_path / "none.csv")
 

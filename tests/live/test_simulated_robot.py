@@ -140,10 +140,3 @@ def test_an_interrupted_drive_ends_there_and_leaves_no_thread_behind(after, plac
         with pytest.raises(KeyboardInterrupt):
             robot.drive(1.0)
     assert threads() == before
-
-
-def test_a_drive_counts_from_the_first_throttle():
-    commands = RemoteCommands()
-    assert commands.waited == 0, "nobody drove"
-    commands.given += [np.array((throttle, 0.5, 0.0, 1.0)) for throttle in (0, 0, 0.2, 0)]
-    assert commands.waited == 2

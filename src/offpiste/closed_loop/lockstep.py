@@ -89,6 +89,12 @@ class Driving:
     samples: list[VehicleSample]
     controls: list[Controls]
 
+    @property
+    def from_first_throttle(self) -> "Driving":
+        """What follows the first throttle, or all: before it, whatever plans may still be loading."""
+        first = next((row for row, each in enumerate(self.controls) if each.command[0] > 0), 0)
+        return Driving(self.samples[first:], self.controls[first:])
+
 
 def drive_planned(
     runtime: Runtime,

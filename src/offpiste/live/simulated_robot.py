@@ -17,6 +17,7 @@ from offpiste.closed_loop.scores import summary, trace_of
 from offpiste.conventions import DT
 from offpiste.errors import LiveError, require
 from offpiste.live.lockstep import CLOCK
+from offpiste.live.part import keep_loaded
 from offpiste.live.play import clock_message
 from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.planning.costs.weights import CostWeights
@@ -29,7 +30,7 @@ from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with
 from offpiste.simulation.sensors.messages import mountings_message
 from offpiste.simulation.sensors.suite import Sensing, sensor_suite
 from offpiste.simulation.simulate import drive
-from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 from offpiste.transport.interface import Received, Transport
@@ -69,11 +70,6 @@ class RemoteCommands:
         if len(command) == 4 and np.isfinite(command).all():
             limited = np.clip(np.asarray(command, np.float64), (0.0, 0.0, -1.0, -1.0), 1.0)
             self._command, self._at = limited, time.monotonic()
-
-    @property
-    def waited(self) -> int:
-        """Number of steps before the first throttle: meanwhile whoever drives may still have been loading."""
-        return next((step for step, command in enumerate(self.given) if command[0] > 0), 0)
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """The command for the next step."""
@@ -186,9 +182,9 @@ class SimulatedRobot:
         if self._sensors.left_out:
             measured = self._sensors.left_out + self._sensors.published
             logger.warning(f"this machine is too slow: {self._sensors.left_out} of {measured} measurements left out")
-        driven = list(zip(samples, self.commands.given, strict=False))[self.commands.waited :]
+        driven = list(zip(samples, self.commands.given, strict=False))
         controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
-        return Driving([sample for sample, _ in driven], controls)
+        return Driving([sample for sample, _ in driven], controls).from_first_throttle
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:
         stamp = stamp_ns(sample.time)
@@ -229,20 +225,30 @@ def simulate_live(
     parameters = load_vehicle(vehicle or None)
     made = make_world(world)
     chosen = choose_course(made, world.seed, CourseSettings(speed=speed))
+    keep_loaded()
     with closing(ZenohTransport(robot)) as transport:
         simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed, vehicle=vehicle, pose_noise=pose_noise)
         logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
         driving = simulated.drive(seconds)
-    trace = trace_of(driving, chosen.course)
-    length = float(np.linalg.norm(np.diff(chosen.course.driven, axis=0), axis=1).sum())
-    result = summary(driving, trace, length, seconds, CostWeights(path=5.0), parameters)
+    result = scores(driving, chosen, seconds, parameters)
     result["steps_without_command"] = simulated.commands.lost
-    ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {length:.0f} m"
+    ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     logger.info(
         f"{ending} in {result['time_s']:.1f} s, {result['mean_speed_mps']:.1f} m/s, {result['mean_path_error_m']:.2f} m"
         f" off the course, cost {result['driven_cost']:.0f}; {simulated.commands.lost} steps without a command"
     )
     return result
+
+
+def scores(driving: Driving, chosen: ChosenCourse, limit: float, parameters: VehicleParameters) -> dict[str, Any]:
+    """What a drive came to (`closed_loop.scores.summary`).
+
+    Args:
+        limit: of its time [s].
+        parameters: of the vehicle.
+    """
+    length = float(np.linalg.norm(np.diff(chosen.course.driven, axis=0), axis=1).sum())
+    return summary(driving, trace_of(driving, chosen.course), length, limit, CostWeights(path=5.0), parameters)
 
 
 def _command_topic(rig: Rig) -> str:

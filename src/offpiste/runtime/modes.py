@@ -23,7 +23,7 @@ class Timeouts:
     """
 
     state: float = 0.1
-    scan: float = 0.3
+    scan: float = 0.5
     scan_limit: float = 1.0
     image: float = 1.5
     plan: float = 0.5

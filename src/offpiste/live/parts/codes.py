@@ -4,7 +4,7 @@ import time
 
 from offpiste.errors import PerceptionError
 from offpiste.live.packing import image_from, packed, unpacked
-from offpiste.live.part import Part, TrackFeed
+from offpiste.live.part import Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import load_kernels, wait_for_sensors
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Image
@@ -22,6 +22,7 @@ def codes(session: Session) -> None:
         return
     encoder, extract = planner.dynamics.eval().requires_grad_(False).encoder, planner.extractor.extract
     assert encoder is not None
+    keep_loaded()
     feed, number = TrackFeed(part, planner.dynamics.vehicle.actuators), part.ring("images").written
     keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
     while not part.ending:

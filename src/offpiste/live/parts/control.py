@@ -13,7 +13,7 @@ from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.gate import Gate, Passed
 from offpiste.live.lockstep import COMMAND
 from offpiste.live.packing import packed, plan_from, unpacked
-from offpiste.live.part import Part, TrackFeed
+from offpiste.live.part import Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import NewestCourse, last_command
 from offpiste.live.parts.watchdog import ENDS, SILENCE
 from offpiste.live.reception import is_pressed
@@ -198,6 +198,7 @@ def control(session: Session) -> None:
     """The process that commands; when the drive ends, or its parent is gone, it stops the vehicle first."""
     part = Part("control", session)
     controller = Controller(part)
+    keep_loaded()
     due, ends = time.monotonic(), np.inf
     while True:
         if ends == np.inf and part.ending:

@@ -6,7 +6,7 @@ import numpy as np
 
 from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.live.packing import cloud_from, pack_layers, packed, unpacked
-from offpiste.live.part import Part, TrackFeed
+from offpiste.live.part import Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import load_kernels, wait_for_sensors
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Cloud
@@ -31,6 +31,7 @@ def map_ground(session: Session) -> None:
     feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch()
     mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
     mapper.dropped = part.dropped
+    keep_loaded()
     scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
     while not part.ending:
         if feed.update(part.now()):

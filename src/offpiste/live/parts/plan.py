@@ -7,7 +7,7 @@ import torch
 
 from offpiste.compilation import single_threaded_torch
 from offpiste.live.packing import layers_from, pack_plan, packed, unpacked
-from offpiste.live.part import Part, TrackFeed
+from offpiste.live.part import Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import NewestCourse, load_kernels
 from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -97,6 +97,7 @@ def plan(session: Session) -> None:
     part = Part("plan", session)
     plans = Plans(part)
     load_kernels(part, plans.planner)
+    keep_loaded()
     period = 1 / part.settings.runtime.plan_rate
     while not part.ending:
         began = time.monotonic()

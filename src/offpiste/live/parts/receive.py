@@ -11,7 +11,7 @@ import numpy as np
 from offpiste.errors import LiveError
 from offpiste.live.backlog import Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
-from offpiste.live.part import RUNS_ON, STAMP, Part
+from offpiste.live.part import RUNS_ON, STAMP, Part, keep_loaded
 from offpiste.live.reception import Reception
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Cloud, Image
@@ -137,6 +137,7 @@ def receive(session: Session, *, cameras: bool) -> None:
     """The process that receives."""
     part = Part("receive", session)
     receiver, connected = Receiver(part, cameras=cameras), True
+    keep_loaded()
     while not part.ended:  # control needs readings until the vehicle is at a standstill
         receiver.read()
         receiver.check()

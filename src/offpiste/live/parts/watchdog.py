@@ -9,7 +9,7 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.live.command_messages import Command, CommandMessages
-from offpiste.live.part import Part
+from offpiste.live.part import Part, keep_loaded
 from offpiste.live.parts.setup import last_command
 from offpiste.live.session import Session
 from offpiste.rig.rig import load_rig
@@ -32,6 +32,7 @@ def watchdog(session: Session) -> None:
     commands, stops, ends = part.ring("commands"), 0, np.inf
     for name in ("stops", "clock", "end"):  # now: once the parent is gone, nobody keeps their files
         part.ring(name)
+    keep_loaded()
     while not _is_over(part, time.monotonic() - ends):
         if ends == np.inf and part.ending:
             ends = time.monotonic()
