@@ -68,6 +68,15 @@ def test_a_robot_that_is_right(tmp_path):
     assert "/drive: ackermann_msgs/msg/AckermannDriveStamped can be sent" in said
 
 
+def test_a_timeout_that_is_too_short_for_what_is_heard(tmp_path):
+    """The robot's messages are 0.05 s apart, so one that is missing leaves 0.1 s."""
+    for timeout, warned in ((0.06, True), (0.4, False)):
+        more = f"[live.timeouts]\nscan = {timeout}\nstate = 0.4\n"
+        said = [what for level, what in found(tmp_path, more=more) if level == "warning"]
+        assert any("late after 0.06 s" in what and "live.timeouts.scan above" in what for what in said) == warned
+        assert not any("live.timeouts.state" in what for what in said)
+
+
 def other_hash(network):
     network.router._session.put("0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_1", b"")
 

@@ -4,7 +4,9 @@ import pytest
 
 from factories import RIG
 from offpiste.errors import RigError
+from offpiste.rig.outputs import Timeouts
 from offpiste.rig.rig import load_rig, parse_rig
+from offpiste.runtime.settings import RuntimeSettings
 
 OUTPUT = """
 [outputs.a]
@@ -33,6 +35,10 @@ WRONG = {
     "limit above one": ("[live.limits]\nthrottle = 2\n", r"live\.limits\.throttle is 2.*at most 1"),
     "limit of nan": ("[live.limits]\nspeed = nan\n", r"live\.limits\.speed is nan"),
     "limit of nothing": (OUTPUT + "[live.limits]\nthrottle = 0.5\n", r"live\.limits\.throttle limits nothing"),
+    "no such timeout": ("[live.timeouts]\nscans = 1\n", r"live\.timeouts\.scans is no timeout.*scan_limit"),
+    "timeout of zero": ("[live.timeouts]\nstate = 0\n", r"live\.timeouts\.state is 0.*at most 5"),
+    "timeout of nan": ("[live.timeouts]\nplan = nan\n", r"live\.timeouts\.plan is nan"),
+    "late after missing": ("[live.timeouts]\nscan = 2\n", r"live\.timeouts\.scan is above scan_limit"),
     "type of a topic": ('[live.types]\n"/odom" = "Odometry"\n', r"'Odometry' is no message type"),
     "unknown key": ("[live]\nfast = true\n", r"fast"),
 }
@@ -43,6 +49,12 @@ def test_mistakes_are_named(case):
     text, what = WRONG[case]
     with pytest.raises(RigError, match=what):
         parse_rig(RIG + text, where="test")
+
+
+def test_timeouts_are_those_of_the_run_time_but_for_what_is_given():
+    given = parse_rig(RIG + "[live.timeouts]\nstate = 0.25\n", where="test").live.timeouts
+    assert given == Timeouts(state=0.25)
+    assert parse_rig(RIG, where="test").live.timeouts == RuntimeSettings().timeouts
 
 
 def test_definitions_lie_beside_the_rig(tmp_path):

@@ -5,7 +5,8 @@ from math import inf
 
 import pytest
 
-from offpiste.runtime.modes import Ages, ModeDecision, Timeouts, decide_mode
+from offpiste.rig.outputs import Timeouts
+from offpiste.runtime.modes import Ages, ModeDecision, decide_mode
 
 WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
 

@@ -74,17 +74,19 @@ class Live:
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings, ViewSettings
         from offpiste.planning.caution import risk_of
+        from offpiste.rig.rig import load_rig
         from offpiste.runtime.settings import RuntimeSettings
 
         if self.view_at and not self.view:
             raise LiveError(f"{self.view_at} would show nothing", where="--view-at", how="give --view, too")
+        timeouts = load_rig(self.rig).live.timeouts
         run_live(
             LiveSettings(
                 self.rig,
                 self.run_folder,
                 self.pca,
                 CourseRequest(self.course, self.course_topic, self.goal, self.speed),
-                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk)),
+                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk), timeouts=timeouts),
                 robot,
                 drive=self.drive,
                 clock=self.clock,

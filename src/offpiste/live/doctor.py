@@ -187,6 +187,7 @@ class _Listener:
         others = self._transport.topics()
         for topic in self._needed:
             yield self._of(topic, seconds, clock, others)
+        yield from self._too_slow(seconds)
         for topic in self._commands & self._heard - set(self._vehicle.topics):
             yield Finding("warning", f"{topic}: someone else commands; with --drive the vehicle would be stopped")
         if self._switch_without:
@@ -226,6 +227,17 @@ class _Listener:
         self._vehicle.take(received.topic, message, received.received)
         if received.topic in self._sensors.topics:
             self._sensors.take(received.topic, message, received.received)
+
+    def _too_slow(self, seconds: float) -> Iterator[Finding]:
+        """Topics whose timeout is over where a single message is missing."""
+        timeouts = self._rig.live.timeouts
+        expected = {self._vehicle.position_topic: ("state", timeouts.state)}
+        expected |= {lidar.topic: ("scan", timeouts.scan) for lidar in self._rig.lidars.values()}
+        for topic, (name, longest) in expected.items():
+            count = self._all[topic].count if topic in self._heard else 0
+            if count and longest < 2 * seconds / count:
+                what = f"{topic}: {count / seconds:.1f} a second, and late after {longest:g} s, when one is missing"
+                yield Finding("warning", f"{what}: give live.timeouts.{name} above {2 * seconds / count:.2g}")
 
     def _of(self, topic: str, seconds: float, clock: Source, others: dict[str, str]) -> Finding:
         if topic not in self._heard:

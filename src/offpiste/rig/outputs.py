@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -27,6 +28,8 @@ _LIMITED: Final = {
     "yaw_rate": {"yaw_rate"},
 }
 """Quantities that each of `CommandLimits` acts on."""
+_LONGEST: Final = 5.0
+"""Largest timeout [s]."""
 _PATH: Final = re.compile(r"[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?")
 _TYPE: Final = re.compile(r"[a-zA-Z]\w*/msg/[A-Z]\w*")
 _TOPIC: Final = re.compile(r"(/[a-zA-Z_]\w*)+")
@@ -111,17 +114,40 @@ class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     yaw_rate: float = np.inf
 
 
+@dataclass(frozen=True)
+class Timeouts:
+    """Largest ages of inputs [s].
+
+    Attributes:
+        state: readings of the vehicle; if older, controlled stop.
+        scan: scans; if older, the vehicle slows down.
+        scan_limit: scans; if older, controlled stop.
+        image: images; if older, the vehicle continues on the features in the map, in degraded mode.
+        plan: time since the plan that is followed began to act; if longer, controlled stop.
+        ahead: messages stamped further ahead of the clock are dropped.
+    """
+
+    state: float = 0.1
+    scan: float = 0.5
+    scan_limit: float = 1.0
+    image: float = 1.5
+    plan: float = 0.5
+    ahead: float = 0.1
+
+
 class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What driving on a vehicle needs besides its channels and sensors.
 
     Attributes:
         enable: without it, commands need no switch.
+        timeouts: how old inputs may be, for sensors that are slower than most.
         types: message types of topics, where their keys do not say them (zenoh-bridge-ros2dds).
         definitions: files PACKAGE/msg/NAME.msg of types that rosbags does not know, beside the rig file.
     """
 
     enable: Enable | None = None
     limits: CommandLimits = CommandLimits()
+    timeouts: Timeouts = Timeouts()
     types: dict[str, str] = {}
     definitions: tuple[str, ...] = ()
 
@@ -130,19 +156,24 @@ class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return replace(self, definitions=tuple(str(folder / name) for name in self.definitions))
 
 
-def check_quantities(rig: Mapping[str, Any]) -> None:
-    """Refuse fields that hold what there is not, by their names, which msgspec does not say.
+def check_names(rig: Mapping[str, Any]) -> None:
+    """Refuse quantities and timeouts that there are not, by their names, which msgspec does not say.
 
     Args:
         rig: from TOML; what else is wrong with it is left to others.
 
     Raises:
-        RigError: which field, and what there is.
+        RigError: which one, and what there is.
     """
+    live = rig.get("live")
+    timeouts = live.get("timeouts") if isinstance(live, dict) else None
+    for name in timeouts if isinstance(timeouts, dict) else {}:
+        if name not in (there := [each.name for each in fields(Timeouts)]):
+            raise RigError(f"live.timeouts.{name} is no timeout", how=f"give {', '.join(there)}")
     outputs = rig.get("outputs")
     for name, output in (outputs if isinstance(outputs, dict) else {}).items():
-        fields = output.get("fields") if isinstance(output, dict) else None
-        for path, field in (fields if isinstance(fields, dict) else {}).items():
+        written = output.get("fields") if isinstance(output, dict) else None
+        for path, field in (written if isinstance(written, dict) else {}).items():
             held = field.get("of") if isinstance(field, dict) else None
             if isinstance(held, str) and held not in get_args(Quantity):
                 what = f"outputs.{name}.fields.\"{path}\" holds '{held}'"
@@ -177,6 +208,11 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
         _check_topic("live.enable.topic", live.enable.topic)
         if not _PATH.fullmatch(live.enable.field) or not 0 < live.enable.timeout < np.inf:
             raise RigError("live.enable: no such field or timeout", how='give field = "data" and seconds above zero')
+    for name, seconds in vars(live.timeouts).items():
+        if not 0 < seconds <= _LONGEST:
+            raise RigError(f"live.timeouts.{name} is {seconds} s", how=f"give more than 0, and at most {_LONGEST:g}")
+    if live.timeouts.scan > live.timeouts.scan_limit:
+        raise RigError("live.timeouts.scan is above scan_limit", how="let scans be late before they are missing")
     for limit in CommandLimits.__struct_fields__:
         number, limited = getattr(live.limits, limit), _LIMITED[limit]
         if not number > 0 or (limit in ("throttle", "brake", "steer") and number > 1):

@@ -13,7 +13,7 @@ from offpiste.channels import Actuator, Control, actuator_columns, all_actuators
 from offpiste.errors import RigError, did_you_mean
 from offpiste.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
-from offpiste.rig.outputs import Live, Output, check_outputs, check_quantities
+from offpiste.rig.outputs import Live, Output, check_names, check_outputs
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
 
@@ -176,7 +176,7 @@ def parse_rig(text: str, *, where: str) -> Rig:
     load_extensions()  # may declare channels
     try:
         given = tomllib.loads(text)
-        check_quantities(given)
+        check_names(given)
         rig = msgspec.convert(given, type=Rig)
         check_rig(rig)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

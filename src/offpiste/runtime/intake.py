@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from offpiste.conventions import ACTUATORS
+from offpiste.rig.outputs import Timeouts
 from offpiste.runtime.estimator import VehicleReading, VehicleTrack
-from offpiste.runtime.modes import Timeouts
 
 
 class Intake:

@@ -6,28 +6,9 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.rig.outputs import Timeouts
+
 Mode = Literal["driving", "degraded", "stopping", "stopped"]
-
-
-@dataclass(frozen=True)
-class Timeouts:
-    """Largest ages of inputs [s].
-
-    Attributes:
-        state: readings of the vehicle; if older, controlled stop.
-        scan: scans; if older, the vehicle slows down.
-        scan_limit: scans; if older, controlled stop.
-        image: images; if older, the vehicle continues on the features in the map, in degraded mode.
-        plan: time since the plan that is followed began to act; if longer, controlled stop.
-        ahead: messages stamped further ahead of the clock are dropped.
-    """
-
-    state: float = 0.1
-    scan: float = 0.5
-    scan_limit: float = 1.0
-    image: float = 1.5
-    plan: float = 0.5
-    ahead: float = 0.1
 
 
 @dataclass(frozen=True)

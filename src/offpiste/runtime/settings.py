@@ -10,8 +10,8 @@ from offpiste.planning.caution import AsPredicted, Risk
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.rig.outputs import Timeouts
 from offpiste.runtime.backing_out import BackingOutSettings
-from offpiste.runtime.modes import Timeouts
 
 
 @dataclass(frozen=True)
