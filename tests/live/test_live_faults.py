@@ -33,7 +33,9 @@ from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.runtime.settings import RuntimeSettings
+from offpiste.shipped import run_folder
 from offpiste.transport.zenoh_transport import ZenohSettings
+from offpiste.uncertainty.prediction import FILE as SPREAD
 from transport.routers import until
 
 
@@ -244,11 +246,12 @@ def test_options_that_would_do_nothing_are_refused(tmp_path, changed, options, w
 
 
 def test_a_risk_that_needs_a_spread_is_refused_before_anything_starts(tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(run_folder(RUN), run, ignore=shutil.ignore_patterns(SPREAD))
     course, runtime = CourseRequest(write_course(tmp_path)), RuntimeSettings(risk=AddSpread())
+    settings = LiveSettings(write_rig(tmp_path, actuators=True), str(run), None, course, runtime)
     with pytest.raises(PlanningError, match="needs a spread"):
-        run_live(
-            LiveSettings(write_rig(tmp_path), RUN, None, course, runtime), lockstep=False, replay=None, commands=None
-        )
+        run_live(settings, lockstep=False, replay=None, commands=None)
 
 
 @pytest.mark.parametrize("run", [RUN, "pretrained:proving-ground/dc"])

@@ -155,7 +155,6 @@ def with_spread(folder):
 
 def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
     planner = with_spread(tmp_path)
-    assert load_planner(RUN).spread is None
     plan, prediction = plan_at(100.0)
     regions = PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy())
     outlines = regions.outlines(layers(), plan, prediction)
