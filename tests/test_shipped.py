@@ -31,6 +31,11 @@ def test_each_drives_without_further_files(name):
     planner = load_planner(Path(f"{PREFIX}{name}"))
     assert planner.dynamics.vehicle.control == ("throttle", "brake", "steer", "gear")
     assert (planner.extractor is not None) == (Path(name).name == "dc")
+    assert planner.spread is not None
+
+
+def test_what_ground_is_familiar_ships_too():
+    load_planner(Path(f"{PREFIX}proving-ground/dc"), novelty="missing")
 
 
 def test_all_are_undamaged_and_small():

@@ -21,9 +21,9 @@ from experiments.live_faults.programs import started
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
+from offpiste.closed_loop.scores import scores_of
 from offpiste.errors import LiveError
 from offpiste.files import write_text
-from offpiste.live.simulated_robot import scores
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, number
 from offpiste.simulation.vehicle.parameters import load_vehicle
@@ -118,7 +118,7 @@ class LiveDrives:
             WorldSettings(self.world, seed), LIMIT, course=CourseSettings(speed=self.speed), keep_log=False
         )
         driven = drive_course(load_planner(self.run_folder), settings, folder / "lockstep")
-        result = scores(driven.driving.from_first_throttle, driven.chosen, LIMIT, load_vehicle())
+        result = scores_of(driven.driving.from_first_throttle, driven.chosen.course, LIMIT, load_vehicle())
         return {"finished": result["finished"], "cost": result["driven_cost"], "time_s": result["time_s"]}
 
     def _memory(self) -> TextTable:

@@ -25,9 +25,10 @@ class Part(NamedTuple):
     states: tuple[str, ...]
 
     def worst(self, name: str) -> float:
-        """The largest of some numbers while the vehicle is driven."""
+        """The largest of some numbers while the vehicle is driven; NaN where it is not."""
         driven = [state.startswith(("driving", "degraded")) for state in self.states]
-        return float(np.nanmax(self.numbers[name][driven]))
+        numbers = self.numbers[name][driven]
+        return float(np.nanmax(numbers)) if np.isfinite(numbers).any() else float("nan")
 
     def share_of_core(self) -> float:
         """Processor time over the clock's, while it was there; restarts begin anew."""

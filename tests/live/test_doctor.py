@@ -68,13 +68,23 @@ def test_a_robot_that_is_right(tmp_path):
     assert "/drive: ackermann_msgs/msg/AckermannDriveStamped can be sent" in said
 
 
-def test_a_timeout_that_is_too_short_for_what_is_heard(tmp_path):
-    """The robot's messages are 0.05 s apart, so one that is missing leaves 0.1 s."""
-    for timeout, warned in ((0.06, True), (0.4, False)):
-        more = f"[live.timeouts]\nscan = {timeout}\nstate = 0.4\n"
-        said = [what for level, what in found(tmp_path, more=more) if level == "warning"]
-        assert any("late after 0.06 s" in what and "live.timeouts.scan above" in what for what in said) == warned
-        assert not any("live.timeouts.state" in what for what in said)
+@pytest.mark.parametrize(
+    ("timeouts", "late", "named"),
+    [
+        ("state = 0.4\nscan = 0.5", 0.0, {}),
+        ("state = 0.4\nscan = 0.15", 0.0, {"/points": "let live.timeouts.scan be more"}),
+        ("state = 0.4\nscan = 0.1\nscan_limit = 0.1", 0.0, {"/points": "scan and live.timeouts.scan_limit be more"}),
+        ("state = 0.2", 0.15, {"/odom": "let live.timeouts.state be more"}),
+        ("state = 0.8\nscan = 1.0\nscan_limit = 2.0", 0.35, {}),
+    ],
+)
+def test_timeouts_that_are_too_short_for_what_is_heard(tmp_path, timeouts, late, named):
+    """The robot's messages are 0.05 s apart, so where one is lost, the last is 0.1 s old, or more if it comes late."""
+    findings = found(tmp_path, more=f"[live.timeouts]\n{timeouts}\n", late=late)
+    said = {what.split(":")[0]: what for level, what in findings if level == "warning" and "live.timeouts" in what}
+    assert said.keys() == named.keys()
+    assert all(what in said[topic] for topic, what in named.items())
+    assert not any(what.startswith("/odom") for what in errors(findings))
 
 
 def other_hash(network):

@@ -42,6 +42,21 @@ def test_between_readings_the_motion_is_extrapolated():
     np.testing.assert_allclose(track.rows(1.1).state[0, :3], (10.0, 20.0, np.pi / 2), atol=1e-9)
 
 
+def test_poses_are_known_between_readings_that_are_slow_but_expected():
+    for slowest, known in ((0.0, False), (0.6, True)):
+        track = VehicleTrack(slowest=slowest)
+        assert not track.awaits(1.0), "nothing was read"
+        for time in (1.0, 1.5):
+            track.add(circle(time))
+        pose = track.pose_at(1.25)
+        assert (pose is not None) == known
+        assert track.pose_at(1.6) is None
+        assert track.awaits(1.6)
+        assert not track.awaits(1.5)
+    chord = 0.5 * (circle(1.0).position + circle(1.5).position)
+    np.testing.assert_allclose(pose[:3, 3], chord, atol=1e-9)
+
+
 def test_rows_are_those_that_a_dataset_holds_of_the_same_readings():
     more = "".join(
         f'[channels.{name}]\ntopic = "odometry"\nfields = {fields}\n{rest}\n'

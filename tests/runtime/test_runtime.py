@@ -11,6 +11,7 @@ from offpiste.dynamics import Parametric, Vehicle
 from offpiste.errors import NoPlan, PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
+from offpiste.rig.outputs import Timeouts
 from offpiste.runtime import plan_maker, prediction
 from runtime.stream import Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
@@ -288,6 +289,21 @@ def test_features_that_are_not_finite_count_as_no_image():
     assert np.isfinite(stream.runtime._mapper.layers().features[stream.runtime._mapper.layers().valid]).all()
 
 
+def test_slow_odometry_drives_where_it_is_expected_and_comes_after_the_scans():
+    def slow(t):
+        return round(t / DT) % 20 == 0  # every 0.4 s
+
+    modes = []
+    for timeouts in (Timeouts(), Timeouts(state=0.6, scan=1.0, scan_limit=1.5)):
+        stream = straight_drive(timeouts=timeouts, stream={"reads": slow})
+        stream.run(4.0)
+        modes.append(stream.modes()[-1])
+    assert modes[0] == ("stopped", "no state of the vehicle")
+    assert modes[1] == ("driving", "")
+    assert not any("pose is not known" in why for why in stream.runtime.dropped)
+    assert speed(stream) > 0.5
+
+
 def test_messages_that_cannot_be_used_are_dropped_and_counted():
     stream = straight_drive(with_camera=True)
     stream.run(2.0)
@@ -295,7 +311,7 @@ def test_messages_that_cannot_be_used_are_dropped_and_counted():
     driver.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
     driver.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
     assert driver._mapper.image_time == 1.9
-    driver.image(Image(2.05, "eye", pixels))  # a little ahead of poses
+    driver.image(Image(2.05, "eye", pixels))  # a little ahead of poses: it waits for them
     driver.image(Image(7.0, "eye", pixels))  # from the future
     before = driver._mapper.scan_time
     broken = scan(1.95)
@@ -304,13 +320,15 @@ def test_messages_that_cannot_be_used_are_dropped_and_counted():
     points = np.where(broken.points[:, :1] > 0, np.nan, broken.points)  # only what lies behind is finite
     driver.scan(type(broken)(1.96, "lidar", points, None, broken.intensity))
     assert driver._mapper.scan_time == 1.96
-    driver.vehicle(reading(2.0, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
+    latest = driver._track.latest
+    driver.vehicle(replace(latest, time=2.06, position=latest.position + 0.06 * latest.velocity))
+    assert driver._mapper.image_time == 2.05
+    driver.vehicle(reading(2.07, np.nan, 0.0, 0.0, 1.0, 0.0, 0.0))
     driver.vehicle(reading(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0))
     assert driver.dropped == {
         "eye: before the first poses": 1,
         "lidar: before the first poses": 1,
         "eye: stamps repeat or go back": 1,
-        "eye: stamped when the pose is not known": 1,
         "eye: stamps ahead of the clock": 1,
         "scans without a finite point": 1,
         "readings of the vehicle that are not finite": 1,

@@ -35,9 +35,11 @@ class Drive:
     latency: float = PERCEPTION_LATENCY
     """From the data of a plan to its first control [s]."""
     risk: str = "none"
-    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need `offpiste calibrate`."""
+    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need a spread (models that
+    ship have one, others by `offpiste calibrate`)."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """What ground is to the model that looks like none in training; missing needs `offpiste calibrate`."""
+    """What ground is to the model that looks like none in training; missing needs what is familiar (shipped with
+    models that see the ground, for others by `offpiste calibrate`)."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
     """Fault of the sensors."""
     fault_start: float = 10.0

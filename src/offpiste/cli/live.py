@@ -38,11 +38,13 @@ class Live:
     latency: float = PERCEPTION_LATENCY
     """From the data of a plan to its first control [s]."""
     risk: str = "none"
-    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need `offpiste calibrate`."""
+    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need a spread (models that
+    ship have one, others by `offpiste calibrate`)."""
     clock: Literal["system", "clock", "stamps"] = "system"
     """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """What ground is to the model that looks like none in training; missing needs `offpiste calibrate`."""
+    """What ground is to the model that looks like none in training; missing needs what is familiar (shipped with
+    models that see the ground, for others by `offpiste calibrate`)."""
     seed: int = 0
     """Of the sampled controls."""
     seconds: float = float("inf")
@@ -74,19 +76,17 @@ class Live:
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings, ViewSettings
         from offpiste.planning.caution import risk_of
-        from offpiste.rig.rig import load_rig
         from offpiste.runtime.settings import RuntimeSettings
 
         if self.view_at and not self.view:
             raise LiveError(f"{self.view_at} would show nothing", where="--view-at", how="give --view, too")
-        timeouts = load_rig(self.rig).live.timeouts
         run_live(
             LiveSettings(
                 self.rig,
                 self.run_folder,
                 self.pca,
                 CourseRequest(self.course, self.course_topic, self.goal, self.speed),
-                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk), timeouts=timeouts),
+                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk)),
                 robot,
                 drive=self.drive,
                 clock=self.clock,

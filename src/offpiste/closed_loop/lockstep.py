@@ -91,7 +91,7 @@ class Driving:
 
     @property
     def from_first_throttle(self) -> "Driving":
-        """What follows the first throttle, or all: before it, whatever plans may still be loading."""
+        """What follows the first throttle, or all: before it, what makes the plans may still be loading."""
         first = next((row for row, each in enumerate(self.controls) if each.command[0] > 0), 0)
         return Driving(self.samples[first:], self.controls[first:])
 

@@ -15,6 +15,7 @@ from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.prediction import Prediction
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import STUCK
 from offpiste.simulation.vehicle.drivetrain import engine_torque
@@ -65,6 +66,17 @@ def trace_of(driving: Driving, course: Course) -> Trace:
     angle = np.stack([s.truth.slip_angle for s in driving.samples])
     slip = np.hypot(ratio, np.tan(np.clip(angle, -1.4, 1.4))).mean(axis=1)
     return Trace(place, speed, off, target, progress, slip)
+
+
+def scores_of(driving: Driving, course: Course, limit: float, parameters: VehicleParameters) -> dict[str, Any]:
+    """What a drive of a course came to, with the costs of the run time (see `summary`).
+
+    Args:
+        limit: time limit of the drive [s].
+        parameters: of the vehicle.
+    """
+    length = float(np.linalg.norm(np.diff(course.driven, axis=0), axis=1).sum())
+    return summary(driving, trace_of(driving, course), length, limit, RuntimeSettings().weights, parameters)
 
 
 def summary(

@@ -5,6 +5,7 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from offpiste.errors import LiveError, require
@@ -13,6 +14,7 @@ from offpiste.live.command_messages import CommandMessages
 from offpiste.live.driver import Step, StepDriver
 from offpiste.live.lockstep import Lockstep
 from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.part import keep_loaded
 from offpiste.live.play import LogPlayer
 from offpiste.live.reception import Reception, check_types
 from offpiste.live.replay import OnStep, replayed
@@ -37,6 +39,7 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     settings.robot.require()
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     rig, planner = load_rig(settings.rig), settings.load_planner()
+    settings = replace(settings, runtime=replace(settings.runtime, timeouts=rig.live.timeouts))
     _refuse_driving(settings, rig)
     types = MessageTypes([Path(name) for name in rig.live.definitions])
     check_types(rig, types)
@@ -199,6 +202,7 @@ def play_log(
         player = LogPlayer(drive, transport, without)
         if player.left_out:
             logger.info(f"left out: {', '.join(player.left_out)}")
+        keep_loaded()
         played = player.play_in_lockstep(seconds) if lockstep else player.play(rate, seconds)
     late = f", {1e3 * played.late:.0f} ms late at worst" if not lockstep else ""
     logger.info(f"played {played.messages} messages in {played.steps} steps{late}")

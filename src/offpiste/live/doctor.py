@@ -1,5 +1,6 @@
 """Before anything moves: the computer, the rig, the model, the connection, and what is heard of the robot."""
 
+import math
 import os
 import platform
 import shutil
@@ -39,6 +40,8 @@ _WAITING: Final = 16
 """Messages of a topic that wait to be decoded; where more do, the oldest are left out, but count."""
 _OLD: Final = 0.3
 """Readings and scans that are older than this when they come are late [s]."""
+_MAPPING: Final = 0.1
+"""A scan counts once it is in the map, so much later [s]."""
 
 
 class Finding(NamedTuple):
@@ -187,7 +190,7 @@ class _Listener:
         others = self._transport.topics()
         for topic in self._needed:
             yield self._of(topic, seconds, clock, others)
-        yield from self._too_slow(seconds)
+        yield from self._too_late(seconds, clock)
         for topic in self._commands & self._heard - set(self._vehicle.topics):
             yield Finding("warning", f"{topic}: someone else commands; with --drive the vehicle would be stopped")
         if self._switch_without:
@@ -228,16 +231,26 @@ class _Listener:
         if received.topic in self._sensors.topics:
             self._sensors.take(received.topic, message, received.received)
 
-    def _too_slow(self, seconds: float) -> Iterator[Finding]:
-        """Topics whose timeout is over where a single message is missing."""
-        timeouts = self._rig.live.timeouts
-        expected = {self._vehicle.position_topic: ("state", timeouts.state)}
-        expected |= {lidar.topic: ("scan", timeouts.scan) for lidar in self._rig.lidars.values()}
-        for topic, (name, longest) in expected.items():
-            count = self._all[topic].count if topic in self._heard else 0
-            if count and longest < 2 * seconds / count:
-                what = f"{topic}: {count / seconds:.1f} a second, and late after {longest:g} s, when one is missing"
-                yield Finding("warning", f"{what}: give live.timeouts.{name} above {2 * seconds / count:.2g}")
+    def _too_late(self, seconds: float, clock: Source) -> Iterator[Finding]:
+        """Timeouts that would be over where a single message is lost."""
+        timeouts, stamped = self._rig.live.timeouts, clock == "system" and self._rig.clock.stamps != "receive"
+        lidars = [lidar.topic for lidar in self._rig.lidars.values()]
+        fastest = max(lidars, key=lambda topic: self._all[topic].count, default="")
+        for topic, names, spare in (
+            (self._vehicle.position_topic, ("state",), 0.0),
+            (fastest, ("scan", "scan_limit"), _MAPPING),
+        ):
+            if topic not in self._heard:
+                continue
+            heard = self._all[topic]
+            age = float(np.median(heard.ages)) if stamped else 0.0
+            oldest = math.ceil(100 * (age + 2 * seconds / heard.count + spare)) / 100
+            short = [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]
+            if short and -0.05 < age < 1.0:
+                what = (
+                    f"{topic}: {heard.count / seconds:.1f} a second; where one is lost, the newest is {oldest:g} s old"
+                )
+                yield Finding("warning", f"{what}: let {' and '.join(short)} be more")
 
     def _of(self, topic: str, seconds: float, clock: Source, others: dict[str, str]) -> Finding:
         if topic not in self._heard:
@@ -255,7 +268,8 @@ class _Listener:
         if clock != "system" or self._rig.clock.stamps == "receive":
             return Finding("ok", what)
         what += f", {1e3 * age:.0f} ms old"
-        if not -0.05 < age < _OLD:
+        oldest = max(_OLD, self._rig.live.timeouts.state) if topic == self._vehicle.position_topic else _OLD
+        if not -0.05 < age < oldest:
             how = (
                 "synchronise the clocks (chrony), or give --clock stamps; for a simulator or a played log --clock clock"
             )

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from offpiste.channels import all_actuators
 from offpiste.closed_loop.planner import Planner
 from offpiste.conventions import DT
 from offpiste.errors import LiveError
@@ -189,7 +190,9 @@ def refuse_unfit(planner: Planner, rig: Rig) -> None:
         raise LiveError("reads the ground's true properties, which no robot has", where=planner.folder, how=how)
     lacks = [name for name in planner.dynamics.vehicle.actuators if name not in rig.present_actuators]
     if lacks:
-        how = "add their channels to the rig, or give a run trained without them"
+        known = {actuator.name: actuator for actuator in all_actuators()}
+        needed = dict.fromkeys(known[known[name].rate_of or name].channel for name in lacks)
+        how = f"add {', '.join(f'[channels.{name}]' for name in needed)} to the rig, or give a run trained without them"
         what = f"the model reads {', '.join(lacks)}, which rig '{rig.name}' does not have"
         raise LiveError(what, where=planner.folder, how=how)
     if planner.extractor is not None and not rig.cameras:

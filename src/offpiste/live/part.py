@@ -30,7 +30,7 @@ AFTER: Final = 8.0
 
 
 def keep_loaded() -> None:
-    """Keep what has been loaded out of the search for garbage: to look through it all takes a quarter of a second."""
+    """Keep what has been loaded out of garbage collection: to look through it all takes a quarter of a second."""
     gc.collect()
     gc.freeze()
 
@@ -136,8 +136,9 @@ class TrackFeed:
     """
 
     def __init__(self, part: Part, actuators: Collection[str]) -> None:
-        self._part, self.track = part, VehicleTrack()
-        self.intake = Intake(self.track, actuators, part.settings.runtime.timeouts, part.dropped)
+        timeouts = part.settings.runtime.timeouts
+        self._part, self.track = part, VehicleTrack(slowest=timeouts.state)
+        self.intake = Intake(self.track, actuators, timeouts, part.dropped)
         self._ring = part.ring("readings")
         self._number, self.control = self._ring.written, None
         self.came = -np.inf

@@ -10,7 +10,6 @@ from offpiste.conventions import DT
 from offpiste.errors import LiveError
 from offpiste.live.lockstep import CLOCK, COMMAND, END, READY
 from offpiste.live.log_steps import LogStep, RecordedDrive
-from offpiste.live.part import keep_loaded
 from offpiste.logs.ros.writer import make
 from offpiste.progress import track
 from offpiste.transport.zenoh_transport import ZenohTransport
@@ -76,7 +75,6 @@ class LogPlayer:
         """
         if not 0 < rate <= 100:
             raise LiveError(f"a rate of {rate:g}", where="--rate", how="give one above 0, and at most 100")
-        keep_loaded()
         began, first, late = time.monotonic(), 0, [0.0]
 
         def pace(step: LogStep) -> None:

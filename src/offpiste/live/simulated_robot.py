@@ -13,14 +13,13 @@ from jaxtyping import Float
 
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course
 from offpiste.closed_loop.lockstep import Driving, time_of
-from offpiste.closed_loop.scores import summary, trace_of
+from offpiste.closed_loop.scores import scores_of
 from offpiste.conventions import DT
 from offpiste.errors import LiveError, require
 from offpiste.live.lockstep import CLOCK
 from offpiste.live.part import keep_loaded
 from offpiste.live.play import clock_message
 from offpiste.logs.ros.writer import header, make, quaternion, vector
-from offpiste.planning.costs.weights import CostWeights
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.modes import Controls
@@ -30,7 +29,7 @@ from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with
 from offpiste.simulation.sensors.messages import mountings_message
 from offpiste.simulation.sensors.suite import Sensing, sensor_suite
 from offpiste.simulation.simulate import drive
-from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
+from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 from offpiste.transport.interface import Received, Transport
@@ -230,7 +229,7 @@ def simulate_live(
         simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed, vehicle=vehicle, pose_noise=pose_noise)
         logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
         driving = simulated.drive(seconds)
-    result = scores(driving, chosen, seconds, parameters)
+    result = scores_of(driving, chosen.course, seconds, parameters)
     result["steps_without_command"] = simulated.commands.lost
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     logger.info(
@@ -238,17 +237,6 @@ def simulate_live(
         f" off the course, cost {result['driven_cost']:.0f}; {simulated.commands.lost} steps without a command"
     )
     return result
-
-
-def scores(driving: Driving, chosen: ChosenCourse, limit: float, parameters: VehicleParameters) -> dict[str, Any]:
-    """What a drive came to (`closed_loop.scores.summary`).
-
-    Args:
-        limit: of its time [s].
-        parameters: of the vehicle.
-    """
-    length = float(np.linalg.norm(np.diff(chosen.course.driven, axis=0), axis=1).sum())
-    return summary(driving, trace_of(driving, chosen.course), length, limit, CostWeights(path=5.0), parameters)
 
 
 def _command_topic(rig: Rig) -> str:

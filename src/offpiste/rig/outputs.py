@@ -28,8 +28,15 @@ _LIMITED: Final = {
     "yaw_rate": {"yaw_rate"},
 }
 """Quantities that each of `CommandLimits` acts on."""
-_LONGEST: Final = 5.0
-"""Largest timeout [s]."""
+_TIMEOUTS: Final = {
+    "state": (0.04, 1.0),
+    "scan": (0.1, 5.0),
+    "scan_limit": (0.1, 5.0),
+    "image": (0.1, 30.0),
+    "plan": (0.2, 1.0),
+    "ahead": (0.01, 1.0),
+}
+"""Smallest and largest of `Timeouts` [s]."""
 _PATH: Final = re.compile(r"[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?")
 _TYPE: Final = re.compile(r"[a-zA-Z]\w*/msg/[A-Z]\w*")
 _TOPIC: Final = re.compile(r"(/[a-zA-Z_]\w*)+")
@@ -157,7 +164,7 @@ class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def check_names(rig: Mapping[str, Any]) -> None:
-    """Refuse quantities and timeouts that there are not, by their names, which msgspec does not say.
+    """Refuse unknown quantities and timeouts by their names, which msgspec does not say.
 
     Args:
         rig: from TOML; what else is wrong with it is left to others.
@@ -209,10 +216,11 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
         if not _PATH.fullmatch(live.enable.field) or not 0 < live.enable.timeout < np.inf:
             raise RigError("live.enable: no such field or timeout", how='give field = "data" and seconds above zero')
     for name, seconds in vars(live.timeouts).items():
-        if not 0 < seconds <= _LONGEST:
-            raise RigError(f"live.timeouts.{name} is {seconds} s", how=f"give more than 0, and at most {_LONGEST:g}")
+        least, most = _TIMEOUTS[name]
+        if not least <= seconds <= most:
+            raise RigError(f"live.timeouts.{name} is {seconds} s", how=f"give {least:g} to {most:g}")
     if live.timeouts.scan > live.timeouts.scan_limit:
-        raise RigError("live.timeouts.scan is above scan_limit", how="let scans be late before they are missing")
+        raise RigError("live.timeouts.scan is above scan_limit", how="raise scan_limit, too, or lower scan")
     for limit in CommandLimits.__struct_fields__:
         number, limited = getattr(live.limits, limit), _LIMITED[limit]
         if not number > 0 or (limit in ("throttle", "brake", "steer") and number > 1):

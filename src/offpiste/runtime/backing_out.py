@@ -22,7 +22,7 @@ LEFT, RIGHT = 1.0, -1.0
 GAP = 0.5
 """Longest time between two looks at the vehicle that counts for a manoeuvre [s]."""
 
-MOVING = 30.0
+PLAUSIBLE_SPEED = 30.0
 """A pose that is farther from the one before than `JUMP` [m], and the way at this speed [m/s], is in another frame."""
 
 Hazard = Callable[[Float[np.ndarray, "P 2"]], Float[np.ndarray, " P"]]
@@ -131,7 +131,7 @@ class BackingOut:
         elif np.isfinite(self._last_time):  # time in which it is stopped, or nothing is known, is no time for it
             self._since += max(now - self._last_time - (GAP if driven else 0.0), 0.0)
         step = float(np.linalg.norm(pose[:2] - self._last_pose[:2]))
-        continues = now >= self._last_time and step <= JUMP + MOVING * (now - self._last_time)
+        continues = now >= self._last_time and step <= JUMP + PLAUSIBLE_SPEED * (now - self._last_time)
         self._last_time, self._last_pose = now, np.array(pose, float)
         if not continues:
             self.places.clear()  # poses may be in another frame

@@ -17,6 +17,9 @@ from offpiste.logs.poses import Poses
 JUMP = 1.0
 """Distance of a pose from the one that speed and time predict, above which it counts as a jump [m]."""
 
+GAP = 0.25
+"""Between readings no further apart, poses are interpolated [s]."""
+
 
 @dataclass(frozen=True)
 class VehicleReading:
@@ -70,11 +73,12 @@ class VehicleTrack:
 
     Args:
         seconds: how long they are kept [s].
-        max_gap: poses are not interpolated between readings further apart [s].
+        slowest: readings may be so far apart [s]; poses are interpolated between those that are no further apart, or
+            than `GAP`.
     """
 
-    def __init__(self, *, seconds: float = 3.0, max_gap: float = 0.25) -> None:
-        self._seconds, self._max_gap = seconds, max_gap
+    def __init__(self, *, seconds: float = 3.0, slowest: float = 0.0) -> None:
+        self._seconds, self._max_gap = seconds, max(slowest, GAP)
         self._readings: deque[VehicleReading] = deque()
         self._commands: deque[tuple[float, np.ndarray, float]] = deque()
 
@@ -121,6 +125,11 @@ class VehicleTrack:
         position = Channel("position", "m", time, np.stack([r.position for r in self._readings]))
         orientation = Channel("orientation", "1", time, np.stack([r.orientation for r in self._readings]))
         return Poses(position, orientation, self._max_gap)
+
+    def awaits(self, time: float) -> bool:
+        """Whether the pose at a moment [s] may yet become known: no reading is as new."""
+        latest = self.latest
+        return latest is not None and latest.time < time
 
     def pose_at(self, time: float) -> Float[np.ndarray, "4 4"] | None:
         """`world_from_body` at a moment [s]; None where it is not known."""

@@ -5,6 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,6 +19,8 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.follower import MapState
+
+Measured = TypeVar("Measured", Image, Cloud)
 
 
 class Stopwatch:
@@ -94,6 +97,8 @@ class OnlineMapper:
         self._mapper = SensorMapper(cameras, self._sensors.lidars, extract, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
+        self._scans: dict[str, Cloud] = {}
+        self._images: dict[str, Image] = {}
 
     @property
     def state(self) -> MapState:
@@ -103,6 +108,9 @@ class OnlineMapper:
     def image(self, image: Image) -> None:
         """Extract features from an image if it is a keyframe; it counts with its own stamp, however late it comes."""
         if not self.uses_features or image.camera not in self._sensors.cameras:
+            return
+        if self._track.awaits(image.time):
+            self._wait(self._images, image.camera, image)
             return
         pose = self._pose(image.camera, image.time)
         if pose is None:
@@ -130,6 +138,9 @@ class OnlineMapper:
 
     def scan(self, scan: Cloud) -> None:
         """Add the finite points of a scan to the map."""
+        if self._track.awaits(scan.time):
+            self._wait(self._scans, scan.lidar, scan)
+            return
         pose = self._pose(scan.lidar, scan.time)
         if pose is None:
             return
@@ -140,6 +151,19 @@ class OnlineMapper:
             scanned = self._mapper.add_scan(scan, self._track.poses(), pose)
         if len(scanned.points_world):
             self.scan_time = max(self.scan_time, scan.time)
+
+    def _wait(self, waiting: dict[str, Measured], sensor: str, measured: Measured) -> None:
+        """Keep a sensor's newest measurement until a reading of the vehicle is as new."""
+        if sensor in waiting:
+            self.dropped[f"{sensor}: replaced by a newer one"] += 1
+        waiting[sensor] = measured
+
+    def catch_up(self) -> None:
+        """Take the images and scans that came before a reading of the vehicle as new as they are."""
+        for image in [each for each in self._images.values() if not self._track.awaits(each.time)]:
+            self.image(self._images.pop(image.camera))
+        for scan in [each for each in self._scans.values() if not self._track.awaits(each.time)]:
+            self.scan(self._scans.pop(scan.lidar))
 
     def layers(self) -> TerrainLayers:
         """Layers of the current map; the next call overwrites them."""

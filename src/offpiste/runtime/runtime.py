@@ -71,7 +71,7 @@ class Runtime:
             raise PlanningError(
                 "the model reads features, and nothing extracts them", how="give SensorSetup(…, extract=…)"
             )
-        self.watch, self._track = Stopwatch(), VehicleTrack()
+        self.watch, self._track = Stopwatch(), VehicleTrack(slowest=self._settings.timeouts.state)
         self.follower = Follower(self._settings, self._track, CourseTracker(course))
         encoder = None if ground is not None else dynamics.encoder
         self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
@@ -121,6 +121,7 @@ class Runtime:
             self._maker.forget()
         if taken != "dropped":
             self.course_tracker.move(reading.position[:2])
+            self._mapper.catch_up()
 
     def image(self, image: Image) -> None:
         """Add an image."""

@@ -23,18 +23,20 @@ def codes(session: Session) -> None:
     encoder, extract = planner.dynamics.eval().requires_grad_(False).encoder, planner.extractor.extract
     assert encoder is not None
     keep_loaded()
+    waiting: dict[str, Image] = {}  # the newest of each camera, until the pose is known
     feed, number = TrackFeed(part, planner.dynamics.vehicle.actuators), part.ring("images").written
     keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
     while not part.ending:
         if feed.update(part.now()):
             keyframes = Keyframes(setup.cameras, part.settings.runtime.replay)
-        newest: dict[str, Image] = {}
         for entry in part.ring("images").since(number):
             part.dropped["images: overwritten"] += entry.number - number - 1
             number, image = entry.number, image_from(unpacked(entry.data))
-            part.dropped["images: replaced by a newer one"] += image.camera in newest
-            newest[image.camera] = image
-        for image in newest.values():
+            part.dropped["images: replaced by a newer one"] += image.camera in waiting
+            waiting[image.camera] = image
+        due = [image for image in waiting.values() if not feed.track.awaits(image.time)]
+        for image in due:
+            del waiting[image.camera]
             pose = feed.track.pose_at(image.time)
             if pose is None or image.camera not in setup.cameras:
                 part.dropped["images: stamped when the pose is not known"] += 1
@@ -51,5 +53,5 @@ def codes(session: Session) -> None:
                 keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])
             part.hand_on("codes", packed({"camera": image.camera, "time": image.time, "codes": found}))
         part.beat("ready", extract_ms=1e3 * took)
-        if not newest:
+        if not due:
             time.sleep(0.01)

@@ -199,7 +199,7 @@ def control(session: Session) -> None:
     part = Part("control", session)
     controller = Controller(part)
     keep_loaded()
-    due, ends = time.monotonic(), np.inf
+    due, ends, drives = time.monotonic(), np.inf, False
     while True:
         if ends == np.inf and part.ending:
             ends = time.monotonic()
@@ -207,6 +207,10 @@ def control(session: Session) -> None:
         if since > ENDS or (since > _AT_LEAST and controller.has_stopped):
             break
         state = controller.tick(ending=ends < np.inf)
+        if state == "driving" and not drives:  # what it was late by while others loaded does not count
+            drives = True
+            controller.late.clear()
+            controller.ages.clear()
         controller.late.append(time.monotonic() - due)
         part.beat(state, **_numbers(controller))
         due += DT

@@ -40,6 +40,7 @@ def map_ground(session: Session) -> None:
         for entry in part.ring("codes").since(code_number):
             code_number, values = entry.number, unpacked(entry.data)
             mapper.coded(values["camera"], values["time"], values["codes"])
+        before = mapper.scan_time
         newest: dict[str, Cloud] = {}
         for entry in part.ring("scans").since(scan_number):
             part.dropped["scans: overwritten"] += entry.number - scan_number - 1
@@ -47,10 +48,11 @@ def map_ground(session: Session) -> None:
             part.dropped["scans: replaced by a newer one"] += cloud.lidar in newest
             newest[cloud.lidar] = cloud
         began = time.monotonic()
+        mapper.catch_up()
         for cloud in newest.values():
             if not feed.intake.ahead(cloud.lidar, cloud.time):
                 mapper.scan(cloud)
-        if newest and mapper.scan_time > -np.inf:
+        if mapper.scan_time > before:
             layers = _within_reach(mapper.layers(), feed.track, part.settings.runtime.margin)
             part.hand_on("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
             took = time.monotonic() - began
