@@ -29,11 +29,13 @@ def codes(session: Session) -> None:
     while not part.ending:
         if feed.update(part.now()):
             keyframes = Keyframes(setup.cameras, part.settings.runtime.replay)
+            waiting.clear()
         for entry in part.ring("images").since(number):
             part.dropped["images: overwritten"] += entry.number - number - 1
             number, image = entry.number, image_from(unpacked(entry.data))
             part.dropped["images: replaced by a newer one"] += image.camera in waiting
-            waiting[image.camera] = image
+            if not feed.intake.ahead(image.camera, image.time):
+                waiting[image.camera] = image
         due = [image for image in waiting.values() if not feed.track.awaits(image.time)]
         for image in due:
             del waiting[image.camera]
