@@ -22,6 +22,7 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
 from offpiste.closed_loop.scores import scores_of
+from offpiste.conventions import PERCEPTION_LATENCY
 from offpiste.errors import LiveError
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
@@ -56,6 +57,8 @@ class LiveDrives:
     """Of the courses."""
     speed: float = 5.0
     """Wanted on courses [m/s]."""
+    latency: float = PERCEPTION_LATENCY
+    """Of `live`, from the data of a plan to its first control [s]; lockstep has the default."""
     log: Path | None = None
     """For `memory`: a log of the proving ground with its sensors, as `simulate --out` writes it."""
     minutes: float = 30.0
@@ -92,7 +95,7 @@ class LiveDrives:
         simulator = ["simulate", "--live", "--world", self.world, "--seed", str(seed), "--speed", str(self.speed),
                      "--seconds", str(LIMIT + _WAITS)]  # fmt: skip
         live = ["live", RIG, "--run", self.run_folder, "--drive", "--clock", "clock", "--course-topic", "/course",
-                "--speed", str(self.speed), "--status", str(status)]  # fmt: skip
+                "--speed", str(self.speed), "--latency", str(self.latency), "--status", str(status)]  # fmt: skip
         with (
             router_at() as at,
             started([*simulator, "--endpoint", at], said) as one,

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -252,6 +253,15 @@ def test_a_risk_that_needs_a_spread_is_refused_before_anything_starts(tmp_path):
     settings = LiveSettings(write_rig(tmp_path, actuators=True), str(run), None, course, runtime)
     with pytest.raises(PlanningError, match="needs a spread"):
         run_live(settings, lockstep=False, replay=None, commands=None)
+
+
+def test_the_timeouts_of_the_rig_are_those_of_the_drive(tmp_path, monkeypatch):
+    begun, more = [], "[live.timeouts]\nstate = 0.25\n"
+    monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings, *_: begun.append(settings))
+    course = CourseRequest(write_course(tmp_path))
+    settings = LiveSettings(write_rig(tmp_path, more, actuators=True), RUN, None, course)
+    run_live(settings, lockstep=False, replay=None, commands=None)
+    assert begun[0].runtime.timeouts == replace(settings.runtime.timeouts, state=0.25)
 
 
 @pytest.mark.parametrize("run", [RUN, "pretrained:proving-ground/dc"])

@@ -190,7 +190,7 @@ class _Listener:
         others = self._transport.topics()
         for topic in self._needed:
             yield self._of(topic, seconds, clock, others)
-        yield from self._too_late(seconds, clock)
+        yield from self._short_timeouts(seconds, clock)
         for topic in self._commands & self._heard - set(self._vehicle.topics):
             yield Finding("warning", f"{topic}: someone else commands; with --drive the vehicle would be stopped")
         if self._switch_without:
@@ -231,7 +231,7 @@ class _Listener:
         if received.topic in self._sensors.topics:
             self._sensors.take(received.topic, message, received.received)
 
-    def _too_late(self, seconds: float, clock: Source) -> Iterator[Finding]:
+    def _short_timeouts(self, seconds: float, clock: Source) -> Iterator[Finding]:
         """Timeouts that would be over where a single message is lost."""
         timeouts, stamped = self._rig.live.timeouts, clock == "system" and self._rig.clock.stamps != "receive"
         lidars = [lidar.topic for lidar in self._rig.lidars.values()]
